@@ -61,6 +61,14 @@ impl RosFile {
             path: path.to_owned(),
             source,
         })?;
+        Self::in_file(file)
+    }
+
+    /// Writes into `file`, which is empty.
+    ///
+    /// # Errors
+    /// [`WriteError`].
+    pub fn in_file(file: File) -> Result<Self, WriteError> {
         let options = mcap::WriteOptions::new().profile("ros2").compression(None);
         let writer = options
             .create(BufWriter::new(file))

@@ -3,7 +3,9 @@
 use std::path::PathBuf;
 
 use anyhow::Context as _;
+use clap::CommandFactory as _;
 use joulebus_program::exit::Outcome;
+use joulebus_program::verbs::rosbag::RosbagArguments;
 
 /// Write the manual pages of all verbs into a folder
 #[derive(Debug, clap::Args)]
@@ -21,7 +23,11 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, program: clap::Command) -> anyhow::Result<Outcome> {
     let folder = args.folder.display();
     std::fs::create_dir_all(&args.folder).with_context(|| format!("cannot make {folder}"))?;
-    clap_mangen::generate_to(program, &args.folder)
-        .with_context(|| format!("cannot write the pages into {folder}"))?;
+    // No verb, but a program of its own.
+    let rosbag = RosbagArguments::command();
+    for program in [program, rosbag] {
+        clap_mangen::generate_to(program, &args.folder)
+            .with_context(|| format!("cannot write the pages into {folder}"))?;
+    }
     Ok(Outcome::Done)
 }

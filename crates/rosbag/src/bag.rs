@@ -4,7 +4,6 @@
 //! definition computes; values are limited in size, and all together to that of the file, because SQLite follows pages that
 //! name each other; and rows have the types that rosbag2 gives them, or are counted.
 
-use std::collections::BTreeMap;
 use std::fs;
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
@@ -18,6 +17,10 @@ use rusqlite::{Connection, OpenFlags};
 pub(crate) const MOST_BYTES: i32 = 256 << 20;
 /// Largest text of a topic or a definition, bytes.
 const MOST_TEXT_BYTES: i32 = 1 << 20;
+/// What a rollback journal begins with that has pages.
+const JOURNAL_MAGIC: &[u8] = &[0xd9, 0xd5, 0x05, 0xf9, 0x20, 0xa1, 0x63, 0xd7];
+/// Bytes of a journal's head up to the count of its pages, with it.
+const JOURNAL_HEAD: usize = JOURNAL_MAGIC.len() + 4;
 /// Least bytes of a row: the heads of its cell and of its record.
 const LEAST_ROW_BYTES: u64 = 4;
 /// Most topics of a bag; a file of MCAP has no more channels.
@@ -43,6 +46,17 @@ pub(crate) enum BagError {
         path: PathBuf,
         /// Its first bytes.
         found: Vec<u8>,
+    },
+    /// Its writer was stopped within a change, which only a writer can undo.
+    #[error(
+        "{path:?} is changed in part: {journal:?} has what it was before; if no program writes it any more, copy both, then \
+         let SQLite undo the change: sqlite3 FILE 'PRAGMA quick_check'"
+    )]
+    Journal {
+        /// The file.
+        path: PathBuf,
+        /// The journal beside it.
+        journal: PathBuf,
     },
     /// A table of rosbag2 is missing.
     #[error(
@@ -98,6 +112,14 @@ pub(crate) struct Definition {
     pub(crate) text: String,
 }
 
+/// The rows of a small table.
+#[derive(Debug)]
+pub(crate) struct Rows<T> {
+    pub(crate) rows: Vec<T>,
+    /// Those whose values are of other types than rosbag2 writes.
+    pub(crate) odd: u64,
+}
+
 /// One row of a bag's messages.
 #[derive(Debug)]
 pub(crate) enum Row<'a> {
@@ -138,6 +160,7 @@ impl Bag {
     /// Opens a bag.
     pub(crate) fn open(path: &Path) -> Result<Self, BagError> {
         check_head(path)?;
+        check_journal(path)?;
         let bag = Self {
             path: path.to_owned(),
             sqlite: connect(path).map_err(|error| refused(path, &error))?,
@@ -179,7 +202,7 @@ impl Bag {
     }
 
     /// Its topics.
-    pub(crate) fn topics(&self) -> Result<Vec<Topic>, BagError> {
+    pub(crate) fn topics(&self) -> Result<Rows<Topic>, BagError> {
         let sql = "SELECT id, name, type, serialization_format FROM topics";
         let topics = self.all("topics", sql, |row| {
             let topic = Topic {
@@ -191,50 +214,57 @@ impl Bag {
             let bytes = topic.name.len() + topic.type_name.len() + topic.encoding.len();
             Ok((topic, bytes))
         })?;
-        if topics.len() > MOST_TOPICS {
+        if topics.rows.len() > MOST_TOPICS {
             let path = self.path.clone();
             return Err(BagError::TooManyTopics { path });
         }
         Ok(topics)
     }
 
-    /// Definitions of types by name. Bags before ROS 2 Iron have none.
-    pub(crate) fn definitions(&self) -> Result<BTreeMap<String, Definition>, BagError> {
+    /// Definitions of types, with the types' names. Bags before ROS 2 Iron have none.
+    pub(crate) fn definitions(&self) -> Result<Rows<(String, Definition)>, BagError> {
         const TABLE: &str = "message_definitions";
         const COLUMNS: &[&str] = &["topic_type", "encoding", "encoded_message_definition"];
         if !self.has_table(TABLE, COLUMNS)? {
-            return Ok(BTreeMap::new());
+            let rows = Vec::new();
+            return Ok(Rows { rows, odd: 0 });
         }
         let sql =
             "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions";
-        let definitions = self.all(TABLE, sql, |row| {
+        self.all(TABLE, sql, |row| {
             let (name, encoding, text): (String, _, String) =
                 (row.get(0)?, row.get(1)?, row.get(2)?);
             let bytes = name.len() + text.len();
             Ok(((name, Definition { encoding, text }), bytes))
-        })?;
-        Ok(definitions.into_iter().collect())
+        })
     }
 
-    /// The rows of a table, of which `read` also says how many bytes they have; one more than topics are allowed at most.
+    /// The rows of a table, of which `read` also says how many bytes they have, and that it cannot read a row whose values are
+    /// of other types; one more than topics are allowed at most.
     fn all<T>(
         &self,
         table: &'static str,
         sql: &str,
         read: impl Fn(&rusqlite::Row<'_>) -> rusqlite::Result<(T, usize)>,
-    ) -> Result<Vec<T>, BagError> {
+    ) -> Result<Rows<T>, BagError> {
         let sqlite = |error: rusqlite::Error| refused(&self.path, &error);
         let mut query = self.sqlite.prepare(sql).map_err(sqlite)?;
-        let rows = query.query_map([], read).map_err(sqlite)?;
-        let (mut all, mut left) = (Vec::new(), Left(self.bytes));
-        for row in rows.take(MOST_TOPICS + 1) {
-            let (row, bytes) = row.map_err(sqlite)?;
+        let mut found = query.query([]).map_err(sqlite)?;
+        let (mut rows, mut odd, mut left) = (Vec::new(), 0, Left(self.bytes));
+        while rows.len() <= MOST_TOPICS
+            && let Some(row) = found.next().map_err(sqlite)?
+        {
+            let (row, bytes) = match read(row) {
+                Ok((row, bytes)) => (Some(row), bytes),
+                Err(_) => (None, 0),
+            };
             if !left.take(bytes) {
                 return Err(self.repeats(table));
             }
-            all.push(row);
+            odd += u64::from(row.is_none());
+            rows.extend(row);
         }
-        Ok(all)
+        Ok(Rows { rows, odd })
     }
 
     fn repeats(&self, table: &'static str) -> BagError {
@@ -305,12 +335,39 @@ fn check_head(path: &Path) -> Result<(), BagError> {
     Err(BagError::Kind { path, found })
 }
 
+/// Refuses a file with a journal that has to be played back first.
+fn check_journal(path: &Path) -> Result<(), BagError> {
+    let journal = beside(path, "-journal");
+    if length(&journal) == 0 {
+        return Ok(());
+    }
+    let mut head = Vec::new();
+    let read = joulebus_files::open(&journal)
+        .and_then(|file| file.take(JOURNAL_HEAD as u64).read_to_end(&mut head));
+    read.map_err(|source| BagError::Io {
+        path: journal.clone(),
+        source,
+    })?;
+    // A writer that keeps its journal overwrites the head when it has ended a change. The count of pages is 0 until the
+    // journal is on the disk, which comes before the first change of the file.
+    let (magic, pages) = head.split_at(JOURNAL_MAGIC.len().min(head.len()));
+    if magic != JOURNAL_MAGIC || pages.iter().all(|byte| *byte == 0) {
+        return Ok(());
+    }
+    let path = path.to_owned();
+    Err(BagError::Journal { path, journal })
+}
+
 fn connect(path: &Path) -> rusqlite::Result<Connection> {
-    // Without a log beside it nothing may change it, and SQLite writes nothing beside it either.
-    let end = if length(&beside(path, "-wal")) > 0 {
-        "mode=ro"
-    } else {
-        "mode=ro&immutable=1"
+    let has_log = length(&beside(path, "-wal")) > 0;
+    // The index of a log is in memory if nobody else has one: SQLite would leave its file behind. Without locks, because
+    // nobody writes without that file, and a lock of this kind needs the right to write.
+    let has_own_index = has_log && !beside(path, "-shm").exists();
+    let end = match (has_log, has_own_index) {
+        // Nothing may change it, and SQLite writes nothing beside it either.
+        (false, _) => "mode=ro&immutable=1",
+        (true, false) => "mode=ro",
+        (true, true) => "mode=ro&vfs=unix-none",
     };
     let uri = format!("file:{}?{end}", percent_encoded(path));
     let flags = OpenFlags::SQLITE_OPEN_READ_ONLY
@@ -318,6 +375,10 @@ fn connect(path: &Path) -> rusqlite::Result<Connection> {
         | OpenFlags::SQLITE_OPEN_NO_MUTEX
         | OpenFlags::SQLITE_OPEN_EXRESCODE;
     let sqlite = Connection::open_with_flags(uri, flags)?;
+    sqlite.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
+    if has_own_index {
+        sqlite.pragma_update(None, "locking_mode", "exclusive")?;
+    }
     sqlite.set_db_config(DbConfig::SQLITE_DBCONFIG_DEFENSIVE, true)?;
     sqlite.set_db_config(DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false)?;
     sqlite.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_VIEW, false)?;

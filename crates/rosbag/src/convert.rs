@@ -1,7 +1,6 @@
 //! The messages of a bag, written as MCAP.
 
 use std::collections::BTreeMap;
-use std::path::Path;
 
 use joulebus_capture::{RosFile, RosTopic, RosTopicId, WriteError};
 
@@ -28,18 +27,34 @@ struct Written {
     is_imported: bool,
 }
 
-/// Writes the messages of `bag` into the file `out`, which must not exist. Returns how many messages were left out, by
-/// reason; what follows damage counts as one.
+/// What a bag has and the result has not.
+#[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct LeftOut {
+    /// `topics` or `messages`.
+    pub(crate) what: &'static str,
+    pub(crate) why: String,
+}
+
+/// Writes the messages of `bag` into `file`. Returns how many of what were left out, by reason; what follows damage counts
+/// as one message.
 ///
 /// # Errors
 /// [`ConvertError`].
-pub(crate) fn convert(bag: &Path, out: &Path) -> Result<BTreeMap<String, u64>, ConvertError> {
-    let bag = Bag::open(bag)?;
+pub(crate) fn convert(
+    bag: &Bag,
+    mut file: RosFile,
+) -> Result<BTreeMap<LeftOut, u64>, ConvertError> {
     let (topics, definitions) = (bag.topics()?, bag.definitions()?);
-    let mut file = RosFile::create(out)?;
+    let mut left_out = BTreeMap::new();
+    if topics.odd > 0 {
+        let why = "id is no integer, or name, type or encoding no text".to_owned();
+        let what = "topics";
+        left_out.insert(LeftOut { what, why }, topics.odd);
+    }
+    let definitions: BTreeMap<_, _> = definitions.rows.into_iter().collect();
     let mut written = BTreeMap::new();
     let unknown = Definition::default();
-    for topic in &topics {
+    for topic in &topics.rows {
         let definition = definitions.get(&topic.type_name).unwrap_or(&unknown);
         // A definition of another kind is none that could be compared, as one that is missing.
         let is_comparable = definition.encoding == "ros2msg";
@@ -57,8 +72,10 @@ pub(crate) fn convert(bag: &Path, out: &Path) -> Result<BTreeMap<String, u64>, C
         let id = file.topic(&topic_of_file)?;
         written.insert(topic.id, Written { id, is_imported });
     }
-    let mut left_out = BTreeMap::new();
-    let mut leave_out = |why: String| *left_out.entry(why).or_insert(0_u64) += 1;
+    let mut leave_out = |why: String| {
+        let what = "messages";
+        *left_out.entry(LeftOut { what, why }).or_insert(0) += 1;
+    };
     bag.each_row(|row| -> Result<(), ConvertError> {
         let (topic, time_ns, data) = match row {
             Row::Message {

@@ -4,43 +4,55 @@
 mod bag;
 mod convert;
 
-use std::path::PathBuf;
+use std::fs::File;
+use std::io;
+use std::os::fd::AsFd as _;
+use std::path::Path;
 use std::process::ExitCode;
 
+use anyhow::{Context as _, bail};
 use clap::Parser as _;
+use joulebus_capture::RosFile;
 use joulebus_program::exit::{self, Outcome};
+use joulebus_program::exit_with_parent;
 use joulebus_program::output::say;
+use joulebus_program::verbs::rosbag::RosbagArguments;
 
-/// Write the messages of a bag of rosbag2 (.db3) as MCAP, for `joulebus import`
-#[derive(Debug, clap::Parser)]
-#[command(
-    name = "joulebus-rosbag",
-    version,
-    after_help = "Example:\n  \
-    joulebus-rosbag bag_0.db3 -o bag_0.mcap\n\n\
-    Messages that `joulebus import` does not read keep topic, type and time, and lose their contents. \
-    Exit codes: 1 if nothing can be read; 3 if something was left out, each with a line on stderr."
-)]
-struct Args {
-    /// The bag's SQLite file
-    #[arg(value_name = "FILE")]
-    bag: PathBuf,
-    /// The MCAP file, which must not exist
-    #[arg(short, long, value_name = "FILE")]
-    out: PathBuf,
-}
+use bag::Bag;
+use convert::LeftOut;
 
 fn main() -> ExitCode {
-    match Args::try_parse() {
+    match RosbagArguments::try_parse() {
         Ok(args) => exit::code(run(&args)),
         Err(refused) => exit::refused(&refused),
     }
 }
 
-fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let left_out = convert::convert(&args.bag, &args.out)?;
-    for (why, count) in &left_out {
-        say(&format!("{count} messages left out: {why}"));
+fn run(args: &RosbagArguments) -> anyhow::Result<Outcome> {
+    if args.exit_with_stdin {
+        exit_with_parent::end_with_stdin()?;
+    }
+    let bag = Bag::open(&args.bag)?;
+    let out = match args.out == Path::new("-") {
+        true => RosFile::in_file(standard_output()?)?,
+        false => RosFile::create(&args.out)?,
+    };
+    let left_out = convert::convert(&bag, out)?;
+    for (LeftOut { what, why }, count) in &left_out {
+        say(&format!("{count} {what} left out: {why}"));
     }
     Ok(Outcome::unless_lost(!left_out.is_empty()))
+}
+
+/// Standard output, whose beginning is written last.
+fn standard_output() -> anyhow::Result<File> {
+    let own = io::stdout().as_fd().try_clone_to_owned();
+    let file = File::from(own.context("cannot use standard output")?);
+    let found = file.metadata().context("cannot use standard output")?;
+    if !found.is_file() || found.len() > 0 {
+        bail!(
+            "standard output is no empty file: redirect it into a new one, or name one with --out"
+        );
+    }
+    Ok(file)
 }

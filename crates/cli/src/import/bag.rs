@@ -1,11 +1,12 @@
 //! Bags of rosbag2: one file, or a folder with the files of a bag that was split. SQLite files are turned into MCAP by the
 //! program `joulebus-rosbag`.
 
+use std::env;
 use std::ffi::OsStr;
 use std::fs::{self, File};
-use std::io::Read as _;
+use std::io::{self, Read as _, Seek as _};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 
 use anyhow::{Context as _, bail};
 use joulebus_capture::import::{Imported, Mapping, import_files};
@@ -47,12 +48,10 @@ pub(super) fn read(path: &Path, name: &str, mapping: &Mapping) -> anyhow::Result
     } else {
         vec![path.to_owned()]
     };
-    let place = tempfile::tempdir().context("cannot make a temporary directory")?;
     let mut files = Vec::new();
-    for (path, number) in paths.iter().zip(0..) {
+    for path in &paths {
         if ends_in(path, "db3") {
-            let out = place.path().join(format!("{number}.mcap"));
-            files.push(convert(path, &out, &mut left_out)?);
+            files.push(convert(path, &mut left_out)?);
         } else {
             let file = joulebus_files::open(path);
             files.push(file.with_context(|| path.display().to_string())?);
@@ -69,8 +68,11 @@ fn files_of(folder: &Path, left_out: &mut Vec<String>) -> anyhow::Result<Vec<Pat
     for entry in fs::read_dir(folder).with_context(named)? {
         let path = entry.with_context(named)?.path();
         let name = path.file_name().unwrap_or_default().to_string_lossy();
-        if name.ends_with(".db3.zstd") || name.ends_with(".mcap.zstd") {
-            left_out.push(format!("{name}: is compressed; first `zstd -d {name}`"));
+        if let Some(unpacked) = unpacked(&name) {
+            // Beside it, it is read already.
+            if !folder.join(unpacked).exists() {
+                left_out.push(format!("{name}: is compressed; first `zstd -d {name}`"));
+            }
         } else if ends_in(&path, "mcap") && is_capture(&path) {
             left_out.push(format!(
                 "{name}: is a capture of joulebus; import it by its own name"
@@ -80,7 +82,10 @@ fn files_of(folder: &Path, left_out: &mut Vec<String>) -> anyhow::Result<Vec<Pat
         }
     }
     for listed in listed_files(folder) {
-        if !folder.join(&listed).exists() {
+        // What is compressed is named above, and what was is read.
+        let own = unpacked(&listed).unwrap_or(&listed);
+        let is_there = |name: &str| folder.join(name).exists();
+        if !is_there(own) && !is_there(&format!("{own}.zstd")) {
             left_out.push(format!(
                 "{listed}: metadata.yaml lists it, and it is missing"
             ));
@@ -95,6 +100,12 @@ fn files_of(folder: &Path, left_out: &mut Vec<String>) -> anyhow::Result<Vec<Pat
         bail!("{}: no .db3 or .mcap file is in this folder{why}", named());
     }
     Ok(files)
+}
+
+/// The name of a compressed file of a bag when it is unpacked.
+fn unpacked(name: &str) -> Option<&str> {
+    let own = name.strip_suffix(".zstd")?;
+    (own.ends_with(".db3") || own.ends_with(".mcap")).then_some(own)
 }
 
 /// The names under `relative_file_paths` of `metadata.yaml`, if there is one: a list of plain or quoted names, as rosbag2
@@ -115,18 +126,29 @@ fn listed_files(folder: &Path) -> Vec<String> {
     own.map(str::to_owned).collect()
 }
 
-/// Turns an SQLite file into the MCAP file `out`, and opens that.
-fn convert(bag: &Path, out: &Path, left_out: &mut Vec<String>) -> anyhow::Result<File> {
+/// Turns an SQLite file into an MCAP file that has no name, so that nothing is left of it however this process ends.
+fn convert(bag: &Path, left_out: &mut Vec<String>) -> anyhow::Result<File> {
     let named = bag.display().to_string();
     let program = external::find_program(READER).with_context(|| named.clone())?;
-    let ended = Command::new(&program)
-        .arg("-o")
-        .arg(out)
-        .arg("--")
-        .arg(bag)
-        .stdin(Stdio::null())
-        .output()
-        .with_context(|| format!("cannot start {}", program.display()))?;
+    let failed = || {
+        format!(
+            "cannot make a temporary file in {}",
+            env::temp_dir().display()
+        )
+    };
+    let mut out = tempfile::tempfile().with_context(failed)?;
+    let own = out.try_clone().with_context(failed)?;
+    let mut command = Command::new(&program);
+    command
+        .args(["--exit-with-stdin", "-o", "-", "--"])
+        .arg(bag);
+    // Its input closes when this process ends.
+    command
+        .stdin(Stdio::piped())
+        .stdout(own)
+        .stderr(Stdio::piped());
+    let ended = command.spawn().and_then(output_of);
+    let ended = ended.with_context(|| format!("cannot run {}", program.display()))?;
     let said = String::from_utf8_lossy(&ended.stderr);
     let lines = said.lines().filter(|line| !line.trim().is_empty());
     match ended.status.code() {
@@ -142,7 +164,16 @@ fn convert(bag: &Path, out: &Path, left_out: &mut Vec<String>) -> anyhow::Result
             bail!("{named}: {READER} ended with {}: {why}", ended.status);
         }
     }
-    joulebus_files::open(out).with_context(|| out.display().to_string())
+    out.rewind().with_context(failed)?;
+    Ok(out)
+}
+
+/// Waits for a process, whose input stays open until it has ended.
+fn output_of(mut child: Child) -> io::Result<Output> {
+    let input = child.stdin.take();
+    let ended = child.wait_with_output();
+    drop(input);
+    ended
 }
 
 #[cfg(test)]

@@ -1,8 +1,9 @@
 //! Arguments of the verbs that are separate programs. Two programs parse them: `joulebus`, for its
-//! help and completions, and the verb's own.
+//! help, completions and manual pages, and the verb's own.
 
 pub mod bench;
 pub mod bridge;
 pub mod mission;
 pub mod report;
+pub mod rosbag;
 pub mod serve;

@@ -5,10 +5,14 @@ mod bag;
 mod hostile;
 mod other_writer;
 
+use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::path::Path;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 
 use joulebus_capture::import::{Imported, Mapping, import, import_files};
+use joulebus_test_processes::{eventually, joulebus_beside};
 
 use bag::{Bag, convert, joulebus, text};
 
@@ -108,10 +112,15 @@ fn a_bag_with_a_log_beside_it_is_read_whole_and_not_changed() {
     }
     let copy = killed.join("live.db3");
     assert!(fs::metadata(killed.join("live.db3-wal")).unwrap().len() > 0);
-    let before = ["live.db3", "live.db3-wal"].map(|name| fs::read(killed.join(name)).unwrap());
+    let before = contents(&killed);
     assert_eq!(imported(&[&copy]).robots[0].row_count, 25);
-    let after = ["live.db3", "live.db3-wal"].map(|name| fs::read(killed.join(name)).unwrap());
-    assert!(before == after, "the bag was changed");
+    assert!(before == contents(&killed), "the bag was changed");
+    // The index that its recorder left is used and stays.
+    let name = "live.db3-shm";
+    fs::copy(place.path().join(name), killed.join(name)).unwrap();
+    assert_eq!(imported(&[&copy]).robots[0].row_count, 25);
+    let names = |folder: &Path| contents(folder).into_keys().collect::<Vec<_>>();
+    assert_eq!(names(&killed), ["live.db3", "live.db3-shm", "live.db3-wal"]);
     bag.close();
     // Nothing appears beside a bag that has none.
     let alone = place.path().join("alone");
@@ -122,6 +131,214 @@ fn a_bag_with_a_log_beside_it_is_read_whole_and_not_changed() {
     bag.close();
     imported(&[&path]);
     assert_eq!(fs::read_dir(&alone).unwrap().count(), 1);
+}
+
+/// The files of a folder.
+fn contents(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    let entries = fs::read_dir(folder).unwrap().map(Result::unwrap);
+    let file = |entry: fs::DirEntry| {
+        let name = entry.file_name().into_string().unwrap();
+        (name, fs::read(entry.path()).unwrap())
+    };
+    entries.map(file).collect()
+}
+
+#[test]
+fn a_bag_whose_recorder_was_killed_within_a_change_names_its_journal() {
+    let place = tempfile::tempdir().unwrap();
+    let path = place.path().join("live.db3");
+    let mut bag = Bag::create(&path);
+    bag.drive(0..10);
+    // More than SQLite keeps in memory: it changes the file before the change is whole.
+    bag.run("PRAGMA cache_size = 2; BEGIN");
+    for step in 10..60 {
+        bag.raw(4, bag::time_ns(step), &[7; 30_000]);
+    }
+    let killed = place.path().join("killed");
+    fs::create_dir(&killed).unwrap();
+    for name in ["live.db3", "live.db3-journal"] {
+        fs::copy(place.path().join(name), killed.join(name)).unwrap();
+    }
+    bag.run("COMMIT");
+    bag.close();
+    let copy = killed.join("live.db3");
+    let before = contents(&killed);
+    let ended = convert(&copy, &place.path().join("out.mcap"));
+    assert_eq!(ended.status.code(), Some(1), "{ended:?}");
+    let said = String::from_utf8(ended.stderr).unwrap();
+    for expected in ["killed/live.db3-journal", "PRAGMA quick_check"] {
+        assert!(said.contains(expected), "{said}");
+    }
+    assert!(before == contents(&killed), "the bag was changed");
+    // What the message says helps.
+    let sqlite = rusqlite::Connection::open(&copy).unwrap();
+    sqlite
+        .query_row("PRAGMA quick_check", [], |row| row.get::<_, String>(0))
+        .unwrap();
+    sqlite.close().unwrap();
+    let imported = imported(&[&copy]);
+    assert_eq!(imported.others["sensor_msgs/msg/Image"], 10);
+}
+
+#[test]
+fn a_journal_that_is_over_does_no_harm() {
+    let place = tempfile::tempdir().unwrap();
+    let path = place.path().join("bag.db3");
+    let mut bag = Bag::create(&path);
+    bag.run("PRAGMA journal_mode = PERSIST");
+    bag.drive(0..10);
+    bag.close();
+    let journal = place.path().join("bag.db3-journal");
+    assert!(fs::metadata(&journal).unwrap().len() > 0);
+    assert_eq!(imported(&[&path]).robots[0].row_count, 10);
+    for head in [
+        &b"\xd9\xd5"[..],
+        b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7\0\0\0\0",
+    ] {
+        fs::write(&journal, head).unwrap();
+        assert_eq!(imported(&[&path]).robots[0].row_count, 10);
+    }
+}
+
+#[test]
+fn an_odd_row_of_the_topics_costs_its_own_messages_alone() {
+    let place = tempfile::tempdir().unwrap();
+    let path = place.path().join("bag.db3");
+    let mut bag = Bag::create(&path);
+    bag.drive(0..10);
+    bag.run(
+        "CREATE TABLE other AS SELECT * FROM topics; DROP TABLE topics; ALTER TABLE other RENAME TO topics; \
+         UPDATE topics SET type = NULL WHERE id = 4; INSERT INTO topics SELECT 'five', name, type, \
+         serialization_format, '', '' FROM topics WHERE id = 2; CREATE TABLE d AS SELECT * FROM message_definitions; \
+         DROP TABLE message_definitions; ALTER TABLE d RENAME TO message_definitions; \
+         INSERT INTO message_definitions VALUES (2, 'nav_msgs/msg/Odometry', NULL, NULL, '')",
+    );
+    bag.close();
+    let out = place.path().join("out.mcap");
+    let ended = convert(&path, &out);
+    assert_eq!(ended.status.code(), Some(3), "{ended:?}");
+    let said = String::from_utf8(ended.stderr).unwrap();
+    for expected in [
+        "2 topics left out: id is no integer, or name, type or encoding no text",
+        "10 messages left out: of a topic that the bag does not name",
+    ] {
+        assert!(said.contains(expected), "{said}");
+    }
+    let found = import(File::open(&out).unwrap(), "bag", &Mapping::default()).unwrap();
+    assert_eq!(found.robots[0].row_count, 10);
+}
+
+#[test]
+fn standard_output_is_written_if_it_is_an_empty_file() {
+    let place = tempfile::tempdir().unwrap();
+    let path = place.path().join("bag.db3");
+    let mut bag = Bag::create(&path);
+    bag.drive(0..10);
+    bag.close();
+    let [named, redirected] = ["named.mcap", "redirected.mcap"].map(|name| place.path().join(name));
+    assert_eq!(convert(&path, &named).status.code(), Some(0));
+    let to = |out: Stdio| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-rosbag"));
+        command.arg(&path).args(["-o", "-"]).stdout(out);
+        command
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap()
+            .wait_with_output()
+            .unwrap()
+    };
+    let ended = to(File::create(&redirected).unwrap().into());
+    assert_eq!(ended.status.code(), Some(0), "{ended:?}");
+    assert!(fs::read(&named).unwrap() == fs::read(&redirected).unwrap());
+    for out in [
+        Stdio::piped(),
+        File::options().append(true).open(&named).unwrap().into(),
+    ] {
+        let ended = to(out);
+        assert_eq!(ended.status.code(), Some(1), "{ended:?}");
+        assert!(ended.stdout.is_empty(), "{ended:?}");
+        let said = String::from_utf8(ended.stderr).unwrap();
+        assert!(said.contains("no empty file"), "{said}");
+    }
+}
+
+/// Programs beside each other: `joulebus`, and a reader of bags that writes, says so and does not end.
+fn slow_reader(place: &Path) -> PathBuf {
+    // Written by another process: a program that any process has open for writing cannot be started, and those that other
+    // tests start inherit what this one has open.
+    let script = "cp \"$1\" joulebus && cat > joulebus-rosbag && chmod +x joulebus-rosbag";
+    let reader = "#!/bin/sh\necho MCAP\ncd \"${0%/*}\"\necho $$ > begun.new\nmv begun.new begun\ncat > /dev/null\n";
+    let mut make = Command::new("sh");
+    make.args(["-c", script, "sh"]).current_dir(place);
+    make.arg(joulebus_beside(env!("CARGO_BIN_EXE_joulebus-rosbag")));
+    let mut make = make.stdin(Stdio::piped()).spawn().unwrap();
+    let mut input = make.stdin.take().unwrap();
+    input.write_all(reader.as_bytes()).unwrap();
+    drop(input);
+    assert!(make.wait().unwrap().success());
+    place.join("joulebus")
+}
+
+#[test]
+fn an_import_that_is_ended_leaves_no_file_and_no_process() {
+    // Not SIGINT, which a shell in the background has its programs ignore.
+    for signal in ["-TERM", "-KILL"] {
+        let place = tempfile::tempdir().unwrap();
+        let temporary = place.path().join("tmp");
+        fs::create_dir(&temporary).unwrap();
+        let bag = place.path().join("bag.db3");
+        fs::write(&bag, "").unwrap();
+        let mut import = Command::new(slow_reader(place.path()));
+        import
+            .arg("import")
+            .arg(&bag)
+            .arg("-o")
+            .arg(place.path().join("out"));
+        let mut import = import.env("TMPDIR", &temporary).spawn().unwrap();
+        let begun = place.path().join("begun");
+        eventually("the reader has begun", || begun.exists());
+        let reader = fs::read_to_string(&begun).unwrap();
+        let killed = Command::new("kill")
+            .args([signal, &import.id().to_string()])
+            .status();
+        assert!(killed.unwrap().success());
+        assert_eq!(import.wait().unwrap().code(), None);
+        // Empty once it has ended, also if nobody asks for its exit code.
+        let words = Path::new("/proc").join(reader.trim()).join("cmdline");
+        eventually("the reader has ended", || {
+            fs::read(&words).unwrap_or_default().is_empty()
+        });
+        assert_eq!(contents(&temporary), BTreeMap::new(), "{signal}");
+    }
+}
+
+#[test]
+fn a_file_that_was_unpacked_beside_its_compressed_one_counts_once() {
+    let place = tempfile::tempdir().unwrap();
+    let folder = place.path().join("office");
+    fs::create_dir(&folder).unwrap();
+    let path = folder.join("office_0.db3");
+    let mut bag = Bag::create(&path);
+    bag.drive(0..20);
+    bag.close();
+    let compressed = zstd::bulk::compress(&fs::read(&path).unwrap(), 3).unwrap();
+    fs::write(folder.join("office_0.db3.zstd"), compressed).unwrap();
+    let out = place.path().join("robot.csv");
+    for listed in ["office_0.db3.zstd", "office_0.db3"] {
+        let text_of = format!("  relative_file_paths:\n    - {listed}\n");
+        fs::write(folder.join("metadata.yaml"), text_of).unwrap();
+        let ended = joulebus(&["import", &text(&folder), "-o", &text(&out)]);
+        assert_eq!(ended.status.code(), Some(0), "{ended:?}");
+        assert_eq!(fs::read_to_string(&out).unwrap().lines().count(), 1 + 20);
+        fs::remove_file(&out).unwrap();
+    }
+    // One that is compressed only is named once.
+    fs::rename(&path, folder.join("office_1.db3")).unwrap();
+    let ended = joulebus(&["import", &text(&folder), "-o", &text(&out)]);
+    assert_eq!(ended.status.code(), Some(3), "{ended:?}");
+    let said = String::from_utf8(ended.stdout).unwrap();
+    assert_eq!(said.matches("left out").count(), 1, "{said}");
+    assert!(said.contains("zstd -d office_0.db3.zstd"), "{said}");
 }
 
 #[test]
