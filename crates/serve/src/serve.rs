@@ -47,7 +47,7 @@ pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
     let webhook = args
         .webhook
         .as_deref()
-        .map(|to| Webhook::start(&config, to));
+        .map(|to| Webhook::start(&config, to, args.webhook_ca.as_deref()));
     let webhook = webhook.transpose()?;
     let fleet = config.fleet();
     for place in http.iter().flat_map(HttpServer::places) {

@@ -20,6 +20,7 @@ use joulebus_program::exit::UsageError;
 use serde::Serialize;
 use ureq::Agent;
 use ureq::http::Uri;
+use ureq::tls::{PemItem, RootCerts, TlsConfig, parse_pem};
 
 /// Changes that wait; further ones are lost.
 const MOST_WAITING: usize = 10_000;
@@ -35,6 +36,8 @@ const END_LIMIT: Duration = Duration::from_secs(5);
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 /// Longest file with an address, bytes.
 const MOST_BYTES: u64 = 4_096;
+/// Longest file with certificates, bytes; all of Mozilla's have a quarter of it.
+const MOST_CERTIFICATE_BYTES: u64 = 1 << 20;
 
 /// What was told.
 #[derive(Debug, Clone, Serialize)]
@@ -67,12 +70,20 @@ struct Sent {
 }
 
 impl Webhook {
-    /// Joins the fleet, and tells `to` from now on: an address, or `@FILE` with one (mode 0600).
+    /// Joins the fleet, and tells `to` from now on: an address, or `@FILE` with one (mode 0600). Its certificate is checked
+    /// against those of the file `authorities`, or against Mozilla's list.
     ///
     /// # Errors
     /// A wrong address or file; the fleet cannot be joined.
-    pub(crate) fn start(config: &Config, to: &str) -> anyhow::Result<Self> {
-        let address = address(to).map_err(|error| UsageError(format!("{error:#}")))?;
+    pub(crate) fn start(
+        config: &Config,
+        to: &str,
+        authorities: Option<&Path>,
+    ) -> anyhow::Result<Self> {
+        let wrong = |error: anyhow::Error| UsageError(format!("{error:#}"));
+        let address = address(to).map_err(wrong)?;
+        let roots = authorities.map_or(Ok(RootCerts::WebPki), certificates);
+        let agent = agent(roots.map_err(wrong)?);
         let host = address.host().unwrap_or_default().to_owned();
         let (records, waiting) = sync_channel(MOST_WAITING);
         let (stop, lost) = (Arc::<AtomicBool>::default(), Arc::<AtomicU64>::default());
@@ -97,7 +108,8 @@ impl Webhook {
         }
         let (fleet, ends) = (config.fleet().to_owned(), Arc::clone(&stop));
         let thread = thread::Builder::new().name("joulebus-webhook".to_owned());
-        let sending = thread.spawn(move || Sending::new(fleet, address, ends).run(&waiting))?;
+        let sending =
+            thread.spawn(move || Sending::new(fleet, address, agent, ends).run(&waiting))?;
         Ok(Self {
             host,
             stop,
@@ -158,6 +170,37 @@ fn secret(path: &str) -> anyhow::Result<String> {
     Ok(text.lines().next().unwrap_or_default().to_owned())
 }
 
+/// The certificates in a file.
+fn certificates(path: &Path) -> anyhow::Result<RootCerts> {
+    let named = || format!("--webhook-ca {}", path.display());
+    let bytes = joulebus_files::read(path, MOST_CERTIFICATE_BYTES).with_context(named)?;
+    let mut found = Vec::new();
+    for item in parse_pem(&bytes) {
+        if let PemItem::Certificate(certificate) = item.with_context(named)? {
+            found.push(certificate);
+        }
+    }
+    if found.is_empty() {
+        let expected = "no certificate is in it; expected PEM, -----BEGIN CERTIFICATE-----";
+        return Err(anyhow!(expected)).with_context(named);
+    }
+    Ok(RootCerts::new_with_certs(&found))
+}
+
+/// What sends requests.
+fn agent(roots: RootCerts) -> Agent {
+    let config = Agent::config_builder()
+        .timeout_global(Some(REQUEST_LIMIT))
+        // To another host the address would be told.
+        .max_redirects(0)
+        .max_redirects_will_error(false)
+        .http_status_as_error(false)
+        .tls_config(TlsConfig::builder().root_certs(roots).build())
+        .user_agent(concat!("joulebus/", env!("CARGO_PKG_VERSION")))
+        .build();
+    config.into()
+}
+
 /// Queues every change until asked to stop.
 fn read(
     mut alarms: FleetAlarms,
@@ -206,19 +249,11 @@ struct Sending {
 }
 
 impl Sending {
-    fn new(fleet: String, address: Uri, stop: Arc<AtomicBool>) -> Self {
-        let config = Agent::config_builder()
-            .timeout_global(Some(REQUEST_LIMIT))
-            // To another host the address would be told.
-            .max_redirects(0)
-            .max_redirects_will_error(false)
-            .http_status_as_error(false)
-            .user_agent(concat!("joulebus/", env!("CARGO_PKG_VERSION")))
-            .build();
+    fn new(fleet: String, address: Uri, agent: Agent, stop: Arc<AtomicBool>) -> Self {
         Self {
             fleet,
             address,
-            agent: config.into(),
+            agent,
             stop,
             end_by: None,
             sent: Sent::default(),

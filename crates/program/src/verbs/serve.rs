@@ -56,6 +56,9 @@ pub struct ServeArguments {
     /// Tell this address of alarms; @FILE: the address in this file (mode 0600)
     #[arg(long, value_name = "ADDRESS")]
     pub webhook: Option<String>,
+    /// With --webhook: check its certificate against those in this file (PEM) instead of Mozilla's list
+    #[arg(long, value_name = "FILE", requires = "webhook")]
+    pub webhook_ca: Option<PathBuf>,
     /// Serve the Foxglove WebSocket protocol
     #[arg(long)]
     pub foxglove: bool,

@@ -1,16 +1,25 @@
 //! Where clients connect: an address, a Unix socket, or both.
 
-use std::fs;
+use std::fs::{self, File, TryLockError};
 use std::io;
 use std::net::{IpAddr, SocketAddr, TcpListener};
-use std::os::unix::fs::{FileTypeExt as _, MetadataExt as _, PermissionsExt as _};
+use std::os::fd::OwnedFd;
+use std::os::unix::fs::{
+    FileTypeExt as _, MetadataExt as _, OpenOptionsExt as _, PermissionsExt as _,
+};
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
+use rustix::fs::OFlags;
+use rustix::net;
 
 /// Mode of a socket: whoever may enter its folder and is in its group may connect.
 const SOCKET_MODE: u32 = 0o660;
+/// Connections that wait to be accepted.
+const WAITING: i32 = 128;
+/// Why a path cannot be had.
+const ANOTHER: &str = "another server does; end it, or name another file";
 
 /// Who sends requests, as far as it is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -32,8 +41,10 @@ pub(super) struct Listeners {
 #[derive(Debug)]
 pub(super) struct SocketFile {
     pub(super) path: PathBuf,
-    /// Another server may have put its own there.
+    /// Somebody may have put another one there.
     is: Identity,
+    /// Given up after the socket is removed.
+    _lock: SocketLock,
 }
 
 impl Drop for SocketFile {
@@ -69,42 +80,101 @@ pub(super) fn at_address(address: SocketAddr) -> anyhow::Result<(TcpListener, So
 /// Listens at a socket, in place of one that a server which is gone has left.
 ///
 /// # Errors
-/// Another server listens there, something else is there, or it cannot be made.
+/// Another server listens there or is about to, something else is there, or it cannot be made.
 pub(super) fn at_socket(path: &Path) -> anyhow::Result<(UnixListener, SocketFile)> {
-    let shown = path.display();
-    let failed = || format!("cannot listen at {shown}");
-    if let Ok(found) = fs::symlink_metadata(path) {
-        if !found.file_type().is_socket() {
-            bail!(
-                "cannot listen at {shown}: there is something else than a socket; name another file"
-            );
-        }
-        match UnixStream::connect(path) {
-            Ok(_) => {
-                bail!("cannot listen at {shown}: another server does; end it, or name another file")
-            }
-            // Nobody has it open.
-            Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {}
-            Err(error) => bail!(
-                "cannot listen at {shown}: there is a socket that is not ours ({error}); name another file"
-            ),
-        }
-        fs::remove_file(path).with_context(failed)?;
-    }
-    let listener = UnixListener::bind(path).with_context(failed)?;
-    // Before, nobody else has the right to write, which connecting needs: no usual umask gives it.
-    fs::set_permissions(path, fs::Permissions::from_mode(SOCKET_MODE)).with_context(failed)?;
+    let failed = || format!("cannot listen at {}", path.display());
+    let lock = SocketLock::take(path)?;
+    remove_stale(path)?;
+    let socket = bind(path).with_context(failed)?;
     let file = SocketFile {
         path: path.to_owned(),
         is: identity(path).with_context(failed)?,
+        _lock: lock,
     };
+    net::listen(&socket, WAITING).with_context(failed)?;
+    let listener = UnixListener::from(socket);
     listener.set_nonblocking(true).with_context(failed)?;
     Ok((listener, file))
+}
+
+/// A socket with its place and mode, at which nobody listens yet: until then every connection is refused, so that a generous
+/// umask admits nobody.
+fn bind(path: &Path) -> io::Result<OwnedFd> {
+    let address = net::SocketAddrUnix::new(path)?;
+    let (family, kind) = (net::AddressFamily::UNIX, net::SocketType::STREAM);
+    let socket = net::socket_with(family, kind, net::SocketFlags::CLOEXEC, None)?;
+    net::bind(&socket, &address)?;
+    fs::set_permissions(path, fs::Permissions::from_mode(SOCKET_MODE))?;
+    Ok(socket)
+}
+
+/// Removes a socket that nobody has open. The caller has the lock: nobody else puts one there.
+fn remove_stale(path: &Path) -> anyhow::Result<()> {
+    let Ok(found) = fs::symlink_metadata(path) else {
+        return Ok(());
+    };
+    let shown = path.display();
+    if !found.file_type().is_socket() {
+        bail!("cannot listen at {shown}: there is something else than a socket; name another file");
+    }
+    match UnixStream::connect(path) {
+        Ok(_) => bail!("cannot listen at {shown}: {ANOTHER}"),
+        Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {}
+        Err(error) => bail!(
+            "cannot listen at {shown}: there is a socket that is not ours ({error}); name another file"
+        ),
+    }
+    fs::remove_file(path).with_context(|| format!("cannot listen at {shown}"))
+}
+
+/// The right to have a socket at a path: a lock on the file `PATH.lock`, which the system gives up when a server is killed.
+#[derive(Debug)]
+struct SocketLock {
+    path: PathBuf,
+    _file: File,
+}
+
+impl SocketLock {
+    fn take(socket: &Path) -> anyhow::Result<Self> {
+        let mut name = socket.as_os_str().to_owned();
+        name.push(".lock");
+        let path = PathBuf::from(name);
+        let failed = || format!("cannot lock {}", path.display());
+        let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
+        let mut options = File::options();
+        options.write(true).create(true).truncate(false).mode(0o600);
+        options.custom_flags(flags.bits().cast_signed());
+        loop {
+            let file = options.open(&path).with_context(failed)?;
+            match file.try_lock() {
+                Ok(()) => {}
+                Err(TryLockError::WouldBlock) => {
+                    bail!("cannot listen at {}: {ANOTHER}", socket.display())
+                }
+                Err(TryLockError::Error(error)) => return Err(error).with_context(failed),
+            }
+            // Whoever had it may have removed it before it was locked here.
+            let own = file.metadata().with_context(failed)?;
+            let is_there = fs::symlink_metadata(&path)
+                .is_ok_and(|found| (found.dev(), found.ino()) == (own.dev(), own.ino()));
+            if is_there {
+                return Ok(Self { path, _file: file });
+            }
+        }
+    }
+}
+
+impl Drop for SocketLock {
+    fn drop(&mut self) {
+        // While it is locked; one that is left does no harm.
+        let _ = fs::remove_file(&self.path);
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use std::os::unix::net::UnixDatagram;
+    use std::sync::Barrier;
 
     use super::*;
 
@@ -112,18 +182,23 @@ mod tests {
     fn a_socket_replaces_one_that_was_left_and_nothing_else() -> anyhow::Result<()> {
         let folder = tempfile::tempdir()?;
         let path = folder.path().join("fleet.sock");
+        // Killed: its files are left.
+        drop(UnixListener::bind(&path)?);
+        fs::write(folder.path().join("fleet.sock.lock"), "")?;
         let (first, file) = at_socket(&path)?;
-        let mode = fs::metadata(&path)?.permissions().mode() & 0o777;
-        assert_eq!(mode, SOCKET_MODE);
         let refused = at_socket(&path).map(drop).unwrap_err().to_string();
         assert!(refused.contains("another server does"), "{refused}");
         drop(first);
-        // Killed: the file is left.
-        let (_second, second_file) = at_socket(&path)?;
+        // Of another program, which knows nothing of our lock.
+        fs::remove_file(&path)?;
+        let other = UnixListener::bind(&path)?;
         drop(file);
         assert!(path.exists(), "the file of another server");
-        drop(second_file);
-        assert!(!path.exists());
+        let refused = at_socket(&path).map(drop).unwrap_err().to_string();
+        assert!(refused.contains("another server does"), "{refused}");
+        drop(other);
+        drop(at_socket(&path)?);
+        assert_eq!(fs::read_dir(folder.path())?.count(), 0);
         fs::write(&path, "a file")?;
         let refused = at_socket(&path).map(drop).unwrap_err().to_string();
         assert!(refused.contains("something else"), "{refused}");
@@ -135,6 +210,57 @@ mod tests {
         let sender = UnixDatagram::unbound()?;
         sender.send_to(b"still there", &path)?;
         drop(datagrams);
+        Ok(())
+    }
+
+    #[test]
+    fn nobody_can_connect_before_the_socket_has_its_mode() -> anyhow::Result<()> {
+        let folder = tempfile::tempdir()?;
+        let path = folder.path().join("fleet.sock");
+        let socket = bind(&path)?;
+        let mode = fs::metadata(&path)?.permissions().mode() & 0o777;
+        assert_eq!(mode, SOCKET_MODE);
+        let refused = UnixStream::connect(&path).unwrap_err();
+        assert_eq!(refused.kind(), io::ErrorKind::ConnectionRefused);
+        net::listen(&socket, WAITING)?;
+        UnixStream::connect(&path)?;
+        Ok(())
+    }
+
+    #[test]
+    fn of_servers_that_start_at_once_one_has_the_path() -> anyhow::Result<()> {
+        const SERVERS: usize = 6;
+        let folder = tempfile::tempdir()?;
+        let path = folder.path().join("fleet.sock");
+        for _ in 0..50 {
+            // What a killed one left, which all of them find.
+            drop(UnixListener::bind(&path)?);
+            let (begin, end) = (Barrier::new(SERVERS), Barrier::new(SERVERS));
+            let start = || {
+                begin.wait();
+                let started = at_socket(&path);
+                end.wait();
+                match started {
+                    Ok((listener, _file)) => {
+                        UnixStream::connect(&path).expect("its socket is at the path");
+                        listener.accept().expect("it takes the connection");
+                        None
+                    }
+                    Err(refused) => Some(refused.to_string()),
+                }
+            };
+            let refused: Vec<String> = std::thread::scope(|scope| {
+                let servers: Vec<_> = (0..SERVERS).map(|_| scope.spawn(start)).collect();
+                let ended = servers.into_iter().map(|server| server.join().unwrap());
+                ended.flatten().collect()
+            });
+            assert_eq!(refused.len(), SERVERS - 1, "{refused:?}");
+            assert!(
+                refused.iter().all(|why| why.contains(ANOTHER)),
+                "{refused:?}"
+            );
+            assert_eq!(fs::read_dir(folder.path())?.count(), 0);
+        }
         Ok(())
     }
 }

@@ -1,13 +1,16 @@
 //! Alarms told to a web address: a server of the test takes them.
 
-use std::io::{BufRead as _, BufReader, Read as _, Write as _};
-use std::net::TcpListener;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
 use std::os::unix::fs::PermissionsExt as _;
 use std::process::Command;
 use std::sync::{Arc, Mutex};
 
 use joulebus_test_processes::{Child, eventually};
 use rustix::process::Signal;
+use rustls::pki_types::pem::PemObject as _;
+use rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use rustls::{ServerConfig, ServerConnection, StreamOwned};
 use serde_json::Value;
 
 use crate::fleet::Fleet;
@@ -21,40 +24,47 @@ struct Receiver {
 impl Receiver {
     /// `answers`: the first answers, empty for a closed connection; then 204.
     fn start(answers: &'static [&'static str]) -> Self {
+        Self::with(answers, "http", |stream| stream)
+    }
+
+    /// One that speaks TLS with a certificate for 127.0.0.1.
+    fn start_tls(authority: &Authority) -> Self {
+        let config = authority.server();
+        Self::with(&[], "https", move |stream| {
+            let connection = ServerConnection::new(Arc::clone(&config)).unwrap();
+            StreamOwned::new(connection, stream)
+        })
+    }
+
+    fn with<S: Read + Write>(
+        answers: &'static [&'static str],
+        scheme: &str,
+        open: impl Fn(TcpStream) -> S + Send + 'static,
+    ) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let address = format!("http://{}/alarms?secret=1", listener.local_addr().unwrap());
+        let address = format!(
+            "{scheme}://{}/alarms?secret=1",
+            listener.local_addr().unwrap()
+        );
         let taken = Arc::<Mutex<Vec<Value>>>::default();
         let into = Arc::clone(&taken);
         std::thread::spawn(move || {
             let mut answers = answers.iter();
             for stream in listener.incoming() {
-                let mut reader = BufReader::new(stream.unwrap());
-                let (mut head, mut length) = (Vec::new(), 0);
-                loop {
-                    let mut line = String::new();
-                    if reader.read_line(&mut line).unwrap_or(0) == 0 || line == "\r\n" {
-                        break;
-                    }
-                    let (name, value) = line.split_once(": ").unwrap_or((&line, ""));
-                    if name.eq_ignore_ascii_case("content-length") {
-                        length = value.trim().parse().unwrap();
-                    }
-                    head.push(line);
-                }
-                let mut body = vec![0; length];
-                reader.read_exact(&mut body).unwrap();
-                assert!(head[0].starts_with("POST /alarms?secret=1 "), "{head:?}");
+                let mut reader = BufReader::new(open(stream.unwrap()));
+                let Some(body) = request(&mut reader) else {
+                    continue;
+                };
                 let answer = answers.next().unwrap_or(&"204 No Content");
                 if answer.starts_with('2') {
-                    into.lock()
-                        .unwrap()
-                        .push(serde_json::from_slice(&body).unwrap());
+                    into.lock().unwrap().push(body);
                 }
                 if !answer.is_empty() {
                     let text = format!(
                         "HTTP/1.1 {answer}\r\ncontent-length: 0\r\nconnection: close\r\n\r\n"
                     );
                     let _ = reader.get_mut().write_all(text.as_bytes());
+                    let _ = reader.get_mut().flush();
                 }
             }
         });
@@ -78,12 +88,114 @@ impl Receiver {
     }
 }
 
+/// The body of a request; none if no request comes, as when the client refuses a certificate.
+fn request(reader: &mut impl BufRead) -> Option<Value> {
+    let (mut head, mut length) = (Vec::new(), 0);
+    loop {
+        let mut line = String::new();
+        if reader.read_line(&mut line).unwrap_or(0) == 0 || line == "\r\n" {
+            break;
+        }
+        let (name, value) = line.split_once(": ").unwrap_or((&line, ""));
+        if name.eq_ignore_ascii_case("content-length") {
+            length = value.trim().parse().unwrap();
+        }
+        head.push(line);
+    }
+    let first = head.first()?;
+    assert!(first.starts_with("POST /alarms?secret=1 "), "{head:?}");
+    let mut body = vec![0; length];
+    reader.read_exact(&mut body).unwrap();
+    Some(serde_json::from_slice(&body).unwrap())
+}
+
+/// An authority of the test's own: files that openssl makes.
+struct Authority {
+    folder: tempfile::TempDir,
+}
+
+impl Authority {
+    /// None without openssl, which is said aloud.
+    fn new() -> Option<Self> {
+        let folder = tempfile::tempdir().unwrap();
+        let authority = Self { folder };
+        let made = authority.make(
+            "authority",
+            &["-addext", "basicConstraints=critical,CA:TRUE"],
+        );
+        if made.is_ok() {
+            return Some(authority);
+        }
+        let why = "openssl is not installed";
+        assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "{why}");
+        eprintln!("SKIPPED: {why}");
+        None
+    }
+
+    /// Makes a key and a certificate.
+    fn make(&self, name: &str, more: &[&str]) -> std::io::Result<()> {
+        let mut openssl = Command::new("openssl");
+        openssl.current_dir(self.folder.path());
+        openssl.args([
+            "req",
+            "-x509",
+            "-newkey",
+            "ec",
+            "-pkeyopt",
+            "ec_paramgen_curve:prime256v1",
+        ]);
+        openssl.args(["-nodes", "-days", "2", "-subj"]);
+        openssl.arg(format!("/CN={name} of a test"));
+        openssl.args([
+            "-keyout",
+            &format!("{name}.key"),
+            "-out",
+            &format!("{name}.pem"),
+        ]);
+        let ended = openssl.args(more).output()?;
+        assert!(ended.status.success(), "{ended:?}");
+        Ok(())
+    }
+
+    /// Its certificate.
+    fn file(&self) -> String {
+        let path = self.folder.path().join("authority.pem");
+        path.display().to_string()
+    }
+
+    /// A server with a certificate of this authority for 127.0.0.1.
+    fn server(&self) -> Arc<ServerConfig> {
+        let more = [
+            "-CA",
+            "authority.pem",
+            "-CAkey",
+            "authority.key",
+            "-addext",
+            "basicConstraints=critical,CA:FALSE",
+            "-addext",
+            "subjectAltName=IP:127.0.0.1",
+        ];
+        self.make("server", &more).unwrap();
+        let file = |name: &str| self.folder.path().join(name);
+        let certificate = CertificateDer::from_pem_file(file("server.pem")).unwrap();
+        let key = PrivateKeyDer::from_pem_file(file("server.key")).unwrap();
+        let config = ServerConfig::builder()
+            .with_no_client_auth()
+            .with_single_cert(vec![certificate], key);
+        Arc::new(config.unwrap())
+    }
+}
+
 fn serve(fleet: &Fleet, to: &str) -> Child {
+    serve_with(fleet, &["--webhook", to])
+}
+
+fn serve_with(fleet: &Fleet, words: &[&str]) -> Child {
     let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-serve"));
-    command.args(["--webhook", to, "--format", "json", "--config"]);
+    command.args(words).args(["--format", "json", "--config"]);
     command.arg(fleet.path()).env_remove("JOULEBUS_LOG");
     let mut server = Child::spawn("serve --webhook", command);
-    server.wait_for_line("telling 127.0.0.1 of alarms");
+    server.wait_for_line("of alarms of fleet");
     server
 }
 
@@ -146,4 +258,69 @@ fn what_is_refused_is_lost_and_counted() {
     let report: Value = serde_json::from_str(&ended.text()).unwrap();
     assert!(report["webhook"]["lost"].as_u64().unwrap() > 0, "{report}");
     worker.stop();
+}
+
+#[test]
+fn a_receiver_with_tls_is_told_if_its_certificate_is_of_the_named_authority_and_by_nobody_else() {
+    let (Some(authority), Some(stranger)) = (Authority::new(), Authority::new()) else {
+        return;
+    };
+    let fleet = Fleet::new();
+    let receiver = Receiver::start_tls(&authority);
+    let (own, other) = (authority.file(), stranger.file());
+    let mut worker = fleet.worker();
+    // Another authority, and Mozilla's list.
+    let mut refusing = [
+        serve_with(
+            &fleet,
+            &["--webhook", &receiver.address, "--webhook-ca", &other],
+        ),
+        serve(&fleet, &receiver.address),
+    ];
+    publish(&fleet);
+    for server in &mut refusing {
+        server.wait_for_line("invalid peer certificate: UnknownIssuer");
+        let ended = server.end();
+        assert_eq!(ended.code(), Some(3), "{ended:?}");
+        let report: Value = serde_json::from_str(&ended.text()).unwrap();
+        assert_eq!(report["webhook"]["told"], 0, "{report}");
+    }
+    assert_eq!(receiver.changes(), Vec::<String>::new());
+    // By a name that the certificate has not, the right authority is not enough.
+    let name = receiver.address.replace("127.0.0.1", "localhost");
+    let words = ["--webhook", &name, "--webhook-ca", &own];
+    let [mut refusing, mut server] = [
+        &words,
+        &["--webhook", &receiver.address, "--webhook-ca", &own],
+    ]
+    .map(|words| serve_with(&fleet, words));
+    publish(&fleet);
+    refusing.wait_for_line("invalid peer certificate: certificate not valid for name");
+    assert_eq!(refusing.end().code(), Some(3));
+    eventually("the robots' silence is told", || {
+        (0..3).all(|robot| {
+            receiver
+                .changes()
+                .contains(&format!("{robot} NoData raised"))
+        })
+    });
+    let ended = server.end();
+    assert_eq!(ended.code(), Some(0), "{ended:?}");
+    worker.stop();
+}
+
+#[test]
+fn a_file_without_certificates_is_refused() {
+    let fleet = Fleet::new();
+    let file = fleet.file("empty.pem");
+    std::fs::write(&file, "no certificate\n").unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-serve"));
+    command.args(["--webhook", "https://127.0.0.1:9/", "--webhook-ca"]);
+    command.arg(&file).arg("--config").arg(fleet.path());
+    let ended = Child::spawn("serve --webhook", command).wait();
+    assert_eq!(ended.code(), Some(2), "{ended:?}");
+    assert!(
+        ended.errors().contains("no certificate is in it"),
+        "{ended:?}"
+    );
 }
