@@ -193,8 +193,33 @@ fn prometheus(fleet: &Fleet, target: &str) -> Option<(joulebus_test_processes::C
     Some((child, free.to_string()))
 }
 
+/// The dashboard's queries, as of this fleet, with their panels.
+fn dashboard() -> Vec<(String, String)> {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/grafana/joulebus.json");
+    let dashboard: Value = serde_json::from_str(&std::fs::read_to_string(file).unwrap()).unwrap();
+    let mut queries = Vec::new();
+    for panel in dashboard["panels"].as_array().unwrap() {
+        for target in panel["targets"].as_array().into_iter().flatten() {
+            let query = target["expr"].as_str().unwrap();
+            let query = query.replace("$__range", "1m");
+            let query = query.replace("$__rate_interval", "1m");
+            let query = query.replace("$fleet", "http").replace("$robot", ".+");
+            let panel = panel["title"].as_str().unwrap();
+            queries.push((panel.to_owned(), query));
+        }
+    }
+    queries
+}
+
+/// Panels that may be empty: no alarm may be raised, and nothing be refused.
+const MAY_BE_EMPTY: [&str; 3] = [
+    "Alarms raised",
+    "Samples dropped, by reason",
+    "Questions about plans",
+];
+
 #[test]
-fn a_real_prometheus_scrapes_the_metrics() {
+fn a_real_prometheus_scrapes_the_metrics_and_answers_the_dashboard() {
     let fleet = Fleet::new();
     let mut worker = fleet.worker();
     let mut source = fleet.joulebus("publish sim --robots 3");
@@ -218,6 +243,16 @@ fn a_real_prometheus_scrapes_the_metrics() {
         eventually("a rate", || {
             value("rate(joulebus_ticks_total%5B1m%5D)").is_some_and(|rate| rate > 0.0)
         });
+        for (panel, query) in dashboard() {
+            let encoded: String = form_urlencoded::byte_serialize(query.as_bytes()).collect();
+            eventually(&format!("an answer to {panel}: {query}"), || {
+                let answer = get(&at, &format!("/api/v1/query?query={encoded}"));
+                let answer = answer.json();
+                assert_eq!(answer["status"], "success", "{panel}: {query}: {answer}");
+                let result = answer["data"]["result"].as_array().unwrap();
+                !result.is_empty() || MAY_BE_EMPTY.contains(&&*panel)
+            });
+        }
         prometheus.end();
     }
     source.end();
