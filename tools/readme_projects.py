@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
-"""Pastes each program of the README, with the [dependencies] above it, into a new project and checks it.
+"""Pastes each program of the README and of docs/planning.md, with the [dependencies] above it, into a new project and checks it.
 
-The doctests of `joulebus-examples` compile the same programs, but with more dependencies than the README names.
+The doctests of `joulebus-examples` compile the same programs, but with more dependencies than these pages name.
 """
 import re
 import shutil
@@ -11,20 +11,25 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+# Pages, and how many programs each has at least.
+PAGES = {"README.md": 2, "docs/planning.md": 1}
 PROGRAM = re.compile(r"```toml\n(\[dependencies\]\n.*?)```\s*```rust,no_run\n(.*?)```", re.DOTALL)
 
 
 def main() -> int:
-    programs = PROGRAM.findall((ROOT / "README.md").read_text())
-    if len(programs) < 2:
-        print(f"README.md has {len(programs)} programs with dependencies, at least 2 are expected", file=sys.stderr)
-        return 1
+    programs = []
+    for page, least in PAGES.items():
+        found = PROGRAM.findall((ROOT / page).read_text())
+        if len(found) < least:
+            print(f"{page} has {len(found)} programs with dependencies, at least {least} are expected", file=sys.stderr)
+            return 1
+        programs += found
     with tempfile.TemporaryDirectory() as folder:
         members = [f"readme{number}" for number in range(len(programs))]
         for member, (dependencies, program) in zip(members, programs):
             project = Path(folder, member)
             (project / "src").mkdir(parents=True)
-            # The README's paths are those of a project beside the clone.
+            # The pages' paths are those of a project beside the clone.
             manifest = dependencies.replace("../joulebus/", f"{ROOT}/")
             package = f'[package]\nname = "{member}"\nversion = "0.1.0"\nedition = "2024"\n\n'
             (project / "Cargo.toml").write_text(package + manifest)
@@ -37,7 +42,7 @@ def main() -> int:
         shutil.copy(ROOT / "Cargo.lock", folder)
         check = ["cargo", "check", "--quiet", "--offline", "--target-dir", str(ROOT / "target")]
         failed = subprocess.run(check, cwd=folder, check=False).returncode
-    print(f"{len(programs)} programs of README.md, {'some refused' if failed else 'all compile'} in a new project")
+    print(f"{len(programs)} programs of {', '.join(PAGES)}, {'some refused' if failed else 'all compile'} in a new project")
     return failed
 
 

@@ -18,7 +18,7 @@ use joulebus_predictor_worker::Worker;
 use joulebus_publisher::{Pace, Publisher, RobotState};
 use tempfile::TempDir;
 
-/// The programs in the README and in the crates' READMEs are compiled unchanged.
+/// The programs in the README, in pages of docs and in the crates' READMEs are compiled unchanged.
 #[cfg(doctest)]
 mod readme {
     macro_rules! compile {
@@ -33,6 +33,7 @@ mod readme {
         Consumer = "../../crates/consumer/README.md",
         Plan = "../../crates/plan/README.md",
         PlanServer = "../../crates/plan-server/README.md",
+        Planning = "../../docs/planning.md",
         Queries = "../../docs/queries.md",
         PredictorWorker = "../../crates/predictor-worker/README.md",
         Capture = "../../crates/capture/README.md",
