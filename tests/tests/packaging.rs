@@ -213,3 +213,83 @@ fn no_dependency_requires_a_newer_compiler_than_rust_version() {
         "rust-version is {promised:?}, but {newer:?}"
     );
 }
+
+/// Files that match a path, whose last part may have a `*`.
+fn matching(path: &Path) -> Vec<PathBuf> {
+    let pattern = path.file_name().unwrap().to_str().unwrap();
+    let (begin, end) = pattern.split_once('*').unwrap_or((pattern, ""));
+    let is_whole = !pattern.contains('*');
+    let entries = fs::read_dir(path.parent().unwrap());
+    let entries = entries.into_iter().flatten().map(Result::unwrap);
+    let matches = |entry: &fs::DirEntry| {
+        let name = entry.file_name().into_string().unwrap();
+        match is_whole {
+            true => name == pattern,
+            false => name.starts_with(begin) && name.ends_with(end),
+        }
+    };
+    entries
+        .filter(matches)
+        .map(|entry| entry.path())
+        .filter(|path| path.is_file())
+        .collect()
+}
+
+/// `tools/deb.sh` builds and installs the package; this finds what would stop it, or would be left out.
+#[test]
+fn the_debian_package_has_every_program_and_unit_and_names_files_that_exist() {
+    let metadata = metadata(false);
+    let package = packages(&metadata).find(|package| name(package) == "joulebus");
+    let package = package.unwrap();
+    let (deb, folder) = (&package["metadata"]["deb"], folder(package));
+    let script = fs::read_to_string(folder.join("../../tools/deb.sh")).unwrap();
+    let mut programs = Vec::new();
+    let mut units = Vec::new();
+    for asset in deb["assets"].as_array().unwrap() {
+        let [source, to, mode] = [0, 1, 2].map(|part| asset[part].as_str().unwrap());
+        if let Some(made) = source.strip_prefix("target/release/deb/") {
+            let made = made.split(['/', '*']).next().unwrap();
+            assert!(script.contains(made), "tools/deb.sh makes no {source}");
+        } else if let Some(program) = source.strip_prefix("target/release/") {
+            assert_eq!((to, mode), ("usr/bin/", "755"), "{source}");
+            programs.push(program.to_owned());
+        } else {
+            let found = matching(&folder.join(source));
+            assert!(!found.is_empty(), "{source} does not exist");
+            assert_eq!(mode, "644", "{source}");
+            units.extend(found.into_iter().filter(|_| to.contains("systemd/system")));
+        }
+    }
+    let targets = published(&metadata);
+    let targets = targets
+        .iter()
+        .flat_map(|package| package["targets"].as_array().unwrap());
+    let is_program = |target: &&Value| target["kind"] == serde_json::json!(["bin"]);
+    let mut expected: Vec<String> = targets
+        .filter(is_program)
+        .map(|target| name(target).to_owned())
+        .collect();
+    expected.sort_unstable();
+    assert_eq!(programs, expected);
+    for program in &programs {
+        assert!(
+            script.contains(program.as_str()),
+            "tools/deb.sh builds no {program}"
+        );
+    }
+    let all = matching(&folder.join("../../configs/systemd/*.service"));
+    assert_eq!(units.len(), all.len(), "{units:?}, expected {all:?}");
+    for unit in units {
+        let text = fs::read_to_string(&unit).unwrap();
+        let started = text.split("ExecStart=/usr/bin/").nth(1).unwrap();
+        let program = started.split(' ').next().unwrap().to_owned();
+        assert!(programs.contains(&program), "{}: {program}", unit.display());
+    }
+    let licence = deb["license-file"][0].as_str().unwrap();
+    assert!(folder.join(licence).is_file(), "{licence}");
+    let scripts = folder.join(deb["maintainer-scripts"].as_str().unwrap());
+    for script in ["postinst", "prerm", "postrm"] {
+        let text = fs::read_to_string(scripts.join(script)).unwrap();
+        assert!(text.starts_with("#!/bin/sh\nset -e\n"), "{script}");
+    }
+}

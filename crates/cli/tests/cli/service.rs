@@ -94,6 +94,7 @@ fn every_verb_has_a_manual_page() {
         "joulebus-run.1",
         "joulebus-publish-sim.1",
         "joulebus-alarms.1",
+        "joulebus-rosbag.1",
     ] {
         let text = std::fs::read_to_string(folder.join(page)).unwrap();
         assert!(
@@ -104,10 +105,11 @@ fn every_verb_has_a_manual_page() {
 }
 
 /// The units, and what `systemd-analyze security` says of them at most, in tenths of its points of 10.
-const UNITS: [(&str, u32); 3] = [
+const UNITS: [(&str, u32); 4] = [
     ("joulebus@.service", 12),
     ("joulebus-record@.service", 12),
-    // It listens at the loopback address.
+    // These two have the loopback address.
+    ("joulebus-bridge@.service", 18),
     ("joulebus-serve@.service", 18),
 ];
 

@@ -211,9 +211,12 @@ fn dashboard() -> Vec<(String, String)> {
     queries
 }
 
-/// Panels that may be empty: no alarm may be raised, and nothing be refused.
-const MAY_BE_EMPTY: [&str; 3] = [
+/// Panels that may be empty: no robot of this fleet has a battery, no alarm may be raised, and nothing be refused.
+const MAY_BE_EMPTY: [&str; 6] = [
     "Alarms raised",
+    "Empty soonest",
+    "State of charge",
+    "Time to empty",
     "Samples dropped, by reason",
     "Questions about plans",
 ];

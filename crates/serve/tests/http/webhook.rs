@@ -279,7 +279,7 @@ fn a_receiver_with_tls_is_told_if_its_certificate_is_of_the_named_authority_and_
     ];
     publish(&fleet);
     for server in &mut refusing {
-        server.wait_for_line("invalid peer certificate: UnknownIssuer");
+        server.wait_for_line("invalid peer certificate: ");
         let ended = server.end();
         assert_eq!(ended.code(), Some(3), "{ended:?}");
         let report: Value = serde_json::from_str(&ended.text()).unwrap();
