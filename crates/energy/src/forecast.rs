@@ -63,8 +63,8 @@ pub struct EnergyForecast {
 
 impl EnergyForecast {
     /// The energy below which the robot stays with probability `p`, J. `None` unless 0 < p < 1,
-    /// and where errors are unknown: for a model without an energy model, for a plan longer by more than
-    /// a hundredth than [`EnergyModel::longest_s`], and for commands that are not finite. For the interval of a
+    /// and where errors are unknown: for a model without an energy model, for a plan that the model does
+    /// not [cover](EnergyModel::covers), and for commands that are not finite. For the interval of a
     /// coverage c ask for (1 − c)/2 and (1 + c)/2.
     #[must_use]
     pub fn quantile_j(&self, p: f32) -> Option<f32> {
@@ -97,7 +97,7 @@ impl EnergyModel {
         let energy_j =
             f64::from(level.factor) * command_j + f64::from(level.added_w) * f64::from(duration_s);
         let energy_j = if known { energy_j as f32 } else { f32::NAN };
-        let known = energy_j.is_finite() && duration_s <= 1.01 * self.longest_s();
+        let known = energy_j.is_finite() && self.covers(duration_s);
         EnergyForecast {
             energy_j,
             duration_s,

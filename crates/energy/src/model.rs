@@ -218,6 +218,13 @@ impl EnergyModel {
         }
     }
 
+    /// Whether the errors of a plan of this duration are known. A plan may be a hundredth longer than
+    /// [`EnergyModel::longest_s`]: its steps seldom add up to exactly that.
+    #[must_use]
+    pub fn covers(&self, duration_s: f32) -> bool {
+        duration_s <= 1.01 * self.longest_s()
+    }
+
     /// What errors are relative to, J.
     #[inline(always)]
     pub(crate) fn scale_j(&self, energy_j: f32, duration_s: f32) -> f32 {

@@ -307,7 +307,7 @@ impl<'a> Robot<'a> {
         let whole = model.forecast(&self.energy, commands);
         let (steps, outside) = (commands.steps(), self.steps_outside(commands));
         let longest_s = model.longest_s();
-        let beyond = whole.duration_s > longest_s;
+        let beyond = !model.covers(whole.duration_s);
         // Steps whose errors are known.
         let covered = if beyond {
             steps.min((longest_s / commands.period_s) as usize)

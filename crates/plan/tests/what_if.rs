@@ -2,7 +2,7 @@
 
 mod world;
 
-use joulebus_energy::Commands;
+use joulebus_energy::{Commands, EnergyModel, HORIZONS_S};
 use joulebus_plan::{
     Answer, AskError, Candidates, Differs, Fleet, Frames, Path, Platform, Point, Robot, Unknown,
     Verdict, rank, rank_each,
@@ -182,11 +182,39 @@ fn what_weakens_an_answer_widens_it_to_what_the_platform_can_draw_and_is_never_y
         "{answer:?}"
     );
     // A model file without an energy model.
-    let untrained = joulebus_energy::EnergyModel::untrained(3.0);
+    let untrained = EnergyModel::untrained(3.0);
     let bare = Fleet::of(vec![Platform::new(platform().settings, untrained, 1)], 1);
     let answer = straight(&rows.robot(&bare), 0.1, 300);
     assert_eq!((answer.verdict, answer.probability), (Verdict::Tight, None));
     assert!(answer.energy.expect("known").hi_j >= 199.0, "{answer:?}");
+}
+
+#[test]
+fn a_plan_as_long_as_the_longest_calibrated_horizon_can_be_a_yes() {
+    let rows = Rows::with_usable(30_000.0);
+    for (calibrated, horizon_s) in (1..).zip(HORIZONS_S) {
+        let energy = EnergyModel {
+            calibrated,
+            ..model()
+        };
+        let fleet = Fleet::of(vec![Platform::new(platform().settings, energy, 1)], 1);
+        let robot = rows.robot(&fleet);
+        let steps = (30.0 * horizon_s) as usize;
+        // Thirty steps of 1/30 s add up to a little more than a second.
+        for answer in [
+            straight(&robot, 0.1, steps),
+            robot.idle(horizon_s, 0.9).expect("allowed"),
+        ] {
+            assert!((answer.duration_s / horizon_s - 1.0).abs() < 1e-5);
+            let energy = answer.energy.expect("known");
+            assert!(energy.hi_j < 1.2 * energy.mean_j, "{answer:?}");
+            assert_eq!(answer.verdict, Verdict::Yes, "{answer:?}");
+            assert!(answer.probability.is_some(), "{answer:?}");
+        }
+        let longer = robot.idle(1.02 * horizon_s, 0.9).expect("allowed");
+        assert!(longer.caveats.beyond_horizon, "{longer:?}");
+        assert_eq!(longer.verdict, Verdict::Tight, "{longer:?}");
+    }
 }
 
 #[test]
@@ -537,7 +565,7 @@ fn robots_in_different_places_are_ranked_by_their_own_ways_with_the_answers_of_c
 fn standing_still_costs_the_level_times_the_time() {
     let fleet = fleet();
     let robot = Rows::with_usable(10_000.0).robot(&fleet);
-    for duration_s in [0.01f32, 1.0, 60.0, 299.0] {
+    for duration_s in [0.01f32, 1.0, 60.0, 300.0] {
         let answer = robot.idle(duration_s, 0.9).expect("allowed");
         let mean_j = answer.energy.expect("known").mean_j;
         assert!(
