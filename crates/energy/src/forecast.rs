@@ -47,6 +47,78 @@ impl Commands<'_> {
     }
 }
 
+/// What the command model says of the commands of a plan so far: with it, the energy of a plan and of
+/// each of its beginnings costs one pass over the commands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CommandSum {
+    period_s: f32,
+    steps: usize,
+    power_w: f64,
+    /// Whether every command that matters is finite.
+    is_known: bool,
+    steps_outside: usize,
+    /// The last command.
+    last: (f32, f32),
+}
+
+impl CommandSum {
+    /// Before the first command of a plan that begins now; each command is in force for `period_s`.
+    #[must_use]
+    pub fn new(state: &EnergyState, period_s: f32) -> Self {
+        Self {
+            period_s,
+            steps: 0,
+            power_w: 0.0,
+            is_known: true,
+            steps_outside: 0,
+            last: state.command(),
+        }
+    }
+
+    /// Adds the next commands, whose period must be that of the sum. Reads them once and allocates
+    /// nothing.
+    pub fn add(&mut self, model: &EnergyModel, next: Commands<'_>) {
+        let reads_commands = model.command.reads_commands();
+        let (mut power_w, mut known, mut outside) = (self.power_w, self.is_known, 0);
+        for motion in next.motions(self.last) {
+            power_w += f64::from(model.command.power_w(&motion));
+            known &= motion.is_known() | !reads_commands;
+            outside += usize::from(reads_commands & model.is_outside(&motion));
+        }
+        (self.power_w, self.is_known) = (power_w, known);
+        self.steps_outside += outside;
+        let steps = next.steps();
+        self.steps += steps;
+        if let Some(last) = steps.checked_sub(1) {
+            self.last = next.get(last);
+        }
+    }
+
+    /// Time that each command is in force, s.
+    #[must_use]
+    pub const fn period_s(&self) -> f32 {
+        self.period_s
+    }
+
+    /// Number of commands.
+    #[must_use]
+    pub const fn steps(&self) -> usize {
+        self.steps
+    }
+
+    /// From the first command to the end of the last, s.
+    #[must_use]
+    pub fn duration_s(&self) -> f32 {
+        self.steps as f32 * self.period_s
+    }
+
+    /// Number of commands that lie outside the training data.
+    #[must_use]
+    pub const fn steps_outside(&self) -> usize {
+        self.steps_outside
+    }
+}
+
 /// Energy of a plan, with the distribution of its error.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EnergyForecast {
@@ -54,9 +126,9 @@ pub struct EnergyForecast {
     pub energy_j: f32,
     /// Duration of the plan, s.
     pub duration_s: f32,
-    /// Whether a command lies outside the training data: the interval then does not cover what it
-    /// states.
-    pub outside_training: bool,
+    /// Number of commands that lie outside the training data: with any, the interval does not cover
+    /// what it states.
+    pub steps_outside: usize,
     /// Quantiles of measured minus forecast energy, J.
     errors_j: Option<[f32; KNOTS]>,
 }
@@ -85,23 +157,29 @@ impl EnergyModel {
     /// The energy of a plan that begins now. Reads `plan` once and allocates nothing.
     #[must_use]
     pub fn forecast(&self, state: &EnergyState, plan: Commands<'_>) -> EnergyForecast {
-        let (duration_s, level) = (plan.duration_s(), self.level(state, &plan));
-        let reads_commands = self.command.reads_commands();
-        let (mut sum_w, mut known, mut outside_training) = (0.0f64, true, false);
-        for motion in plan.motions(state.command()) {
-            sum_w += f64::from(self.command.power_w(&motion));
-            known &= motion.is_known() | !reads_commands;
-            outside_training |= reads_commands & self.is_outside(&motion);
-        }
-        let command_j = sum_w * f64::from(plan.period_s);
+        let mut sum = CommandSum::new(state, plan.period_s);
+        sum.add(self, plan);
+        self.forecast_of(state, &sum)
+    }
+
+    /// The energy of the plan that a sum is of; `state`: that which the sum began with.
+    #[must_use]
+    pub fn forecast_of(&self, state: &EnergyState, sum: &CommandSum) -> EnergyForecast {
+        let duration_s = sum.duration_s();
+        let level = state.level(self, duration_s);
+        let command_j = sum.power_w * f64::from(sum.period_s);
         let energy_j =
             f64::from(level.factor) * command_j + f64::from(level.added_w) * f64::from(duration_s);
-        let energy_j = if known { energy_j as f32 } else { f32::NAN };
+        let energy_j = if sum.is_known {
+            energy_j as f32
+        } else {
+            f32::NAN
+        };
         let known = energy_j.is_finite() && self.covers(duration_s);
         EnergyForecast {
             energy_j,
             duration_s,
-            outside_training,
+            steps_outside: sum.steps_outside,
             errors_j: known.then(|| {
                 let scale_j = self.scale_j(energy_j, duration_s) * state.error_factor(duration_s);
                 self.errors_at(duration_s).map(|error| error * scale_j)

@@ -23,7 +23,7 @@ mod quantiles;
 mod state;
 
 pub use command::{CommandModel, TERMS};
-pub use forecast::{Commands, EnergyForecast};
+pub use forecast::{CommandSum, Commands, EnergyForecast};
 pub use levels::{LEVELS, LEVELS_S};
 pub use model::{EnergyModel, EnergyModelError, HORIZONS_S};
 pub use quantiles::{KNOTS, QUANTILES};

@@ -1,8 +1,8 @@
 //! Forecasts against a slow reference that keeps every reading, and their promises.
 
 use joulebus_energy::{
-    CommandModel, Commands, EnergyModel, EnergySample, EnergyState, HORIZONS_S, KNOTS, LEVELS,
-    LEVELS_S, Learned, Metered, SHADOWS_S, TERMS,
+    CommandModel, CommandSum, Commands, EnergyModel, EnergySample, EnergyState, HORIZONS_S, KNOTS,
+    LEVELS, LEVELS_S, Learned, Metered, SHADOWS_S, TERMS,
 };
 use proptest::prelude::*;
 
@@ -429,16 +429,42 @@ fn what_is_not_known_has_no_interval() {
 }
 
 #[test]
+fn a_sum_of_parts_gives_the_bits_of_the_whole_plan_and_of_its_beginnings() {
+    let model = model(&[0.5; TERMS], 0.3);
+    let state = observed(&model, &[]);
+    let numbers = |most: usize| (0..200).map(move |step| (step * step % most) as f32);
+    let v: Vec<f32> = numbers(23).map(|number| 0.1 * number - 1.1).collect();
+    let omega: Vec<f32> = numbers(17).map(|number| 0.1 * number).collect();
+    let part = |from: usize, to: usize| Commands {
+        period_s: 0.07,
+        v_mps: &v[from..to],
+        omega_radps: &omega[from..to],
+    };
+    let mut sum = CommandSum::new(&state, 0.07);
+    let mut done = 0;
+    for end in [0, 1, 2, 50, 50, 123, 200] {
+        sum.add(&model, part(done, end));
+        done = end;
+        let whole = model.forecast(&state, part(0, end));
+        let found = model.forecast_of(&state, &sum);
+        assert_eq!(found.energy_j.to_bits(), whole.energy_j.to_bits());
+        assert_eq!(format!("{found:?}"), format!("{whole:?}"));
+        assert_eq!((sum.steps(), sum.duration_s()), (end, whole.duration_s));
+    }
+    assert!(sum.steps_outside() > 0);
+}
+
+#[test]
 fn commands_outside_the_training_data_are_named() {
     let model = model(&[0.5; TERMS], 0.0);
     let state = EnergyState::new(0);
-    for (v_mps, outside) in [(0.9, false), (1.1, true), (-1.1, true)] {
+    for (v_mps, outside) in [(0.9, 0), (1.1, 1), (-1.1, 1)] {
         let plan = Commands {
             period_s: 0.1,
             v_mps: &[0.0, v_mps],
             omega_radps: &[0.0; 2],
         };
-        assert_eq!(model.forecast(&state, plan).outside_training, outside);
+        assert_eq!(model.forecast(&state, plan).steps_outside, outside);
     }
 }
 

@@ -45,6 +45,7 @@ mod answer;
 mod candidates;
 mod client;
 mod error;
+mod estimate;
 mod fleet;
 mod follower;
 mod limits;

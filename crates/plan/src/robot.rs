@@ -1,8 +1,6 @@
 //! One robot's answers.
 
-use joulebus_energy::{
-    Commands, EnergyForecast, EnergyModel, EnergyState, LEVELS, Learned, Metered, SHADOWS,
-};
+use joulebus_energy::{Commands, EnergyModel, EnergyState, LEVELS, Learned, Metered, SHADOWS};
 use joulebus_wire::{
     Budget, BudgetHeader, PlanState, PlanStateHeader, Quality, budget_flag, plan_state_flag,
 };
@@ -10,6 +8,7 @@ use joulebus_wire::{
 use crate::answer::{Answer, Caveats, Left, Range, Unknown, Verdict};
 use crate::candidates::Candidates;
 use crate::error::AskError;
+use crate::estimate::{Estimate, Progress};
 use crate::limits::{COVERAGE, MAX_STEPS};
 use crate::platform::{Frames, Platform};
 
@@ -219,7 +218,9 @@ impl<'a> Robot<'a> {
         if self.unknown.is_some() {
             return nothing;
         }
-        let estimate = self.estimate(commands, coverage);
+        let mut progress = self.begin(commands.period_s);
+        let limiting_leg = self.follow_legs(&mut progress, commands, leg_ends, coverage);
+        let estimate = self.estimate(&progress, coverage);
         let Some(energy) = estimate.energy() else {
             return Answer {
                 verdict: Verdict::Unknown(Unknown::NoLevel),
@@ -240,7 +241,12 @@ impl<'a> Robot<'a> {
                 };
             }
         };
-        let verdict = verdict(&battery, &energy, estimate.caveats);
+        let verdict = match verdict(&battery, &energy, estimate.caveats) {
+            // Intervals need not widen from leg to leg.
+            Verdict::Yes if limiting_leg.is_some() => Verdict::Tight,
+            verdict => verdict,
+        };
+        let last_leg = leg_ends.len().saturating_sub(1);
         Answer {
             left: Some(Left {
                 mean_j: (battery.left_j - energy.mean_j).max(0.0),
@@ -249,40 +255,72 @@ impl<'a> Robot<'a> {
             probability: estimate.probability_below(battery.usable_lo_j),
             margin_j: Some(battery.usable_lo_j - energy.hi_j),
             verdict,
-            limiting_leg: (verdict != Verdict::Yes)
-                .then(|| self.limiting_leg(&battery, commands, leg_ends, coverage)),
+            limiting_leg: (verdict != Verdict::Yes).then(|| limiting_leg.unwrap_or(last_leg)),
             ..answer
         }
     }
 
-    /// Whether the verdict on a plan is [`Verdict::Yes`].
-    pub(crate) fn makes(&self, commands: Commands<'_>, coverage: f32) -> bool {
+    /// Before the first command of a plan.
+    pub(crate) fn begin(&self, period_s: f32) -> Progress {
+        Progress::new(self.model(), &self.energy, period_s)
+    }
+
+    /// Follows the next commands of a plan.
+    pub(crate) fn follow(&self, progress: &mut Progress, next: Commands<'_>) {
+        progress.add(self.model(), next);
+    }
+
+    /// Whether the verdict on a plan, as far as it has been followed, is [`Verdict::Yes`].
+    pub(crate) fn makes(&self, progress: &Progress, coverage: f32) -> bool {
         let (None, Ok(battery)) = (self.unknown, self.battery) else {
             return false;
         };
-        let estimate = self.estimate(commands, coverage);
+        let estimate = self.estimate(progress, coverage);
         let energy = estimate.energy();
         energy.is_some_and(|energy| verdict(&battery, &energy, estimate.caveats) == Verdict::Yes)
     }
 
-    /// The first leg at whose end the verdict is not [`Verdict::Yes`]; the last, if all are.
-    fn limiting_leg(
+    /// Follows all commands; returns the first leg but the last at whose end the verdict is not
+    /// [`Verdict::Yes`].
+    fn follow_legs(
         &self,
-        battery: &Battery,
+        progress: &mut Progress,
         commands: Commands<'_>,
         leg_ends: &[usize],
         coverage: f32,
-    ) -> usize {
+    ) -> Option<usize> {
         let (_, before_last) = leg_ends.split_last().unwrap_or((&0, &[]));
-        let fails = |end: &usize| {
-            let estimate = self.estimate(first(commands, *end), coverage);
-            let energy = estimate.energy();
-            energy.is_none_or(|energy| verdict(battery, &energy, estimate.caveats) != Verdict::Yes)
+        let (mut done, mut limiting_leg) = (0, None);
+        for (leg, end) in before_last.iter().enumerate() {
+            self.follow(progress, part(commands, done, *end));
+            done = done.max(*end);
+            if limiting_leg.is_none() && !self.makes(progress, coverage) {
+                limiting_leg = Some(leg);
+            }
+        }
+        self.follow(progress, part(commands, done, commands.steps()));
+        limiting_leg
+    }
+
+    /// The energy of what has been followed, widened where the model's errors do not cover it.
+    fn estimate(&self, progress: &Progress, coverage: f32) -> Estimate {
+        let settings = &self.platform.settings;
+        let possible_w = [settings.power_min_w, settings.power_max_w];
+        let mut estimate = progress.estimate(self.model(), &self.energy, possible_w, coverage);
+        estimate.caveats = Caveats {
+            steps_outside_training: estimate.caveats.steps_outside_training,
+            beyond_horizon: estimate.caveats.beyond_horizon,
+            ..self.caveats()
         };
-        before_last
-            .iter()
-            .position(fails)
-            .unwrap_or(before_last.len())
+        estimate
+    }
+
+    /// What weakens its answers to every plan.
+    fn caveats(&self) -> Caveats {
+        Caveats {
+            no_reading: self.no_reading,
+            ..Caveats::default()
+        }
     }
 
     fn nothing(&self, duration_s: f32) -> Answer {
@@ -294,98 +332,8 @@ impl<'a> Robot<'a> {
             margin_j: None,
             verdict: Verdict::Unknown(self.unknown.unwrap_or(Unknown::NoLevel)),
             limiting_leg: None,
-            caveats: Caveats {
-                no_reading: self.no_reading,
-                ..Caveats::default()
-            },
+            caveats: self.caveats(),
         }
-    }
-
-    /// The energy of checked commands, widened where the model's errors do not cover it.
-    fn estimate(&self, commands: Commands<'_>, coverage: f32) -> Estimate {
-        let (model, settings) = (self.model(), &self.platform.settings);
-        let whole = model.forecast(&self.energy, commands);
-        let (steps, outside) = (commands.steps(), self.steps_outside(commands));
-        let longest_s = model.longest_s();
-        let beyond = !model.covers(whole.duration_s);
-        // Steps whose errors are known.
-        let covered = if beyond {
-            steps.min((longest_s / commands.period_s) as usize)
-        } else {
-            steps
-        };
-        let known = match covered {
-            0 => None,
-            _ if beyond => Some(model.forecast(&self.energy, first(commands, covered))),
-            _ => Some(whole),
-        };
-        let widened_s = (steps - covered + outside).min(steps) as f32 * commands.period_s;
-        let mean_w = whole.energy_j / whole.duration_s;
-        let tail = 0.5 * (1.0 - coverage);
-        let offset_j = |p| {
-            let edge_j = known.and_then(|known| Some(known.quantile_j(p)? - known.energy_j));
-            edge_j.unwrap_or(0.0)
-        };
-        let down_w = (mean_w - settings.power_min_w).max(0.0);
-        let up_w = (settings.power_max_w - mean_w).max(0.0);
-        let known_j = known.map_or(0.0, |known| known.energy_j);
-        Estimate {
-            known,
-            mean_j: whole.energy_j,
-            lo_j: whole.energy_j + offset_j(tail) - widened_s * down_w,
-            hi_j: whole.energy_j + offset_j(1.0 - tail) + widened_s * up_w,
-            widened_j: (whole.energy_j - known_j) + widened_s * up_w,
-            caveats: Caveats {
-                steps_outside_training: outside,
-                beyond_horizon: beyond,
-                no_reading: self.no_reading,
-            },
-        }
-    }
-
-    fn steps_outside(&self, commands: Commands<'_>) -> usize {
-        let model = self.model();
-        if !model.command.reads_commands() {
-            return 0;
-        }
-        let within =
-            |[lowest, highest]: [f32; 2], value: f32| (lowest <= value) & (value <= highest);
-        let steps = commands.v_mps.iter().zip(commands.omega_radps);
-        let mut outside = 0;
-        for (v_mps, omega_radps) in steps {
-            let inside = within(model.v_mps, *v_mps) & within(model.omega_radps, *omega_radps);
-            outside += usize::from(!inside);
-        }
-        outside
-    }
-}
-
-/// The energy of a plan.
-struct Estimate {
-    /// Of the part whose errors are known.
-    known: Option<EnergyForecast>,
-    mean_j: f32,
-    lo_j: f32,
-    hi_j: f32,
-    /// Beyond the known part, at most, J.
-    widened_j: f32,
-    caveats: Caveats,
-}
-
-impl Estimate {
-    /// `None` if a value is not finite, or they contradict each other.
-    fn energy(&self) -> Option<Range> {
-        let Self {
-            mean_j, lo_j, hi_j, ..
-        } = *self;
-        // Quantiles of a skewed error may both lie on one side of the mean.
-        let (lo_j, hi_j) = (lo_j.min(mean_j), hi_j.max(mean_j));
-        let finite = lo_j.is_finite() && mean_j.is_finite() && hi_j.is_finite();
-        finite.then_some(Range { mean_j, lo_j, hi_j })
-    }
-
-    fn probability_below(&self, usable_j: f32) -> Option<f32> {
-        self.known?.probability_below(usable_j - self.widened_j)
     }
 }
 
@@ -399,12 +347,13 @@ fn verdict(battery: &Battery, energy: &Range, caveats: Caveats) -> Verdict {
     }
 }
 
-/// The first steps of a plan.
-pub(crate) fn first(commands: Commands<'_>, steps: usize) -> Commands<'_> {
-    let steps = steps.min(commands.steps());
+/// The steps of a plan from one to another.
+pub(crate) fn part(commands: Commands<'_>, from: usize, to: usize) -> Commands<'_> {
+    let to = to.min(commands.steps());
+    let from = from.min(to);
     Commands {
-        v_mps: &commands.v_mps[..steps],
-        omega_radps: &commands.omega_radps[..steps],
+        v_mps: &commands.v_mps[from..to],
+        omega_radps: &commands.omega_radps[from..to],
         ..commands
     }
 }

@@ -2,13 +2,13 @@
 
 use joulebus_energy::Commands;
 
-use crate::answer::Answer;
+use crate::answer::{Answer, Verdict};
 use crate::candidates::Candidates;
-use crate::error::AskError;
+use crate::error::{AskError, PathError};
 use crate::follower::{Followed, Follower, Path, Point};
 use crate::limits::MAX_STEPS;
 use crate::question::{Row, best_first};
-use crate::robot::{Robot, first};
+use crate::robot::{Robot, part};
 
 /// Times at which turning back is tried, at most.
 const TURNS: usize = 64;
@@ -21,7 +21,7 @@ pub struct Trip {
     /// With a way back: the time until which the robot can follow the path and still return with
     /// [`crate::Verdict::Yes`], s. The path's duration if it can follow all of it; `None` if it cannot say
     /// so even now, and without a way back. Tried at up to 64 times, evenly spaced: the last before the first that
-    /// fails.
+    /// fails, or from which the way back is not reached or has too many steps.
     pub turn_back_s: Option<f32>,
     /// The commands of the whole trip.
     pub commands: Followed,
@@ -68,10 +68,10 @@ impl Robot<'_> {
         };
         let there = follower.follow(path)?;
         let back = Back::after(path, &follower, dock);
-        let all = back.from(&there, there.v_mps.len())?;
-        self.check_followed(&all, coverage)?;
-        let turn_back_s = self.turn_back_s(&there, &all, &back, coverage)?;
-        self.trip(all, turn_back_s, coverage)
+        let all = back.append(&there)?;
+        let mut trip = self.trip(all, None, coverage)?;
+        trip.turn_back_s = self.turn_back_s(&there, &trip, &back, coverage)?;
+        Ok(trip)
     }
 
     /// As [`Robot::can_finish`], without the time to turn back, whose search costs up to 64 times as
@@ -88,7 +88,7 @@ impl Robot<'_> {
         let follower = Follower::new(self.platform())?;
         let there = follower.follow(path)?;
         let commands = match back_to {
-            Some(dock) => Back::after(path, &follower, dock).from(&there, there.v_mps.len())?,
+            Some(dock) => Back::after(path, &follower, dock).append(&there)?,
             None => there,
         };
         self.trip(commands, None, coverage)
@@ -115,25 +115,39 @@ impl Robot<'_> {
         self.check(&candidates, coverage)
     }
 
-    /// `all`: the whole path and the way back from its end.
+    /// `whole`: the whole path and the way back from its end.
     fn turn_back_s(
         &self,
         there: &Followed,
-        all: &Followed,
+        whole: &Trip,
         back: &Back<'_>,
         coverage: f32,
     ) -> Result<Option<f32>, AskError> {
-        let steps = there.v_mps.len();
+        let (commands, steps) = (there.commands(), there.v_mps.len());
         let stride = steps.div_ceil(TURNS).max(1);
-        let mut last_s = None;
+        let mut leg_ends = there.leg_ends.iter().peekable();
+        let (mut progress, mut done, mut last_s) = (self.begin(there.period_s), 0, None);
         for turn in (0..steps).step_by(stride) {
-            let plan = back.from(there, turn)?;
-            if !self.makes(plan.commands(), coverage) {
+            while let Some(end) = leg_ends.next_if(|end| **end <= turn) {
+                self.follow(&mut progress, part(commands, done, *end));
+                done = *end;
+                if !self.makes(&progress, coverage) {
+                    return Ok(last_s);
+                }
+            }
+            self.follow(&mut progress, part(commands, done, turn));
+            done = turn;
+            let Some(home) = back.turned(there, turn)? else {
+                return Ok(last_s);
+            };
+            let mut turned = progress;
+            self.follow(&mut turned, home.commands());
+            if !self.makes(&turned, coverage) {
                 return Ok(last_s);
             }
             last_s = Some(turn as f32 * there.period_s);
         }
-        if self.makes(all.commands(), coverage) {
+        if whole.answer.verdict == Verdict::Yes {
             last_s = Some(steps as f32 * there.period_s);
         }
         Ok(last_s)
@@ -157,8 +171,8 @@ impl<'a> Back<'a> {
         }
     }
 
-    /// The first steps of a path, and the way back from there as one more leg.
-    fn from(&self, there: &Followed, steps: usize) -> Result<Followed, AskError> {
+    /// The way back after the first steps of a path, which may have as many steps as the path leaves.
+    fn home(&self, there: &Followed, steps: usize) -> Result<Followed, AskError> {
         let pose = there.poses[steps];
         let home = Path {
             points: vec![pose.at, self.dock],
@@ -171,13 +185,28 @@ impl<'a> Back<'a> {
         if found > allowed {
             return Err(AskError::Steps { found, allowed });
         }
-        let ends = there.leg_ends.iter().copied();
-        let mut leg_ends: Vec<usize> = ends.filter(|end| *end <= steps).collect();
-        leg_ends.push(found);
+        Ok(home)
+    }
+
+    /// As [`Back::home`]; `None` if the robot cannot turn back there.
+    fn turned(&self, there: &Followed, steps: usize) -> Result<Option<Followed>, AskError> {
+        match self.home(there, steps) {
+            Ok(home) => Ok(Some(home)),
+            Err(AskError::Steps { .. } | AskError::Path(PathError::NotReached { .. })) => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// A path, and the way back from its end as one more leg.
+    fn append(&self, there: &Followed) -> Result<Followed, AskError> {
+        let steps = there.v_mps.len();
+        let home = self.home(there, steps)?;
+        let mut leg_ends = there.leg_ends.clone();
+        leg_ends.push(steps + home.v_mps.len());
         Ok(Followed {
             period_s: there.period_s,
-            v_mps: [&there.v_mps[..steps], &home.v_mps].concat(),
-            omega_radps: [&there.omega_radps[..steps], &home.omega_radps].concat(),
+            v_mps: [&there.v_mps[..], &home.v_mps].concat(),
+            omega_radps: [&there.omega_radps[..], &home.omega_radps].concat(),
             leg_ends,
             poses: [&there.poses[..steps], &home.poses].concat(),
         })
@@ -188,12 +217,11 @@ impl Followed {
     /// As commands of a plan.
     #[must_use]
     pub fn commands(&self) -> Commands<'_> {
-        let commands = Commands {
+        Commands {
             period_s: self.period_s,
             v_mps: &self.v_mps,
             omega_radps: &self.omega_radps,
-        };
-        first(commands, self.v_mps.len())
+        }
     }
 }
 

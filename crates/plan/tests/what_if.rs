@@ -197,7 +197,7 @@ fn a_plan_as_long_as_the_longest_calibrated_horizon_can_be_a_yes() {
             calibrated,
             ..model()
         };
-        let fleet = Fleet::of(vec![Platform::new(platform().settings, energy, 1)], 1);
+        let fleet = fleet_with(energy);
         let robot = rows.robot(&fleet);
         let steps = (30.0 * horizon_s) as usize;
         // Thirty steps of 1/30 s add up to a little more than a second.
@@ -472,6 +472,59 @@ proptest! {
             prop_assert!((turn_back_s - duration_s).abs() < 1e-3);
         }
     }
+}
+
+/// The test platform with other energies.
+fn fleet_with(energy: EnergyModel) -> Fleet {
+    Fleet::of(vec![Platform::new(platform().settings, energy, 1)], 1)
+}
+
+#[test]
+fn a_trip_that_fits_is_answered_though_the_way_back_from_its_middle_does_not() {
+    let fleet = fleet_with(EnergyModel {
+        omega_radps: [-20.0, 20.0],
+        ..model()
+    });
+    let robot = Rows::with_usable(30_000.0).robot(&fleet);
+    let dock = Point::new(0.0, 0.0);
+    let points = [dock, Point::new(2.0, 0.0), Point::new(0.1, 0.0), dock];
+    // The last leg, and so the way back, is slow: from the middle it takes more than three minutes.
+    let path = Path {
+        speed_mps: vec![0.2, 0.2, 0.2, 0.01],
+        ..Path::new(&points, 0.2)
+    };
+    for (most_steps, seconds) in [(2_000, 60.0), (4_000, 120.0)] {
+        let trip = robot.can_finish_within(&path, Some(dock), 0.9, most_steps);
+        let trip = trip.expect("the whole trip fits");
+        assert!(trip.answer.duration_s < 60.0, "{:?}", trip.answer);
+        assert_eq!(trip.answer.verdict, Verdict::Yes);
+        // 1 cm in a second.
+        let turn_back_s = trip.turn_back_s.expect("at once, it can");
+        let most_s = 0.01 * seconds / 0.15;
+        assert!(turn_back_s > 0.0 && turn_back_s < most_s, "{turn_back_s}");
+    }
+    // Not even the whole trip fits.
+    let error = robot.can_finish_within(&path, Some(dock), 0.9, 300);
+    assert!(error.is_err(), "{error:?}");
+}
+
+#[test]
+fn a_yes_holds_at_the_end_of_every_leg() {
+    let mut energy = model();
+    // Within the first second the robot may draw twenty times as much.
+    energy.errors[0] = energy.errors[0].map(|error| 200.0 * error);
+    let fleet = fleet_with(energy);
+    let robot = Rows::with_usable(60.0).robot(&fleet);
+    let points = [0.0, 0.15, 1.5].map(|x_m| Point::new(x_m, 0.0));
+    let trip = robot.can_finish(&Path::new(&points, 0.2), None, 0.9);
+    let trip = trip.expect("allowed");
+    let (v, omega) = (&trip.commands.v_mps, &trip.commands.omega_radps);
+    let at_once = Candidates::new(1, trip.commands.period_s, v, omega).expect("allowed");
+    let at_once = robot.what_if(&at_once, 0.9).expect("allowed")[0];
+    assert_eq!(at_once.verdict, Verdict::Yes, "{at_once:?}");
+    assert_eq!(trip.answer.energy, at_once.energy);
+    assert_eq!(trip.answer.verdict, Verdict::Tight, "{:?}", trip.answer);
+    assert_eq!(trip.answer.limiting_leg, Some(0));
 }
 
 #[test]

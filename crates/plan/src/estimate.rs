@@ -1,0 +1,113 @@
+//! The energy of a plan with its interval.
+
+use joulebus_energy::{CommandSum, Commands, EnergyForecast, EnergyModel, EnergyState};
+
+use crate::answer::{Caveats, Range};
+use crate::robot::part;
+
+/// A plan as far as it has been followed: its energy so far follows without reading its commands again.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Progress {
+    sum: CommandSum,
+    /// Of its first steps, as far as the longest horizon whose errors are known.
+    covered: CommandSum,
+    /// Steps up to that horizon.
+    most_covered: usize,
+}
+
+impl Progress {
+    /// Before the first command, each of which is in force for `period_s`.
+    pub(crate) fn new(model: &EnergyModel, state: &EnergyState, period_s: f32) -> Self {
+        let sum = CommandSum::new(state, period_s);
+        Self {
+            sum,
+            covered: sum,
+            most_covered: (model.longest_s() / period_s) as usize,
+        }
+    }
+
+    /// Follows the next commands.
+    pub(crate) fn add(&mut self, model: &EnergyModel, next: Commands<'_>) {
+        let missing = self.most_covered.saturating_sub(self.sum.steps());
+        if missing > 0 {
+            self.sum.add(model, part(next, 0, missing));
+            self.covered = self.sum;
+        }
+        self.sum.add(model, part(next, missing, next.steps()));
+    }
+
+    /// The energy so far, widened to what the platform can draw at least and at most (W) where the
+    /// model's errors do not cover it.
+    pub(crate) fn estimate(
+        &self,
+        model: &EnergyModel,
+        state: &EnergyState,
+        [power_min_w, power_max_w]: [f32; 2],
+        coverage: f32,
+    ) -> Estimate {
+        let whole = model.forecast_of(state, &self.sum);
+        let (steps, outside) = (self.sum.steps(), self.sum.steps_outside());
+        let beyond = !model.covers(whole.duration_s);
+        let covered = if beyond { self.covered } else { self.sum };
+        let known = (covered.steps() > 0).then(|| {
+            if beyond {
+                model.forecast_of(state, &covered)
+            } else {
+                whole
+            }
+        });
+        let widened = (steps - covered.steps() + outside).min(steps);
+        let widened_s = widened as f32 * self.sum.period_s();
+        let mean_w = whole.energy_j / whole.duration_s;
+        let tail = 0.5 * (1.0 - coverage);
+        let offset_j = |p| {
+            let edge_j = known.and_then(|known| Some(known.quantile_j(p)? - known.energy_j));
+            edge_j.unwrap_or(0.0)
+        };
+        let down_w = (mean_w - power_min_w).max(0.0);
+        let up_w = (power_max_w - mean_w).max(0.0);
+        let known_j = known.map_or(0.0, |known| known.energy_j);
+        Estimate {
+            known,
+            mean_j: whole.energy_j,
+            lo_j: whole.energy_j + offset_j(tail) - widened_s * down_w,
+            hi_j: whole.energy_j + offset_j(1.0 - tail) + widened_s * up_w,
+            widened_j: (whole.energy_j - known_j) + widened_s * up_w,
+            caveats: Caveats {
+                steps_outside_training: outside,
+                beyond_horizon: beyond,
+                ..Caveats::default()
+            },
+        }
+    }
+}
+
+/// The energy of a plan.
+pub(crate) struct Estimate {
+    /// Of the part whose errors are known.
+    known: Option<EnergyForecast>,
+    mean_j: f32,
+    lo_j: f32,
+    hi_j: f32,
+    /// Beyond the known part, at most, J.
+    widened_j: f32,
+    pub(crate) caveats: Caveats,
+}
+
+impl Estimate {
+    /// `None` if a value is not finite, or they contradict each other.
+    pub(crate) fn energy(&self) -> Option<Range> {
+        let Self {
+            mean_j, lo_j, hi_j, ..
+        } = *self;
+        // Quantiles of a skewed error may both lie on one side of the mean.
+        let (lo_j, hi_j) = (lo_j.min(mean_j), hi_j.max(mean_j));
+        let finite = lo_j.is_finite() && mean_j.is_finite() && hi_j.is_finite();
+        finite.then_some(Range { mean_j, lo_j, hi_j })
+    }
+
+    /// The probability that the plan draws less, J.
+    pub(crate) fn probability_below(&self, usable_j: f32) -> Option<f32> {
+        self.known?.probability_below(usable_j - self.widened_j)
+    }
+}
