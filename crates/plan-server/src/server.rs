@@ -5,7 +5,7 @@ use joulebus_bus::{
     process_id,
 };
 use joulebus_config::Config;
-use joulebus_plan::{Fleet, OpenPlannerError, Planner, QuestionError, Refused, Reply, View, Work};
+use joulebus_plan::{Fleet, OpenPlannerError, Planner, QuestionError, Refused, View, Work};
 use joulebus_wire::{
     AnswerHeader, QUERY_STEPS, QueryCounts, QueryRecord, QueryRefusal, SCHEMA_VERSION, fnv1a,
 };
@@ -236,14 +236,14 @@ impl Server {
         match worked {
             // In the order in which they were taken.
             Ok(None) => self.jobs.insert(place, job),
-            Ok(Some(reply)) => self.answer(job, &reply)?,
+            Ok(Some(work)) => self.answer(job, work)?,
             Err(refused) => self.refuse(job, &refused)?,
         }
         Ok(())
     }
 
-    /// The reply, if it is complete.
-    fn work(&mut self, job: &mut Job) -> Result<Option<Reply>, Refused> {
+    /// The work, if it is complete.
+    fn work(&mut self, job: &mut Job) -> Result<Option<Work>, Refused> {
         let refused = |error: QuestionError| Refused::from(&error);
         let none = || {
             let text = "the worker has not published the fleet's state yet: ask again".to_owned();
@@ -262,16 +262,18 @@ impl Server {
             return Ok(None);
         };
         let is_done = work.step(planner.fleet()).map_err(refused)?;
-        Ok(is_done.then(|| std::mem::take(work).finish()))
+        Ok(is_done.then(|| std::mem::take(work)))
     }
 
-    fn answer(&mut self, mut job: Job, reply: &Reply) -> Result<(), ServerError> {
-        if let Some(refused) = job.is_over(clock::monotonic_ns()) {
+    fn answer(&mut self, mut job: Job, work: Work) -> Result<(), ServerError> {
+        let now_ns = clock::monotonic_ns();
+        if let Some(refused) = job.is_over(now_ns) {
             return self.refuse(job, &refused);
         }
         let mut words = Vec::new();
+        let reply = work.finish_at(now_ns);
         reply.encode(&mut job.answer, &mut words);
-        if let Err(error) = self.send(&mut job, &words) {
+        if let Err(error) = self.send(&mut job, &words, now_ns) {
             return self.refuse_unsent(job, &error);
         }
         self.counts.answered += 1;
@@ -284,7 +286,7 @@ impl Server {
         self.counts.refuse(refused.reason);
         if refused.reason != QueryRefusal::ClientGone {
             // Its client learns it from the deadline otherwise.
-            let _ = self.send(&mut job, &words);
+            let _ = self.send(&mut job, &words, clock::monotonic_ns());
         }
         self.record(&job, &words)
     }
@@ -298,13 +300,14 @@ impl Server {
         self.record(&job, &words)
     }
 
-    fn send(&mut self, job: &mut Job, words: &[u64]) -> Result<(), SendError> {
+    /// `now_ns`: what the answer says of its age depends on it.
+    fn send(&mut self, job: &mut Job, words: &[u64], now_ns: u64) -> Result<(), SendError> {
         job.answer = AnswerHeader {
             schema: SCHEMA_VERSION,
             pid: process_id(),
             number: job.header.number,
             taken_ns: job.taken_ns,
-            sent_ns: clock::monotonic_ns(),
+            sent_ns: now_ns,
             ..job.answer
         };
         let sent = self

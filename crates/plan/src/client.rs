@@ -59,7 +59,7 @@ pub struct Answered {
     pub tick: u64,
     /// Tick of the budgets; 0 without any.
     pub budget_tick: u64,
-    /// Age of the plan states when the question was answered, ns.
+    /// Age of the plan states when the answer was sent, ns.
     pub age_ns: u64,
     /// From asking to the answer, ns.
     pub took_ns: u64,
@@ -167,7 +167,7 @@ impl Asked {
             worker_epoch: answer.worker_epoch,
             tick: answer.tick,
             budget_tick: answer.budget_tick,
-            age_ns: answer.now_ns.saturating_sub(answer.sent_state_ns),
+            age_ns: answer.sent_ns.saturating_sub(answer.sent_state_ns),
             took_ns: clock::monotonic_ns().saturating_sub(self.begun_ns),
         })
     }
@@ -178,5 +178,29 @@ impl fmt::Debug for PlanClient {
         out.debug_struct("PlanClient")
             .field("client", &self.client)
             .finish_non_exhaustive()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use joulebus_wire::SCHEMA_VERSION;
+
+    use super::*;
+
+    #[test]
+    fn the_age_of_an_answer_includes_the_time_of_its_computation() {
+        let answer = AnswerHeader {
+            schema: SCHEMA_VERSION,
+            sent_state_ns: 1_000,
+            now_ns: 1_500,
+            sent_ns: 9_000,
+            ..AnswerHeader::default()
+        };
+        let asked = Asked {
+            begun_ns: 1_200,
+            deadline_ns: u64::MAX,
+        };
+        let answered = asked.answered(&answer, &[]);
+        assert_eq!(answered.map(|answered| answered.age_ns).ok(), Some(8_000));
     }
 }

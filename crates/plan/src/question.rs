@@ -6,7 +6,7 @@ use crate::error::QuestionError;
 use crate::fleet::Fleet;
 use crate::follower::{Path, Point};
 use crate::platform::RobotRows;
-use crate::robot::Robot;
+use crate::robot::{Robot, stale};
 
 /// A question about one robot or several.
 #[derive(Debug, Clone, PartialEq)]
@@ -162,7 +162,7 @@ impl Work {
         Ok(self.done >= self.robots.len())
     }
 
-    /// The reply, after the last step.
+    /// The reply, after the last step, as of the time at which the answering began.
     #[must_use]
     pub fn finish(self) -> Reply {
         let mut reply = self.reply;
@@ -170,6 +170,26 @@ impl Work {
             reply.rows.sort_by(best_first);
         }
         reply
+    }
+
+    /// As [`Work::finish`], for a reply that is sent at a time, monotonic ns: where a robot's state is stale by
+    /// then, [`Verdict::Yes`] is [`Unknown::Stale`](crate::Unknown::Stale) instead, and there is no time to turn back.
+    #[must_use]
+    pub fn finish_at(mut self, sent_ns: u64) -> Reply {
+        for row in &mut self.reply.rows {
+            let of = self
+                .robots
+                .iter()
+                .find(|rows| rows.state.robot == row.robot);
+            let Some(reason) = of.and_then(|rows| stale(&rows.header, sent_ns)) else {
+                continue;
+            };
+            row.turn_back_s = None;
+            if row.answer.verdict == Verdict::Yes {
+                row.answer.verdict = Verdict::Unknown(reason);
+            }
+        }
+        self.finish()
     }
 
     fn one(&mut self, robot: &Robot<'_>) -> Result<(), QuestionError> {

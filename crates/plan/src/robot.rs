@@ -16,6 +16,10 @@ use crate::platform::{Frames, Platform};
 const STALE_TICKS: u64 = 2;
 
 /// A robot as of one frame: a checked copy of its rows, for questions in any thread.
+///
+/// It answers as of the time of its view, however long it is kept: a [`Verdict::Yes`] says nothing of what
+/// happened since. Take a [new view](crate::Planner::view) before the next questions, and after questions that
+/// took long.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Robot<'a> {
     platform: &'a Platform,
@@ -385,6 +389,12 @@ fn energy_state(state: &PlanState) -> EnergyState {
     }
 }
 
+/// Whether a frame is stale, with its age.
+pub(crate) fn stale(header: &PlanStateHeader, now_ns: u64) -> Option<Unknown> {
+    let age_ns = now_ns.saturating_sub(header.sent_ns);
+    (age_ns > header.period_ns.saturating_mul(STALE_TICKS)).then_some(Unknown::Stale { age_ns })
+}
+
 /// Why nothing can be said of a robot's energy, if so.
 fn unknown(
     header: &PlanStateHeader,
@@ -392,9 +402,8 @@ fn unknown(
     energy: &EnergyState,
     now_ns: u64,
 ) -> Option<Unknown> {
-    let age_ns = now_ns.saturating_sub(header.sent_ns);
-    if age_ns > header.period_ns.saturating_mul(STALE_TICKS) {
-        return Some(Unknown::Stale { age_ns });
+    if let Some(stale) = stale(header, now_ns) {
+        return Some(stale);
     }
     match state.quality() {
         Quality::Invalid(reason) => return Some(Unknown::Invalid { reason }),

@@ -3,7 +3,10 @@
 
 mod world;
 
-use joulebus_plan::{Path, Plan, Point, Question, QuestionError, Refused, Reply, RobotRows, rank};
+use joulebus_plan::{
+    Path, Plan, Point, Question, QuestionError, Refused, Reply, RobotRows, Unknown, Verdict, Work,
+    rank,
+};
 use joulebus_wire::{AnswerHeader, QUERY_STEPS, QueryHeader, QueryRefusal, SCHEMA_VERSION};
 use proptest::prelude::*;
 use world::{Rows, fleet};
@@ -107,6 +110,47 @@ fn several_robots_are_answered_as_rank_answers() {
         assert_eq!((row.robot, row.answer), (ranked.robot, ranked.trip.answer));
         assert_eq!(row.turn_back_s, ranked.trip.turn_back_s);
     }
+}
+
+#[test]
+fn a_yes_whose_state_is_stale_when_the_answer_is_sent_is_unknown() {
+    let (fleet, poor) = (fleet(), Rows::with_usable(20.0));
+    let rich = Rows::with_usable(20_000.0);
+    let of = |robot| Some(rows(if robot == 3 { &rich } else { &poor }, robot));
+    let stale_ns = rich.header.sent_ns + 2 * rich.header.period_ns + 1;
+    // Straight on: no command lies outside the training data.
+    let end = Point::new(1.0, 0.0);
+    let reply = |sent_ns| {
+        let question = Question {
+            plan: Plan::Follow {
+                robots: vec![9, 7, 3],
+                path: Path::new(&[Point::new(0.0, 0.0), end], 0.15),
+                back_to: Some(end),
+            },
+            coverage: 0.9,
+            power: false,
+        };
+        let mut work = Work::begin(question, of, QUERY_STEPS).unwrap();
+        while !work.step(&fleet).unwrap() {}
+        work.finish_at(sent_ns)
+    };
+    let (fresh, stale) = (reply(stale_ns - 1), reply(stale_ns));
+    let yes = fresh.rows[0];
+    assert_eq!((yes.robot, yes.answer.verdict), (3, Verdict::Yes));
+    assert!(yes.turn_back_s.is_some());
+    // Behind those of which something is known.
+    let row = stale.rows[2];
+    let age_ns = stale_ns - rich.header.sent_ns;
+    assert_eq!(row.robot, 3);
+    assert_eq!(
+        row.answer.verdict,
+        Verdict::Unknown(Unknown::Stale { age_ns })
+    );
+    assert_eq!(
+        (row.answer.energy, row.turn_back_s),
+        (yes.answer.energy, None)
+    );
+    assert_eq!(stale.rows[0].answer, fresh.rows[1].answer);
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use joulebus_fleet::Fleet;
-use joulebus_plan::{Fleet as PlanFleet, Question, Refused, Reply, RobotRows};
+use joulebus_plan::{Fleet as PlanFleet, Question, Refused, Reply, RobotRows, Work};
 use joulebus_predictor::Model;
 use joulebus_settings::FleetSettings;
 use joulebus_wire::{
@@ -175,7 +175,11 @@ impl Queries {
                 budgets.and_then(|tick| tick.budgets.iter().find(|row| row.robot == robot));
             Some(RobotRows::recorded(answer, *state, budget.copied()))
         };
-        let answered = question.answer(&self.fleet, find, QUERY_STEPS);
+        let answered = Work::begin(question, find, QUERY_STEPS).and_then(|mut work| {
+            while !work.step(&self.fleet)? {}
+            // As the worker: what is stale when the answer is sent is not promised.
+            Ok(work.finish_at(answer.sent_ns))
+        });
         answered.map_err(|error| Refused::from(&error))
     }
 
