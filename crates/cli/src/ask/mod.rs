@@ -45,7 +45,7 @@ const PATIENCE: Duration = Duration::from_secs(3);
     paths of any length. --through worker needs no models here, and asks what programs in other languages \
     ask: the answer is recorded, paths take at most five minutes at 30 Hz, and the bits are the same.\n\
     Exit codes: 0 answered, whatever the verdict; 1 no worker, no answer in time, no such robot, or another config or model \
-    than the worker's; 2 a wrong question."
+    than the worker's; 2 a wrong question, or one that is too large for the worker."
 )]
 pub(crate) struct Args {
     #[command(flatten)]
@@ -84,8 +84,8 @@ pub(crate) struct Args {
     /// Coverage of the intervals, 0.5 to 0.999
     #[arg(long, value_name = "SHARE", default_value_t = 0.9)]
     coverage: f32,
-    /// With --format json: the power of every step, of one robot
-    #[arg(long)]
+    /// With --format json: the power of every step, of one robot that follows a path
+    #[arg(long, conflicts_with_all = ["idle", "rank"])]
     power: bool,
     /// Who computes: this process, from shared memory, or a thread of the worker
     #[arg(long, value_enum, default_value_t = Through::Memory)]
@@ -161,7 +161,7 @@ impl Args {
         let answered = client
             .ask(question, PATIENCE)
             .map_err(|error| match error {
-                ClientError::Refused(refused) if refused.reason == QueryRefusal::Question => {
+                ClientError::Refused(refused) if is_wrong(refused.reason) => {
                     UsageError(refused.text).into()
                 }
                 error => anyhow::Error::from(error),
@@ -174,7 +174,7 @@ impl Args {
         let answers = reply.rows.iter().map(|row| {
             let mut answer = AnswerReport::new(config.settings(), row);
             answer.asked_to_return = self.return_to.is_some();
-            if self.power && self.robot.is_some() && self.path.is_some() {
+            if self.power {
                 answer.power_w = Some(reply.power_w.clone());
             }
             answer
@@ -187,4 +187,12 @@ impl Args {
             answers: answers.collect(),
         }
     }
+}
+
+/// Whether it is the question that is wrong, whatever the fleet is doing.
+fn is_wrong(reason: QueryRefusal) -> bool {
+    matches!(
+        reason,
+        QueryRefusal::Question | QueryRefusal::Kind | QueryRefusal::TooLarge | QueryRefusal::Length
+    )
 }

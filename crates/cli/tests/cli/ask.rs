@@ -177,6 +177,11 @@ fn the_worker_answers_the_same_questions_with_the_same_exit_codes() {
     assert!(stderr(&absent).contains("robot 9"), "{absent:?}");
     let wrong = fleet.output("ask --robot 1 --idle 3 --coverage 0.2 --through worker");
     assert_eq!(code(&wrong), 2, "{wrong:?}");
+    let many = (0..65).map(|robot| robot.to_string()).collect::<Vec<_>>();
+    let many = many.join(",");
+    let large = fleet.output(&format!("ask --rank {many} --idle 3 --through worker"));
+    assert_eq!(code(&large), 2, "{large:?}");
+    assert!(stderr(&large).contains("65 robots"), "{large:?}");
     // The worker states its counts within half a second.
     eventually("the counts are shown", || {
         let seen = json(&fleet.output("watch --once --format json"));

@@ -45,6 +45,8 @@ const CASES: &[(i32, &str)] = &[
     (2, "ask --config FLEET --robot 1"),
     (2, "ask --config FLEET --robot 1 --path JUNK"),
     (2, "ask --config FLEET --robot 1 --idle 5 --return dock"),
+    (2, "ask --config FLEET --robot 1 --idle 5 --power"),
+    (2, "ask --config FLEET --rank 1,2 --path JUNK --power"),
     (2, "ask --config JUNK --robot 1 --idle 5"),
     (0, "info CAPTURE"),
     (1, "info JUNK"),
