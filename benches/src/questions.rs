@@ -10,7 +10,7 @@ use joulebus_bus::clock;
 use joulebus_config::Config;
 use joulebus_plan::{Plan, PlanClient, Planner, Question};
 use joulebus_plan_server::PlanServer;
-use joulebus_predictor_worker::Worker;
+use joulebus_predictor_worker::{Spread, Worker};
 use joulebus_program::verbs::bench::BenchOptions;
 use joulebus_publisher::{Pace, Publisher, RobotState};
 use joulebus_wire::{QUERY_STEPS, Sample};
@@ -165,11 +165,10 @@ fn answers(report: &mut Report, options: &BenchOptions, launcher: &Launcher) -> 
     let fleet = Fleet::new(20, 30)?;
     let rounds = options.repetitions_or(5_000);
     let is_done = AtomicBool::new(false);
-    let mut raw = RawHops::open(launcher, RAW_ROBOTS, RAW_PERIOD_NS, true)?;
-    let times = fleet.run(20, 30, |turn, stop| {
+    let (times, raw) = fleet.run(20, 30, |turn, stop| {
         std::thread::scope(|scope| {
             let client = scope.spawn(|| {
-                let asked = ask(&fleet.config, rounds, &mut raw);
+                let asked = ask(&fleet.config, rounds, launcher);
                 is_done.store(true, Ordering::Relaxed);
                 asked
             });
@@ -186,7 +185,6 @@ fn answers(report: &mut Report, options: &BenchOptions, launcher: &Launcher) -> 
     ] {
         report.push(Figure::less, name, &case, "µs", us);
     }
-    let raw = raw.finish()?;
     let figure = |spread| Figure::less("raw_two_hops_us", &case, "µs", spread);
     report.figures.extend(distribution(&raw).map(figure));
     if let (Some(through), Some(here)) = (
@@ -199,11 +197,12 @@ fn answers(report: &mut Report, options: &BenchOptions, launcher: &Launcher) -> 
     Ok(())
 }
 
-fn ask(config: &Config, rounds: usize, raw: &mut RawHops) -> anyhow::Result<Times> {
+fn ask(config: &Config, rounds: usize, launcher: &Launcher) -> anyhow::Result<(Times, Spread)> {
     let question = question(3);
     let mut planner = Planner::with_config(config, "planner")?;
     let fleet = planner.fleet().clone();
     let mut client = PlanClient::with_config(config, "client")?;
+    let mut raw = RawHops::open(launcher, RAW_ROBOTS, RAW_PERIOD_NS, true)?;
     let mut times = Times::default();
     let timed = |us: &mut Vec<f64>, work: &mut dyn FnMut() -> anyhow::Result<()>| {
         let begun = Instant::now();
@@ -243,7 +242,7 @@ fn ask(config: &Config, rounds: usize, raw: &mut RawHops) -> anyhow::Result<Time
         raw.send(clock::monotonic_ns())?;
         raw.acknowledged()?;
     }
-    Ok(times)
+    Ok((times, raw.finish()?))
 }
 
 fn ticks(report: &mut Report, options: &BenchOptions, robots: usize) -> anyhow::Result<()> {

@@ -197,7 +197,7 @@ pub fn constants() -> Vec<Constants> {
             SOC, FULL, SWAPPED, RETURN, ALL),
         bits!("FORECAST", forecast_flag: POWER, INTERVAL, READING, SAMPLE),
         bits!("DIAGNOSTIC", diagnostic_flag: RESIDUAL, SCORES, LEARNED),
-        bits!("BUDGET", budget_flag: BATTERY, TIME_TO_EMPTY, LEDGER, CHARGED, MEASURED),
+        bits!("BUDGET", budget_flag: BATTERY, TIME_TO_EMPTY, LEDGER, CHARGED, MEASURED, CONTRADICTED),
         bits!("PLAN_STATE", plan_state_flag: SAMPLE, LAGS, COMMAND, READING_AGE, LEARNED,
             OUTSIDE_TRAINING),
         bits!("QUERY", query_flag: RETURN, HEADING, POWER, ALL),
