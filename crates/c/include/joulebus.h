@@ -99,6 +99,11 @@
 #define JOULEBUS_BUDGET_CHARGED 0x8u
 /** The state of charge contains a measured one. */
 #define JOULEBUS_BUDGET_MEASURED 0x10u
+/**
+ * A measured state of charge says that less is left than was counted, and is not believed yet: the battery may
+ * be another one, and the bounds need not hold.
+ */
+#define JOULEBUS_BUDGET_CONTRADICTED 0x20u
 
 /** A sample has been accepted: stamp_ns is known. */
 #define JOULEBUS_PLAN_STATE_SAMPLE 0x1u
