@@ -143,6 +143,8 @@
 #define JOULEBUS_ANSWER_BEYOND_HORIZON 0x40u
 /** The robot's sample is overdue, or came without a reading. */
 #define JOULEBUS_ANSWER_NO_READING 0x80u
+/** The robot's newest row lay outside the range that its model was trained on. */
+#define JOULEBUS_ANSWER_OUTSIDE_TRAINING 0x100u
 
 #define JOULEBUS_QUALITY_UNKNOWN 0u
 #define JOULEBUS_QUALITY_FRESH 1u

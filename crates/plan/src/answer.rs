@@ -93,7 +93,8 @@ pub enum Unknown {
     NoBattery,
     /// The energy in the battery is unknown, or a measured state of charge says that less is left than was counted.
     BatteryUnknown,
-    /// No budget of the robot that is as new as its state.
+    /// No budget of the robot from the tick of its state, or a later one of the same run, that is at most two
+    /// ticks old.
     NoBudget,
 }
 
@@ -101,8 +102,8 @@ fn name<S: serde::Serializer>(reason: &InvalidReason, to: S) -> Result<S::Ok, S:
     to.serialize_str(reason.name())
 }
 
-/// What weakens an answer: it then is [`Verdict::Tight`] at best, and the interval includes what the
-/// platform can draw at most and at least in the part concerned.
+/// What weakens an answer: it then is [`Verdict::Tight`] at best. For steps outside the training data and
+/// beyond the longest horizon the interval includes what the platform can draw at most and at least.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Caveats {
     /// Steps whose commands lie outside the training data.
@@ -111,13 +112,18 @@ pub struct Caveats {
     pub beyond_horizon: bool,
     /// The robot's sample is overdue, or came without a reading.
     pub no_reading: bool,
+    /// The robot's newest row lay outside the range that its model was trained on.
+    pub state_outside_training: bool,
 }
 
 impl Caveats {
     /// Whether there is any.
     #[must_use]
     pub const fn any(&self) -> bool {
-        self.steps_outside_training > 0 || self.beyond_horizon || self.no_reading
+        self.steps_outside_training > 0
+            || self.beyond_horizon
+            || self.no_reading
+            || self.state_outside_training
     }
 }
 
@@ -172,6 +178,9 @@ impl fmt::Display for Caveats {
         }
         if self.no_reading {
             parts.push("no reading at present".to_owned());
+        }
+        if self.state_outside_training {
+            parts.push("the robot is outside the model's training data".to_owned());
         }
         write!(out, "{}", parts.join(", "))
     }

@@ -26,10 +26,10 @@
 //! frame and the same question give the same bits in every thread and process.
 //!
 //! **Fail closed.** A verdict is [`Verdict::Yes`] only if the energy's upper end at the asked coverage
-//! fits into the lower bound of what the battery can spare, and nothing weakens that statement. Commands
-//! outside the training data, plans longer than the longest calibrated horizon, and a robot without
-//! readings ([`Caveats`]) widen the interval to what the platform can draw at most and at least, and
-//! allow [`Verdict::Tight`] at best. What is stale, invalid or unknown gives [`Verdict::Unknown`] with
+//! fits into the lower bound of what the battery can spare, at the end of every leg, and nothing weakens that
+//! statement. Commands outside the training data and plans longer than the longest calibrated horizon widen
+//! the interval to what the platform can draw at most and at least; these, a robot without readings and one
+//! outside the training data ([`Caveats`]) allow [`Verdict::Tight`] at best. What is stale, invalid or unknown gives [`Verdict::Unknown`] with
 //! its reason.
 //!
 //! **Units**: W, J, s, m, rad.

@@ -299,7 +299,11 @@ impl Row {
             | row_flag(limiting_leg.is_some(), answer_flag::LIMITING_LEG)
             | row_flag(self.turn_back_s.is_some(), answer_flag::TURN_BACK)
             | row_flag(caveats.beyond_horizon, answer_flag::BEYOND_HORIZON)
-            | row_flag(caveats.no_reading, answer_flag::NO_READING);
+            | row_flag(caveats.no_reading, answer_flag::NO_READING)
+            | row_flag(
+                caveats.state_outside_training,
+                answer_flag::OUTSIDE_TRAINING,
+            );
         let nan = f32::NAN;
         AnswerRow {
             robot: self.robot,
@@ -348,6 +352,7 @@ impl Row {
                     steps_outside_training: row.outside_training as usize,
                     beyond_horizon: has(answer_flag::BEYOND_HORIZON),
                     no_reading: has(answer_flag::NO_READING),
+                    state_outside_training: has(answer_flag::OUTSIDE_TRAINING),
                 },
             },
         })

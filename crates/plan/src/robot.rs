@@ -28,6 +28,7 @@ pub struct Robot<'a> {
     /// Why nothing can be said of its energy, if so.
     unknown: Option<Unknown>,
     no_reading: bool,
+    outside_training: bool,
     battery: Result<Battery, Unknown>,
 }
 
@@ -52,6 +53,7 @@ impl<'a> Robot<'a> {
             energy,
             unknown,
             no_reading: state.open_steps > 0,
+            outside_training: state.flags & plan_state_flag::OUTSIDE_TRAINING != 0,
             battery: battery(platform, frames),
         }
     }
@@ -323,6 +325,7 @@ impl<'a> Robot<'a> {
     fn caveats(&self) -> Caveats {
         Caveats {
             no_reading: self.no_reading,
+            state_outside_training: self.outside_training,
             ..Caveats::default()
         }
     }

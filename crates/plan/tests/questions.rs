@@ -7,7 +7,9 @@ use joulebus_plan::{
     Path, Plan, Point, Question, QuestionError, Refused, Reply, RobotRows, Unknown, Verdict, Work,
     rank,
 };
-use joulebus_wire::{AnswerHeader, QUERY_STEPS, QueryHeader, QueryRefusal, SCHEMA_VERSION};
+use joulebus_wire::{
+    AnswerHeader, QUERY_STEPS, QueryHeader, QueryRefusal, SCHEMA_VERSION, plan_state_flag,
+};
 use proptest::prelude::*;
 use world::{Rows, fleet};
 
@@ -73,7 +75,8 @@ fn questions() -> Vec<Question> {
 
 #[test]
 fn questions_and_replies_survive_their_payloads() {
-    let (fleet, robots) = (fleet(), Rows::with_usable(5_000.0));
+    let (fleet, mut robots) = (fleet(), Rows::with_usable(5_000.0));
+    robots.state.flags |= plan_state_flag::OUTSIDE_TRAINING;
     for question in questions() {
         let (header, values) = question.encode(FLEET).unwrap();
         assert_eq!(

@@ -7,7 +7,7 @@ use joulebus_plan::{
     Answer, AskError, Candidates, Differs, Fleet, Frames, Path, Platform, Point, Robot, Unknown,
     Verdict, rank, rank_each,
 };
-use joulebus_wire::{Budget, InvalidReason, PlanState, Quality, budget_flag};
+use joulebus_wire::{Budget, InvalidReason, PlanState, Quality, budget_flag, plan_state_flag};
 use proptest::prelude::*;
 use world::{PERIOD_NS, Rows, fleet, model, platform};
 
@@ -181,6 +181,12 @@ fn what_weakens_an_answer_widens_it_to_what_the_platform_can_draw_and_is_never_y
         answer.caveats.no_reading && answer.verdict == Verdict::Tight,
         "{answer:?}"
     );
+    // As the worker marks a robot whose newest row is extrapolated.
+    let mut extrapolated = rows;
+    extrapolated.state.flags |= plan_state_flag::OUTSIDE_TRAINING;
+    let answer = straight(&extrapolated.robot(&fleet), 0.1, 300);
+    assert!(answer.caveats.state_outside_training, "{answer:?}");
+    assert_eq!(answer.verdict, Verdict::Tight);
     // A model file without an energy model.
     let untrained = EnergyModel::untrained(3.0);
     let bare = Fleet::of(vec![Platform::new(platform().settings, untrained, 1)], 1);

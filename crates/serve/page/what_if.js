@@ -14,6 +14,7 @@ export function question(robot, values) {
 const caveatNames = {
   beyond_horizon: "longer than the model's errors are known for",
   no_reading: "the robot has no fresh reading",
+  state_outside_training: "the robot is outside the training data",
 };
 
 function caveats(list) {

@@ -202,7 +202,7 @@ pub fn constants() -> Vec<Constants> {
             OUTSIDE_TRAINING),
         bits!("QUERY", query_flag: RETURN, HEADING, POWER, ALL),
         bits!("ANSWER", answer_flag: ENERGY, LEFT, PROBABILITY, MARGIN, LIMITING_LEG, TURN_BACK,
-            BEYOND_HORIZON, NO_READING),
+            BEYOND_HORIZON, NO_READING, OUTSIDE_TRAINING),
     ];
     all.extend(codes());
     all

@@ -173,6 +173,8 @@ pub mod answer_flag {
     pub const BEYOND_HORIZON: u16 = 1 << 6;
     /// The robot's sample is overdue, or came without a reading.
     pub const NO_READING: u16 = 1 << 7;
+    /// The robot's newest row lay outside the range that its model was trained on.
+    pub const OUTSIDE_TRAINING: u16 = 1 << 8;
 }
 
 /// The answer to one candidate, or of one robot. 64 bytes.

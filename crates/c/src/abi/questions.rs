@@ -40,6 +40,7 @@ const NO_ANSWER: Answer = Answer {
         steps_outside_training: 0,
         beyond_horizon: false,
         no_reading: false,
+        state_outside_training: false,
     },
 };
 
