@@ -463,12 +463,14 @@ fn battery(platform: &Platform, frames: &Frames<'_>) -> Result<Battery, Unknown>
     }
 }
 
-/// Whether a budget is of the robot, and of the run of the worker that the state is of.
+/// Whether a budget is of the robot, and of the run of the worker that the state is of, and not of an
+/// earlier tick: one from before the robot left and came back is of its previous stay.
 fn is_current(
     header: &PlanStateHeader,
     state: &PlanState,
     of: &BudgetHeader,
     budget: &Budget,
 ) -> bool {
-    budget.robot == state.robot && of.worker_epoch == header.worker_epoch
+    let is_its = budget.robot == state.robot && of.worker_epoch == header.worker_epoch;
+    is_its && of.tick >= header.tick
 }

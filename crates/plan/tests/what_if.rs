@@ -67,7 +67,7 @@ fn whatever_is_unknown_is_said_and_never_yes() {
         Verdict::Yes
     );
     type Spoil = fn(&mut Rows);
-    let cases: [(Spoil, Unknown); 13] = [
+    let cases: [(Spoil, Unknown); 14] = [
         (
             |rows| rows.now_ns += 3 * PERIOD_NS,
             Unknown::Stale {
@@ -102,6 +102,7 @@ fn whatever_is_unknown_is_said_and_never_yes() {
             |rows| rows.budget_header.sent_ns -= 3 * PERIOD_NS,
             Unknown::NoBudget,
         ),
+        (|rows| rows.budget_header.tick -= 1, Unknown::NoBudget),
         (|rows| rows.budget.robot = 8, Unknown::NoBudget),
         (
             |rows| rows.budget.flags &= !budget_flag::BATTERY,
