@@ -118,3 +118,14 @@ impl<'a> Candidates<'a> {
         Ok(())
     }
 }
+
+/// The steps of a plan from one to another.
+pub(crate) fn part(commands: Commands<'_>, from: usize, to: usize) -> Commands<'_> {
+    let to = to.min(commands.steps());
+    let from = from.min(to);
+    Commands {
+        v_mps: &commands.v_mps[from..to],
+        omega_radps: &commands.omega_radps[from..to],
+        ..commands
+    }
+}

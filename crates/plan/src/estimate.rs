@@ -3,7 +3,7 @@
 use joulebus_energy::{CommandSum, Commands, EnergyForecast, EnergyModel, EnergyState};
 
 use crate::answer::{Caveats, Range};
-use crate::robot::part;
+use crate::candidates::part;
 
 /// A plan as far as it has been followed: its energy so far follows without reading its commands again.
 #[derive(Debug, Clone, Copy)]

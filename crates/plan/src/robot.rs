@@ -6,7 +6,7 @@ use joulebus_wire::{
 };
 
 use crate::answer::{Answer, Caveats, Left, Range, Unknown, Verdict};
-use crate::candidates::Candidates;
+use crate::candidates::{Candidates, part};
 use crate::error::AskError;
 use crate::estimate::{Estimate, Progress};
 use crate::limits::{COVERAGE, MAX_STEPS};
@@ -351,17 +351,6 @@ fn verdict(battery: &Battery, energy: &Range, caveats: Caveats) -> Verdict {
         Verdict::Tight
     } else {
         Verdict::No
-    }
-}
-
-/// The steps of a plan from one to another.
-pub(crate) fn part(commands: Commands<'_>, from: usize, to: usize) -> Commands<'_> {
-    let to = to.min(commands.steps());
-    let from = from.min(to);
-    Commands {
-        v_mps: &commands.v_mps[from..to],
-        omega_radps: &commands.omega_radps[from..to],
-        ..commands
     }
 }
 

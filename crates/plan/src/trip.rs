@@ -3,12 +3,12 @@
 use joulebus_energy::Commands;
 
 use crate::answer::{Answer, Verdict};
-use crate::candidates::Candidates;
+use crate::candidates::{Candidates, part};
 use crate::error::{AskError, PathError};
 use crate::follower::{Followed, Follower, Path, Point};
 use crate::limits::MAX_STEPS;
 use crate::question::{Row, best_first};
-use crate::robot::{Robot, part};
+use crate::robot::Robot;
 
 /// Times at which turning back is tried, at most.
 const TURNS: usize = 64;
