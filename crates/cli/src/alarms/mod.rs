@@ -56,7 +56,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
 }
 
-fn seconds(text: &str) -> Result<f64, String> {
+/// A time after which something ends, s.
+pub(crate) fn seconds(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(seconds) if 0.0 < seconds && seconds <= 1e9 => Ok(seconds),
         _ => Err(format!("{text} is not a time; allowed is 0 to 1e9 s")),

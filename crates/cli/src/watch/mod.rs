@@ -44,7 +44,7 @@ pub(crate) struct Args {
     #[arg(long, conflicts_with_all = ["duration", "summary"])]
     once: bool,
     /// Stop after this time, s [default: at a signal]
-    #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(f64))]
+    #[arg(long, value_name = "SECONDS", value_parser = crate::alarms::seconds)]
     duration: Option<f64>,
     /// Lines also on a terminal
     #[arg(long)]
@@ -72,8 +72,9 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 
 impl Args {
     fn end_ns(&self) -> u64 {
-        let wanted_s = self.duration.filter(|duration| *duration >= 0.0);
-        let duration_ns = wanted_s.map_or(u64::MAX, |duration_s| (duration_s * 1e9) as u64);
+        let duration_ns = self
+            .duration
+            .map_or(u64::MAX, |duration_s| (duration_s * 1e9) as u64);
         clock::monotonic_ns().saturating_add(duration_ns)
     }
 

@@ -34,6 +34,8 @@ const CASES: &[(i32, &str)] = &[
     (3, "replay CUT --config FLEET --no-wait --rate max"),
     (1, "watch --once --config FLEET"),
     (2, "watch --once --config JUNK"),
+    (2, "watch --config FLEET --duration=-1"),
+    (2, "watch --config FLEET --duration nan"),
     (0, "alarms CAPTURE"),
     (0, "alarms --config FLEET --duration 0.2"),
     (1, "alarms JUNK"),
