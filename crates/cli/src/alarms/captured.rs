@@ -32,6 +32,8 @@ struct Episode {
 #[derive(Debug, Serialize)]
 struct AlarmsReport {
     alarms: Vec<Episode>,
+    /// Those whose diagnostics were read.
+    fleets: Vec<String>,
     /// Ticks whose diagnostics were read.
     ticks: u64,
     /// Ticks between them without diagnostics.
@@ -132,6 +134,7 @@ impl Found {
             .sort_by_key(|episode| (episode.raised_ns, episode.robot));
         AlarmsReport {
             alarms: self.episodes,
+            fleets: self.fleets.keys().map(ToString::to_string).collect(),
             ticks,
             ticks_missed,
             damage: self.damage,
@@ -167,12 +170,21 @@ impl fmt::Display for AlarmsReport {
         if self.ticks_missed > 0 {
             writeln!(out, "{} ticks without diagnostics", self.ticks_missed)?;
         }
+        // Of one fleet it would say the same in each line.
+        let widths = self.fleets.iter().map(|fleet| fleet.chars().count());
+        let width = widths.max().filter(|_| self.fleets.len() > 1);
+        let fleet_column = |fleet: &str| {
+            width.map_or(String::new(), |width| {
+                format!("  {fleet:<0$}", width.max("fleet".len()))
+            })
+        };
         if !self.alarms.is_empty() {
             let titles = ["after s", "robot", "alarm", "level", "lasted", "end"];
             let [after, robot, alarm, level, lasted, end] = titles;
+            let fleet = fleet_column("fleet");
             writeln!(
                 out,
-                "{after:>10} {robot:>10}  {alarm:<16} {level:<6} {lasted:>10}  {end}"
+                "{after:>10}{fleet} {robot:>10}  {alarm:<16} {level:<6} {lasted:>10}  {end}"
             )?;
         }
         for episode in &self.alarms {
@@ -181,17 +193,59 @@ impl fmt::Display for AlarmsReport {
                 .lasted_s
                 .map_or(String::new(), |s| Lasted(s).to_string());
             let Episode {
+                fleet,
                 robot,
                 alarm,
                 level,
                 end,
                 ..
             } = episode;
+            let fleet = fleet_column(fleet);
             writeln!(
                 out,
-                "{after_s:>10.2} {robot:>10}  {alarm:<16} {level:<6} {lasted:>10}  {end}"
+                "{after_s:>10.2}{fleet} {robot:>10}  {alarm:<16} {level:<6} {lasted:>10}  {end}"
             )?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn text(fleets: &[&str]) -> String {
+        let episode = |(place, fleet): (usize, &&str)| Episode {
+            fleet: (*fleet).to_owned(),
+            robot: 7,
+            alarm: "NoData",
+            level: "stale",
+            raised_ns: place as u64 * 1_000_000_000,
+            lasted_s: None,
+            end: "raised",
+        };
+        let report = AlarmsReport {
+            alarms: fleets.iter().enumerate().map(episode).collect(),
+            fleets: fleets.iter().map(ToString::to_string).collect(),
+            ticks: 2,
+            ticks_missed: 0,
+            damage: Vec::new(),
+            from_ns: Some(0),
+            to_ns: Some(1),
+        };
+        report.to_string()
+    }
+
+    #[test]
+    fn robots_of_several_fleets_can_be_told_apart() {
+        let words =
+            |line: &str| -> Vec<String> { line.split_whitespace().map(str::to_owned).collect() };
+        let both = text(&["hall", "warehouse"]);
+        let lines: Vec<Vec<String>> = both.lines().skip(1).map(words).collect();
+        assert_eq!(lines[0][2..4], ["fleet", "robot"], "{both}");
+        assert_eq!(lines[1][1..3], ["hall", "7"], "{both}");
+        assert_eq!(lines[2][1..3], ["warehouse", "7"], "{both}");
+        let one = text(&["hall"]);
+        assert!(!one.contains("hall") && !one.contains("fleet"), "{one}");
     }
 }
