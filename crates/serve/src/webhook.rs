@@ -5,9 +5,9 @@
 
 use std::path::Path;
 use std::str::FromStr;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, OnceLock};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -55,18 +55,37 @@ pub(crate) struct WebhookReport {
 /// The running threads.
 pub(crate) struct Webhook {
     host: String,
-    stop: Arc<AtomicBool>,
-    lost: Arc<AtomicU64>,
+    shared: Arc<Shared>,
     reading: JoinHandle<anyhow::Result<()>>,
-    sending: JoinHandle<Sent>,
+    sending: JoinHandle<()>,
 }
 
-/// What the sending thread did.
+/// What the threads share.
 #[derive(Debug, Default)]
-struct Sent {
-    told: u64,
-    failed: u64,
-    lost: u64,
+struct Shared {
+    /// When what waits is given up; set when the program ends.
+    end_by: OnceLock<Instant>,
+    /// Changes seen. Those that are not told are lost.
+    changes: AtomicU64,
+    told: AtomicU64,
+    failed: AtomicU64,
+    /// Ticks without diagnostics.
+    ticks_missed: AtomicU64,
+}
+
+impl Shared {
+    /// Time that the next request may take; none when it is too late for one.
+    fn limit(&self, now: Instant) -> Option<Duration> {
+        let Some(end_by) = self.end_by.get() else {
+            return Some(REQUEST_LIMIT);
+        };
+        let left = end_by.saturating_duration_since(now);
+        (!left.is_zero()).then(|| left.min(REQUEST_LIMIT))
+    }
+
+    fn is_late(&self) -> bool {
+        self.limit(Instant::now()).is_none()
+    }
 }
 
 impl Webhook {
@@ -86,16 +105,16 @@ impl Webhook {
         let agent = agent(roots.map_err(wrong)?);
         let host = address.host().unwrap_or_default().to_owned();
         let (records, waiting) = sync_channel(MOST_WAITING);
-        let (stop, lost) = (Arc::<AtomicBool>::default(), Arc::<AtomicU64>::default());
+        let shared = Arc::<Shared>::default();
         let (ready, opened) = sync_channel(1);
         let reading = {
-            let (config, stop, lost) = (config.clone(), Arc::clone(&stop), Arc::clone(&lost));
+            let (config, shared) = (config.clone(), Arc::clone(&shared));
             let thread = thread::Builder::new().name("joulebus-alarms".to_owned());
             thread.spawn(move || {
                 let alarms = FleetAlarms::with_config(&config, "webhook")?;
                 // The caller waits for it.
                 let _ = ready.send(());
-                read(alarms, config.fleet(), &records, &stop, &lost)
+                read(alarms, config.fleet(), &records, &shared)
             })?
         };
         if opened.recv().is_err() {
@@ -106,14 +125,13 @@ impl Webhook {
                 .err()
                 .unwrap_or_else(|| anyhow!("--webhook ended at its start")));
         }
-        let (fleet, ends) = (config.fleet().to_owned(), Arc::clone(&stop));
+        let (fleet, inside) = (config.fleet().to_owned(), Arc::clone(&shared));
         let thread = thread::Builder::new().name("joulebus-webhook".to_owned());
         let sending =
-            thread.spawn(move || Sending::new(fleet, address, agent, ends).run(&waiting))?;
+            thread.spawn(move || Sending::new(fleet, address, agent, inside).run(&waiting))?;
         Ok(Self {
             host,
-            stop,
-            lost,
+            shared,
             reading,
             sending,
         })
@@ -134,16 +152,27 @@ impl Webhook {
     /// # Errors
     /// What ended it.
     pub(crate) fn finish(self) -> anyhow::Result<WebhookReport> {
-        self.stop.store(true, Ordering::Relaxed);
+        let shared = &self.shared;
+        // Nobody else sets it.
+        let _ = shared.end_by.set(Instant::now() + END_LIMIT);
         let panicked = || anyhow!("a thread of --webhook panicked");
         let read = self.reading.join().map_err(|_| panicked())?;
-        let sent = self.sending.join().map_err(|_| panicked())?;
+        while !self.sending.is_finished() && !shared.is_late() {
+            thread::sleep(LOOK_EVERY);
+        }
+        // Otherwise it waits for the answer to a request that was sent before the end; it ends with the process.
+        if self.sending.is_finished() {
+            self.sending.join().map_err(|_| panicked())?;
+        }
         read?;
+        let count = |count: &AtomicU64| count.load(Ordering::Relaxed);
+        let told = count(&shared.told);
+        let untold = count(&shared.changes).saturating_sub(told);
         Ok(WebhookReport {
             host: self.host,
-            told: sent.told,
-            failed: sent.failed,
-            lost: sent.lost + self.lost.load(Ordering::Relaxed),
+            told,
+            failed: count(&shared.failed),
+            lost: untold + count(&shared.ticks_missed),
         })
     }
 }
@@ -190,7 +219,6 @@ fn certificates(path: &Path) -> anyhow::Result<RootCerts> {
 /// What sends requests.
 fn agent(roots: RootCerts) -> Agent {
     let config = Agent::config_builder()
-        .timeout_global(Some(REQUEST_LIMIT))
         // To another host the address would be told.
         .max_redirects(0)
         .max_redirects_will_error(false)
@@ -206,19 +234,19 @@ fn read(
     mut alarms: FleetAlarms,
     fleet: &str,
     records: &SyncSender<AlarmRecord>,
-    stop: &AtomicBool,
-    lost: &AtomicU64,
+    shared: &Shared,
 ) -> anyhow::Result<()> {
     let clock = Clock::now();
-    while !stop.load(Ordering::Relaxed) {
+    while shared.end_by.get().is_none() {
         alarms.wait(|change| {
             let record = AlarmRecord::new(fleet, &change, clock.unix_ns(change.at_ns));
-            if let Err(TrySendError::Full(_)) = records.try_send(record) {
-                lost.fetch_add(1, Ordering::Relaxed);
-            }
+            shared.changes.fetch_add(1, Ordering::Relaxed);
+            // Without room it is not told.
+            let _ = records.try_send(record);
         })?;
     }
-    lost.fetch_add(alarms.history().ticks_missed(), Ordering::Relaxed);
+    let missed = alarms.history().ticks_missed();
+    shared.ticks_missed.store(missed, Ordering::Relaxed);
     Ok(())
 }
 
@@ -242,32 +270,27 @@ struct Sending {
     fleet: String,
     address: Uri,
     agent: Agent,
-    stop: Arc<AtomicBool>,
-    /// When what waits is given up, once it has to end.
-    end_by: Option<Instant>,
-    sent: Sent,
+    shared: Arc<Shared>,
 }
 
 impl Sending {
-    fn new(fleet: String, address: Uri, agent: Agent, stop: Arc<AtomicBool>) -> Self {
+    const fn new(fleet: String, address: Uri, agent: Agent, shared: Arc<Shared>) -> Self {
         Self {
             fleet,
             address,
             agent,
-            stop,
-            end_by: None,
-            sent: Sent::default(),
+            shared,
         }
     }
 
-    /// Sends until the reader has ended and nothing waits.
-    fn run(mut self, waiting: &Receiver<AlarmRecord>) -> Sent {
+    /// Sends until the reader has ended and nothing waits, or the time is over.
+    fn run(self, waiting: &Receiver<AlarmRecord>) {
         let mut changes = Vec::new();
         loop {
             match waiting.recv_timeout(LOOK_EVERY) {
                 Ok(change) => changes.push(change),
                 Err(RecvTimeoutError::Timeout) => continue,
-                Err(RecvTimeoutError::Disconnected) => return self.sent,
+                Err(RecvTimeoutError::Disconnected) => return,
             }
             while changes.len() < MOST_TOLD
                 && let Ok(change) = waiting.try_recv()
@@ -280,18 +303,17 @@ impl Sending {
     }
 
     /// Sends changes until the receiver has taken or refused them, or the time is over.
-    fn tell(&mut self, changes: &[AlarmRecord]) {
+    fn tell(&self, changes: &[AlarmRecord]) {
         let count = changes.len() as u64;
         let mut pause = AGAIN.0;
-        loop {
-            let why = match self.send(changes) {
+        while let Some(limit) = self.shared.limit(Instant::now()) {
+            let why = match self.send(changes, limit) {
                 Answer::Taken => {
-                    self.sent.told += count;
+                    self.shared.told.fetch_add(count, Ordering::Relaxed);
                     return;
                 }
                 Answer::Refused(why) => {
-                    self.sent.failed += 1;
-                    self.sent.lost += count;
+                    self.shared.failed.fetch_add(1, Ordering::Relaxed);
                     tracing::warn!(
                         changes = count,
                         "--webhook: refused, and not sent again: {why}"
@@ -300,7 +322,7 @@ impl Sending {
                 }
                 Answer::Later(why) => why,
             };
-            self.sent.failed += 1;
+            self.shared.failed.fetch_add(1, Ordering::Relaxed);
             let pause_s = pause.as_secs_f64();
             tracing::warn!(
                 changes = count,
@@ -308,14 +330,13 @@ impl Sending {
                 "--webhook: sent again after a pause: {why}"
             );
             if !self.pauses(pause) {
-                self.sent.lost += count;
                 return;
             }
             pause = (pause * 2).min(AGAIN.1);
         }
     }
 
-    fn send(&self, changes: &[AlarmRecord]) -> Answer {
+    fn send(&self, changes: &[AlarmRecord], limit: Duration) -> Answer {
         let body = Body {
             fleet: &self.fleet,
             changes,
@@ -324,7 +345,8 @@ impl Sending {
             Ok(bytes) => bytes,
             Err(error) => return Answer::Refused(error.to_string()),
         };
-        let request = self.agent.post(&self.address);
+        let request = self.agent.post(&self.address).config();
+        let request = request.timeout_global(Some(limit)).build();
         let sent = request.content_type("application/json").send(&bytes[..]);
         match sent.map(|response| response.status()) {
             Ok(status) if status.is_success() => Answer::Taken,
@@ -339,15 +361,17 @@ impl Sending {
     }
 
     /// Waits before the next attempt. False if there is no time for one.
-    fn pauses(&mut self, pause: Duration) -> bool {
+    fn pauses(&self, pause: Duration) -> bool {
         let until = Instant::now() + pause;
         loop {
             let now = Instant::now();
-            if self.stop.load(Ordering::Relaxed) {
-                let end_by = *self.end_by.get_or_insert(now + END_LIMIT);
-                if until > end_by {
-                    return false;
-                }
+            if self
+                .shared
+                .end_by
+                .get()
+                .is_some_and(|end_by| until > *end_by)
+            {
+                return false;
             }
             if now >= until {
                 return true;
@@ -379,5 +403,44 @@ mod tests {
         ] {
             assert!(address(bad).is_err(), "{bad}");
         }
+    }
+
+    #[test]
+    fn what_waits_has_five_seconds_whatever_the_receiver_does() {
+        let (shared, now) = (Arc::<Shared>::default(), Instant::now());
+        assert_eq!(shared.limit(now), Some(REQUEST_LIMIT));
+        shared.end_by.set(now + END_LIMIT).unwrap();
+        assert_eq!(shared.limit(now), Some(END_LIMIT));
+        let seconds = Duration::from_secs;
+        assert_eq!(shared.limit(now + seconds(3)), Some(seconds(2)));
+        assert_eq!(shared.limit(now + END_LIMIT), None);
+        assert_eq!(shared.limit(now + seconds(60)), None);
+    }
+
+    #[test]
+    fn nothing_is_sent_after_the_end() {
+        // It never answers.
+        let receiver = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let to = format!("http://{}/x", receiver.local_addr().unwrap());
+        let shared = Arc::<Shared>::default();
+        shared.end_by.set(Instant::now()).unwrap();
+        let (records, waiting) = sync_channel(MOST_WAITING);
+        for number in 0..MOST_WAITING {
+            let record = AlarmRecord {
+                fleet: "lab".to_owned(),
+                stamp_ns: number as u64,
+                robot: Some(1),
+                alarm: "NoData",
+                level: "stale",
+                change: "raised",
+                lasted_s: None,
+            };
+            records.send(record).unwrap();
+        }
+        drop(records);
+        let (agent, to) = (agent(RootCerts::WebPki), address(&to).unwrap());
+        Sending::new("lab".to_owned(), to, agent, Arc::clone(&shared)).run(&waiting);
+        receiver.set_nonblocking(true).unwrap();
+        assert!(receiver.accept().is_err(), "a request was sent");
     }
 }

@@ -6,7 +6,7 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::process::Command;
 use std::sync::{Arc, Mutex};
 
-use joulebus_test_processes::{Child, eventually};
+use joulebus_test_processes::{Child, PATIENCE, eventually};
 use rustix::process::Signal;
 use rustls::pki_types::pem::PemObject as _;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
@@ -323,4 +323,30 @@ fn a_file_without_certificates_is_refused() {
         ended.errors().contains("no certificate is in it"),
         "{ended:?}"
     );
+}
+
+#[test]
+fn a_receiver_that_never_answers_does_not_hold_up_the_end() {
+    let fleet = Fleet::new();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let to = format!("http://{}/x", listener.local_addr().unwrap());
+    let (accepted, requests) = std::sync::mpsc::channel();
+    std::thread::spawn(move || {
+        for stream in listener.incoming() {
+            // The test may have ended.
+            let _ = accepted.send(stream);
+        }
+    });
+    let mut worker = fleet.worker();
+    let mut server = serve(&fleet, &to);
+    publish(&fleet);
+    let _first = requests.recv_timeout(PATIENCE).unwrap();
+    let ended = server.end();
+    assert_eq!(ended.code(), Some(3), "{ended:?}");
+    let report: Value = serde_json::from_str(&ended.text()).unwrap();
+    assert_eq!(report["webhook"]["told"], 0, "{report}");
+    assert!(report["webhook"]["lost"].as_u64().unwrap() > 0, "{report}");
+    // Its request has 10 s; had the server waited for it, it would have sent it again.
+    assert!(requests.try_recv().is_err(), "sent again");
+    worker.stop();
 }
