@@ -24,6 +24,8 @@ let state = address.read(location.search);
 let link = { state: "connecting" };
 let messageAt = null;
 let drawing = null;
+/** Ends the questions of a tab that is not visible. */
+let hidden = null;
 
 const byId = (id) => document.getElementById(id);
 const fleetField = (name) => document.querySelector(`[data-fleet="${name}"]`);
@@ -65,28 +67,43 @@ function connect() {
 
 /** A browser keeps few connections to one host: a tab that is not visible gives its stream back and only asks for sums. */
 function showOrHide() {
+  hidden?.abort();
+  hidden = null;
   if (!document.hidden) {
     connect();
     return;
   }
   stream.close();
-  askForSums();
+  hidden = new AbortController();
+  askWhileHidden(hidden.signal);
 }
 
-async function askForSums() {
-  if (!document.hidden) return;
-  try {
-    const answer = await fetch("/api/v1/fleet", { cache: "no-store" });
-    if (answer.ok && document.hidden) {
-      board.fleet = await answer.json();
-      messageAt = performance.now();
-      link = { state: "open" };
-      showTotals();
-    }
-  } catch {
-    // Said when the tab is visible again and its stream cannot be opened.
+async function askWhileHidden(signal) {
+  while (!signal.aborted) {
+    await askForSums(signal);
+    await new Promise((resolve) => setTimeout(resolve, HIDDEN_EVERY_MS));
   }
-  setTimeout(askForSums, HIDDEN_EVERY_MS);
+}
+
+async function askForSums(signal) {
+  const closed = (status, reason) => ({ state: "closed", status, reason, retryAt: performance.now() + HIDDEN_EVERY_MS });
+  let next;
+  try {
+    const answer = await fetch("/api/v1/fleet", { cache: "no-store", signal });
+    const fleet = answer.ok ? await answer.json() : null;
+    if (signal.aborted) return;
+    if (fleet !== null) {
+      board.fleet = fleet;
+      messageAt = performance.now();
+    }
+    next = fleet === null ? closed(answer.status, `the server answers ${answer.status}`) : { state: "open" };
+  } catch {
+    if (signal.aborted) return;
+    next = closed(undefined, "no connection to the server");
+  }
+  link = next;
+  if (board.fleet !== null) showTotals();
+  showStatus();
 }
 
 /** Changes what is shown; the address follows, so that Back and a link work. */
@@ -186,7 +203,13 @@ function showTotals() {
   const matched = filtered ? `${format.count(board.matched)} of ${format.count(board.total)}` : "";
   if (byId("matched").textContent !== matched) byId("matched").textContent = matched;
   byId("empty").textContent = filtered ? "No robot matches. Escape in the search field clears it." : "No robots yet.";
-  const title = `${totals.alarms > 0 ? `(${totals.alarms}) ` : ""}${fleet.fleet} – joulebus`;
+}
+
+/** Alarms, what is wrong with worker or connection, and the fleet: what a tab shows that is not visible. */
+function showTitle(state, text) {
+  const alarms = board.fleet?.totals.alarms ?? 0;
+  const parts = [state === "gone" || state === "stale" ? text : "", board.fleet?.fleet ?? "", "joulebus"];
+  const title = `${alarms > 0 ? `(${alarms}) ` : ""}${parts.filter((part) => part !== "").join(" – ")}`;
   if (document.title !== title) document.title = title;
 }
 
@@ -212,7 +235,8 @@ function workerCondition(worker, silentMs, old) {
   if (worker.state === "gone") return { state: "gone", text: "Worker gone", banner: `The worker is gone${reason} ${lasting}` };
   if (worker.state === "waiting") return { state: "stale", text: "Waiting for a worker", banner: `No worker yet${reason}` };
   if (worker.state === "stale" && ageS >= WORKER_STALE_AFTER_S) return { state: "stale", text: "Stale", banner: `The worker sends nothing${reason} ${lasting}` };
-  if (silentMs > STALE_AFTER_MS) return { state: "stale", text: "Stale", banner: `Nothing from the server.${old}` };
+  // Browsers let a tab that is not visible ask once a minute.
+  if (silentMs > STALE_AFTER_MS && !document.hidden) return { state: "stale", text: "Stale", banner: `Nothing from the server.${old}` };
   return { state: "live", text: "Live", banner: "" };
 }
 
@@ -223,6 +247,7 @@ function showStatus() {
   const label = status.querySelector("[data-status]");
   if (label.textContent !== text) label.textContent = text;
   showBanner(name, text, banner);
+  showTitle(name, text);
   document.body.dataset.aged = String(name === "gone" || name === "stale");
   if (board.fleet) workerView.say(board.fleet.worker.state, banner || "Alive");
 }
