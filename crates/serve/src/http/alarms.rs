@@ -85,3 +85,31 @@ impl AlarmLog {
         Arc::clone(&self.newest)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use joulebus_wire::Alarm;
+
+    /// What `page/alarms.js` orders alarms by.
+    #[test]
+    fn the_page_knows_the_level_of_each_alarm() {
+        let page = include_str!("../../page/alarms.js");
+        let (_, table) = page.split_once("const LEVELS = {").unwrap_or_default();
+        let (table, _) = table.split_once("};").unwrap_or_default();
+        let entries: Vec<(&str, &str)> = table
+            .split(',')
+            .filter_map(|entry| entry.split_once(':'))
+            .map(|(alarm, level)| (alarm.trim(), level.trim().trim_matches('"')))
+            .collect();
+        assert!(!entries.is_empty(), "{page}");
+        for alarm in Alarm::ALL {
+            let found = entries.iter().find(|(name, _)| *name == alarm.name());
+            let level = found.map_or("warn", |(_, level)| level);
+            assert_eq!(level, alarm.level().name(), "{}", alarm.name());
+        }
+        let is_known = |name: &str| Alarm::ALL.iter().any(|alarm| alarm.name() == name);
+        for (name, _) in entries {
+            assert!(is_known(name), "{name} is no alarm");
+        }
+    }
+}
