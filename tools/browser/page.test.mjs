@@ -217,6 +217,15 @@ describe("a fleet of 20 robots", () => {
     });
   }
 
+  test("a screen reader hears a robot's level on a phone", async () => {
+    await withPage(server.url, { viewport: PHONE }, async (page) => {
+      await live(page);
+      const row = page.locator(`#robot-${FAULTY}`);
+      await row.locator(".brief", { hasText: "StuckSensor" }).waitFor();
+      assert.match(await row.locator(".c-level").ariaSnapshot(), /error/);
+    });
+  });
+
   test("every file of the page is served from memory, under a policy that admits nothing from elsewhere", async () => {
     const folder = join(ROOT, "crates/serve/page");
     const files = readdirSync(folder, { recursive: true, withFileTypes: true }).filter((entry) => entry.isFile());
@@ -245,6 +254,46 @@ describe("a fleet of 20 robots", () => {
       }
     }
     assert.ok(named > 30);
+  });
+
+  test("a tab that is not visible asks every two seconds, and its title tells of a worker and a server that are gone", async () => {
+    await withPage(server.url, { expected: LOST }, async (page) => {
+      await live(page);
+      await page.evaluate(() => {
+        globalThis.isHidden = false;
+        Object.defineProperty(document, "hidden", { configurable: true, get: () => globalThis.isHidden });
+        globalThis.setHidden = (value) => {
+          globalThis.isHidden = value;
+          document.dispatchEvent(new Event("visibilitychange"));
+        };
+        globalThis.askedMs = [];
+        const { fetch } = globalThis;
+        globalThis.fetch = (url, ...more) => {
+          if (url === "/api/v1/fleet") globalThis.askedMs.push(performance.now());
+          return fetch(url, ...more);
+        };
+        for (let turn = 0; turn < 5; turn += 1) {
+          globalThis.setHidden(true);
+          globalThis.setHidden(false);
+        }
+        globalThis.askedMs = [];
+        globalThis.setHidden(true);
+      });
+      await page.waitForFunction(() => globalThis.askedMs.length >= 4);
+      const askedMs = await page.evaluate(() => globalThis.askedMs);
+      const pausesMs = askedMs.slice(1).map((at, place) => at - askedMs[place]);
+      // A timer may be late, and is never early.
+      assert.ok(pausesMs.every((pause) => pause > 1_900), String(pausesMs));
+      await worker.stop("SIGKILL");
+      await page.waitForFunction(() => document.title.includes("Worker gone"));
+      await server.stop("SIGKILL");
+      await page.waitForFunction(() => document.title.includes("Disconnected"));
+      server = await fleet.serve(server.port);
+      worker = await fleet.worker();
+      await page.waitForFunction(() => /^(\(\d+\) )?page – joulebus$/.test(document.title));
+      await page.evaluate(() => globalThis.setHidden(false));
+      await live(page);
+    });
   });
 
   test("a killed worker is gone on the page, with the last values kept, and back without a reload", async () => {
@@ -338,7 +387,8 @@ for (const robots of [1_000, 10_000]) {
           const { thread, process: all } = await processorShare(page, 5);
           const share = (value) => `${(value * 100).toFixed(1)} %`;
           console.log(`${robots} robots, ${view}: main thread ${share(thread)}, browser process of the page ${share(all)} of a core`);
-          assert.ok(thread > 0 && all > 0);
+          assert.ok((await page.locator("#grid tbody tr[id]").count()) > 0);
+          await live(page);
         });
       }
     } finally {
