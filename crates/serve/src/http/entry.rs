@@ -16,6 +16,8 @@ pub(super) struct Entry {
     /// Place in the names of platforms.
     pub(super) platform: Option<usize>,
     pub(super) newest: Newest,
+    /// Energy that it has consumed, as far as this program has seen its ledgers, µJ; it does not fall.
+    pub(super) consumed_uj: Option<u64>,
     /// As JSON, once it is needed.
     pub(super) record: OnceLock<Arc<Object>>,
 }

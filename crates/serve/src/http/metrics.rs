@@ -278,19 +278,15 @@ impl Metrics {
 fn consumed(encoder: &mut DescriptorEncoder, robots: &[Entry]) -> fmt::Result {
     let mut metric = encoder.encode_descriptor(
         "joulebus_consumed",
-        "Energy that the robot's ledger has counted",
+        "Energy consumed by the robot, as its ledgers count it",
         Some(&Unit::Joules),
         MetricType::Counter,
     )?;
     for entry in robots {
-        let ledger = entry
-            .newest
-            .budget
-            .filter(|budget| budget.flags & budget_flag::LEDGER != 0);
-        if let Some(budget) = ledger {
-            let (labels, drawn_j) = (of(entry), budget.drawn_j().max(0.0));
+        if let Some(consumed_uj) = entry.consumed_uj {
+            let (labels, consumed_j) = (of(entry), consumed_uj as f64 * 1e-6);
             let mut series = metric.encode_family(&labels)?;
-            series.encode_counter::<NoLabelSet, f64, f64>(&drawn_j, None)?;
+            series.encode_counter::<NoLabelSet, f64, f64>(&consumed_j, None)?;
         }
     }
     Ok(())

@@ -168,7 +168,7 @@ impl Work {
             &board,
             FleetRecord::of(&board, &around),
             alarms.newest(),
-            accumulator.add(&board),
+            &mut accumulator,
             now_ns,
             Arc::clone(&platforms),
         );
@@ -239,7 +239,7 @@ impl Work {
             &board,
             FleetRecord::of(&board, &around),
             self.alarms.newest(),
-            self.accumulator.add(&board),
+            &mut self.accumulator,
             now_ns,
             Arc::clone(&self.platforms),
         );

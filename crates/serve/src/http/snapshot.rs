@@ -10,7 +10,8 @@ use serde_json::Value;
 use super::alarms::Alarms;
 use super::entry::{Entry, Object};
 use super::fleet::FleetRecord;
-use super::totals::Accumulated;
+use super::totals::{Accumulated, Accumulator};
+
 
 #[derive(Serialize)]
 struct ShownRecord<'a> {
@@ -43,14 +44,16 @@ impl Snapshot {
         board: &Board,
         fleet: FleetRecord,
         alarms: Arc<Alarms>,
-        accumulated: Accumulated,
+        accumulator: &mut Accumulator,
         at_ns: u64,
         platforms: Arc<Platforms>,
     ) -> Self {
+        let accumulated = accumulator.add(board);
         let rows = board.rows.iter().map(|(robot, row)| Entry {
             robot: *robot,
             platform: platforms.of_robot(*robot),
             newest: row.newest(),
+            consumed_uj: accumulator.consumed_uj(*robot),
             record: OnceLock::new(),
         });
         let levels = board.rows.iter().flat_map(|(robot, row)| {

@@ -29,6 +29,8 @@ struct Ledger {
     metered_ns: u64,
     /// The most that it has counted, µJ: energy given back is no consumption.
     most_uj: i64,
+    /// By this ledger and those before it, µJ.
+    consumed_uj: u64,
 }
 
 /// Adds up what ledgers count, which begin again at 0 with another ledger.
@@ -42,6 +44,7 @@ pub(super) struct Accumulator {
 }
 
 impl Accumulator {
+    /// Adds what a board has; [`Accumulator::consumed_uj`] is up to date afterwards.
     pub(super) fn add(&mut self, board: &Board) -> Accumulated {
         for (robot, row) in &board.rows {
             let ledger = row
@@ -73,16 +76,26 @@ impl Accumulator {
         let ledger = self.ledgers.entry(robot).or_default();
         if metered_ns < ledger.metered_ns {
             // Another ledger.
-            *ledger = Ledger::default();
+            ledger.most_uj = 0;
         }
         let more_uj = drawn_uj.saturating_sub(ledger.most_uj).max(0);
         ledger.metered_ns = metered_ns;
         ledger.most_uj += more_uj;
-        self.consumed_uj = self.consumed_uj.saturating_add(more_uj.unsigned_abs());
+        let more_uj = more_uj.unsigned_abs();
+        ledger.consumed_uj = ledger.consumed_uj.saturating_add(more_uj);
+        self.consumed_uj = self.consumed_uj.saturating_add(more_uj);
+    }
+
+    /// Energy that a robot has consumed, µJ, if it has or had a ledger.
+    pub(super) fn consumed_uj(&self, robot: u32) -> Option<u64> {
+        Some(self.ledgers.get(&robot)?.consumed_uj)
     }
 
     fn queried(&mut self, newest: QueryCounts) -> QueryCounts {
-        if newest.answered < self.queries.answered {
+        let mut counts = newest.refused.iter().zip(&self.queries.refused);
+        let is_another = newest.answered < self.queries.answered
+            || counts.any(|(newest, before)| newest < before);
+        if is_another {
             self.queries_before = sum(self.queries_before, self.queries);
         }
         self.queries = newest;
@@ -105,20 +118,22 @@ mod tests {
     #[test]
     fn a_ledger_that_begins_again_adds_what_it_counts() {
         let mut accumulator = Accumulator::default();
-        for (robot, metered_ns, drawn_uj, total_uj) in [
-            (1, 100, 10, 10),
-            (2, 100, 5, 15),
-            (1, 200, 12, 17),
+        for (robot, metered_ns, drawn_uj, its_uj, total_uj) in [
+            (1, 100, 10, 10, 10),
+            (2, 100, 5, 5, 15),
+            (1, 200, 12, 12, 17),
             // Gives 2 µJ back, and takes 3.
-            (1, 300, 10, 17),
-            (1, 400, 13, 18),
-            (1, 50, 3, 21),
-            (2, 200, 6, 22),
-            (3, 10, -5, 22),
+            (1, 300, 10, 12, 17),
+            (1, 400, 13, 13, 18),
+            (1, 50, 3, 16, 21),
+            (2, 200, 6, 6, 22),
+            (3, 10, -5, 0, 22),
         ] {
             accumulator.drawn(robot, metered_ns, drawn_uj);
+            assert_eq!(accumulator.consumed_uj(robot), Some(its_uj));
             assert_eq!(accumulator.consumed_uj, total_uj);
         }
+        assert_eq!(accumulator.consumed_uj(4), None);
     }
 
     #[test]
@@ -130,6 +145,21 @@ mod tests {
                 ..QueryCounts::default()
             };
             assert_eq!(accumulator.queried(counts).answered, total);
+        }
+    }
+
+    #[test]
+    fn refusals_do_not_fall_when_a_worker_that_answered_nothing_is_restarted() {
+        let mut accumulator = Accumulator::default();
+        for (full, late, expected) in [
+            (2, 0, [2, 0]),
+            (5, 1, [5, 1]),
+            (0, 0, [5, 1]),
+            (1, 3, [6, 4]),
+        ] {
+            let mut counts = QueryCounts::default();
+            counts.refused[..2].copy_from_slice(&[full, late]);
+            assert_eq!(accumulator.queried(counts).refused[..2], expected);
         }
     }
 }
