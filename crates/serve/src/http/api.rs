@@ -12,6 +12,7 @@ use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse as _, Response};
 use axum::routing::{get, post};
 use futures_util::stream;
+use joulebus_bus::clock;
 use joulebus_config::Config;
 use joulebus_models::load_models;
 use joulebus_plan::{
@@ -141,19 +142,20 @@ async fn file(uri: Uri, headers: HeaderMap) -> Answer {
 }
 
 async fn ready(State(app): State<Arc<App>>) -> Answer {
-    let snapshot = app.newest();
-    let worker = &snapshot.fleet.worker;
-    match &worker.reason {
+    match app.newest().why_not_up(clock::monotonic_ns()) {
         None => Ok("ready\n".into_response()),
-        Some(reason) => Err(ApiError::busy(format!(
-            "the worker is {}: {reason}",
-            worker.state
-        ))),
+        Some(why) => Err(ApiError::busy(why)),
     }
 }
 
 async fn metrics_text(State(app): State<Arc<App>>) -> Answer {
-    let text = metrics::text(&app.newest(), app.config.fleet(), app.metrics_robots);
+    let now_ns = clock::monotonic_ns();
+    let text = metrics::text(
+        &app.newest(),
+        now_ns,
+        app.config.fleet(),
+        app.metrics_robots,
+    );
     let text =
         text.map_err(|error| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))?;
     Ok(typed(metrics::KIND, text))

@@ -18,9 +18,10 @@ use super::snapshot::Snapshot;
 /// The type of the text.
 pub(super) const KIND: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// The text; series of at most `most_robots` robots, those with the smallest ids.
+/// The text at `now_ns` (monotonic); series of at most `most_robots` robots, those with the smallest ids.
 pub(super) fn text(
     snapshot: &Arc<Snapshot>,
+    now_ns: u64,
     fleet: &str,
     most_robots: usize,
 ) -> Result<String, fmt::Error> {
@@ -28,6 +29,7 @@ pub(super) fn text(
         Registry::with_labels([("fleet".into(), fleet.to_owned().into())].into_iter());
     registry.register_collector(Box::new(Metrics {
         snapshot: Arc::clone(snapshot),
+        now_ns,
         most_robots,
     }));
     let mut text = String::new();
@@ -38,6 +40,7 @@ pub(super) fn text(
 #[derive(Debug)]
 struct Metrics {
     snapshot: Arc<Snapshot>,
+    now_ns: u64,
     most_robots: usize,
 }
 
@@ -60,7 +63,7 @@ impl Metrics {
         let mut info =
             encoder.encode_descriptor("joulebus_build", "This program", None, MetricType::Info)?;
         info.encode_info(&vec![("version", env!("CARGO_PKG_VERSION"))])?;
-        let up = self.snapshot.fleet.worker.state == "alive";
+        let up = self.snapshot.why_not_up(self.now_ns).is_none();
         gauge(
             encoder,
             "joulebus_worker_up",
@@ -214,7 +217,7 @@ impl Metrics {
             Some(&watts()),
             power,
         )?;
-        let now_ns = self.snapshot.at_ns;
+        let now_ns = self.now_ns;
         let ratio = Unit::Other("ratio".to_owned());
         let series = |value: &dyn Fn(&Entry) -> Option<f64>| -> Vec<(Labels, f64)> {
             let known = |entry| Some((of(entry), value(entry)?));
@@ -371,4 +374,46 @@ fn histogram(
     let buckets: Vec<(f64, u64)> = uppers.zip(counted.counts).collect();
     let count = counted.counts.iter().sum();
     metric.encode_histogram::<NoLabelSet>(counted.sum_ns as f64 * 1e-9, count, &buckets, None)
+}
+
+#[cfg(test)]
+mod tests {
+    use joulebus_board::{Board, Link, Platforms};
+
+    use super::super::alarms::Alarms;
+    use super::super::fleet::{Around, Distributions, FleetRecord};
+    use super::super::totals::Accumulator;
+    use super::*;
+
+    #[test]
+    fn a_worker_is_not_up_when_the_reading_thread_shows_nothing_more() {
+        let second_ns = 1_000_000_000;
+        let mut board = Board::new(0);
+        board.link = Link::Live;
+        let around = Around {
+            fleet: "lab",
+            period_ns: 33_333_333,
+            now_ns: second_ns,
+            now_unix_ns: second_ns,
+            distributions: &Distributions::default(),
+            recorders: None,
+        };
+        let snapshot = Arc::new(Snapshot::new(
+            &board,
+            FleetRecord::of(&board, &around),
+            Arc::<Alarms>::default(),
+            &mut Accumulator::default(),
+            second_ns,
+            Arc::new(Platforms::default()),
+        ));
+        for (now_ns, up) in [(second_ns, 1), (3 * second_ns, 1), (3 * second_ns + 1, 0)] {
+            let why = snapshot.why_not_up(now_ns);
+            assert_eq!(why.is_none(), up == 1, "{why:?}");
+            let text = text(&snapshot, now_ns, "lab", 0).unwrap();
+            let line = format!("joulebus_worker_up{{fleet=\"lab\"}} {up}");
+            assert!(text.contains(&line), "{now_ns}: {text}");
+        }
+        let why = snapshot.why_not_up(9 * second_ns).unwrap_or_default();
+        assert!(why.contains("for 8.0 s, 2.0 s are allowed"), "{why}");
+    }
 }

@@ -12,6 +12,8 @@ use super::entry::{Entry, Object};
 use super::fleet::FleetRecord;
 use super::totals::{Accumulated, Accumulator};
 
+/// A snapshot of this age is no news of the worker, ns: the reading thread makes ten a second.
+const OLD_NS: u64 = 2_000_000_000;
 
 #[derive(Serialize)]
 struct ShownRecord<'a> {
@@ -71,6 +73,21 @@ impl Snapshot {
             fleet_object: OnceLock::new(),
             platforms,
         }
+    }
+
+    /// Why the worker may not serve at `now_ns` (monotonic); none if its frames arrive.
+    pub(super) fn why_not_up(&self, now_ns: u64) -> Option<String> {
+        let worker = &self.fleet.worker;
+        let age_ns = now_ns.saturating_sub(self.at_ns);
+        if age_ns > OLD_NS {
+            let (age_s, old_s) = (age_ns as f64 * 1e-9, OLD_NS as f64 * 1e-9);
+            return Some(format!(
+                "the thread that reads shared memory has shown nothing for {age_s:.1} s, {old_s:.1} s are allowed: \
+                 restart this server"
+            ));
+        }
+        let reason = worker.reason.as_ref()?;
+        Some(format!("the worker is {}: {reason}", worker.state))
     }
 
     pub(super) fn platforms(&self) -> &Platforms {
