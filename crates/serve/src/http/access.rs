@@ -16,8 +16,11 @@ use super::listen::Peer;
 const MOST_FILE_BYTES: u64 = 4_096;
 /// Shortest and longest token, characters.
 const TOKEN_LENGTHS: std::ops::RangeInclusive<usize> = 16..=256;
-/// Name of the cookie that holds the token.
-pub(super) const COOKIE: &str = "joulebus_token";
+/// Name of the cookie that holds the token of a fleet's server. A browser sends the cookies of a host to all its ports, so
+/// that servers of several fleets need names of their own. A fleet's name has only letters that a cookie's may have.
+pub(super) fn cookie_name(fleet: &str) -> String {
+    format!("joulebus_token_{fleet}")
+}
 
 /// Why a token file is not used.
 #[derive(Debug, thiserror::Error)]
@@ -58,8 +61,8 @@ impl Token {
         self.0.ct_eq(found).into()
     }
 
-    /// Whether a request carries it.
-    fn is_in(&self, headers: &HeaderMap) -> bool {
+    /// Whether a request carries it, as bearer or as the cookie `cookie`.
+    fn is_in(&self, headers: &HeaderMap, cookie: &str) -> bool {
         let bearer = headers
             .get(header::AUTHORIZATION)
             .map(|value| value.as_bytes());
@@ -68,7 +71,7 @@ impl Token {
         let cookies = cookies.filter_map(|cookies| cookies.to_str().ok());
         let mut ours = cookies
             .flat_map(|cookies| cookies.split(';'))
-            .filter_map(|cookie| cookie.trim().strip_prefix(COOKIE)?.strip_prefix('='));
+            .filter_map(|found| found.trim().strip_prefix(cookie)?.strip_prefix('='));
         bearer.is_some_and(|found| self.is(found)) || ours.any(|found| self.is(found.as_bytes()))
     }
 }
@@ -76,6 +79,8 @@ impl Token {
 /// What is decided before a request is looked at.
 pub(super) struct Access {
     pub(super) token: Option<Token>,
+    /// As by [`cookie_name`].
+    pub(super) cookie: String,
     /// Names that the server may be reached by, beside addresses and localhost.
     pub(super) hosts: Vec<String>,
 }
@@ -90,7 +95,7 @@ impl Access {
         // What supervises processes has no token, and learns nothing of the fleet but whether a worker runs.
         let is_open = matches!(uri.path(), "/healthz" | "/readyz");
         match &self.token {
-            Some(token) if !is_open && !token.is_in(headers) => Err(ApiError::new(
+            Some(token) if !is_open && !token.is_in(headers, &self.cookie) => Err(ApiError::new(
                 StatusCode::UNAUTHORIZED,
                 "no token, or another one: send `Authorization: Bearer TOKEN`, or open /?token=TOKEN once",
             )),
@@ -227,6 +232,7 @@ mod tests {
     fn access(token: Option<&str>) -> Access {
         Access {
             token: token.map(|token| Token(token.into())),
+            cookie: cookie_name("1"),
             hosts: vec!["energy.example".to_owned()],
         }
     }
@@ -278,8 +284,12 @@ mod tests {
         let host = ("host", "localhost");
         for allowed in [
             ("authorization", "Bearer 0123456789abcdef"),
-            ("cookie", "joulebus_token=0123456789abcdef"),
-            ("cookie", "a=b; joulebus_token=0123456789abcdef; c=d"),
+            ("cookie", "joulebus_token_1=0123456789abcdef"),
+            (
+                "cookie",
+                "joulebus_token_2=fedcba9876543210; joulebus_token_1=0123456789abcdef",
+            ),
+            ("cookie", "a=b; joulebus_token_1=0123456789abcdef; c=d"),
         ] {
             assert_eq!(
                 status(&closed, "/metrics", &[host, allowed]),
@@ -294,9 +304,11 @@ mod tests {
             ("authorization", "Bearer "),
             ("authorization", "0123456789abcdef"),
             ("authorization", "Basic 0123456789abcdef"),
-            ("cookie", "joulebus_token="),
-            ("cookie", "xjoulebus_token=0123456789abcdef"),
-            ("cookie", "joulebus_token=0123456789abcdef0"),
+            ("cookie", "joulebus_token_1="),
+            // Another fleet's.
+            ("cookie", "joulebus_token_2=0123456789abcdef"),
+            ("cookie", "xjoulebus_token_1=0123456789abcdef"),
+            ("cookie", "joulebus_token_1=0123456789abcdef0"),
         ] {
             assert_eq!(
                 status(&closed, "/", &[host, refused]),

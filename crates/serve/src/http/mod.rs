@@ -50,7 +50,7 @@ use serde::Serialize;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::sync::{Notify, watch};
 
-use access::{Access, COOKIE, Rates, Token};
+use access::{Access, Rates, Token, cookie_name};
 use api::App;
 use connections::{Busy, Connection, Connections, Marked, Place, Watched};
 use error::ApiError;
@@ -154,6 +154,7 @@ impl HttpServer {
             app,
             access: Access {
                 token,
+                cookie: cookie_name(config.fleet()),
                 hosts: options.allow_host.clone(),
             },
             rates: Mutex::default(),
@@ -363,7 +364,8 @@ impl Shared {
             return self.access.check(uri, headers).map(|()| None);
         };
         self.access.check_host(headers)?;
-        let cookie = format!("{COOKIE}={token}; HttpOnly; SameSite=Strict; Path=/");
+        let name = &self.access.cookie;
+        let cookie = format!("{name}={token}; HttpOnly; SameSite=Strict; Path=/");
         let headers = [
             (header::LOCATION, "/"),
             (header::SET_COOKIE, cookie.as_str()),
