@@ -7,36 +7,32 @@ use std::time::Duration;
 
 use axum::Router;
 use axum::body::{Body, Bytes};
-use axum::extract::{Path, Request, State};
+use axum::extract::{Extension, Path, Request, State};
 use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse as _, Response};
 use axum::routing::{get, post};
 use futures_util::stream;
 use joulebus_bus::clock;
 use joulebus_config::Config;
-use joulebus_models::load_models;
-use joulebus_plan::{
-    AnswerReport, AnswersReport, Fleet, Question, QuestionError, Reply, RobotRows,
-};
+use joulebus_plan::Question;
 use serde::Serialize;
-use tokio::sync::{OnceCell, OwnedSemaphorePermit, Semaphore, oneshot, watch};
+use tokio::sync::{oneshot, watch};
 use tokio::time::{Instant, MissedTickBehavior, interval_at, timeout};
 
 use super::entry::Object;
 use super::error::{ApiError, json, typed};
+use super::listen::Peer;
 use super::metrics;
 use super::page;
 use super::plan_rows::RowsError;
+use super::questions::{Questions, report};
 use super::reader::Ask;
 use super::snapshot::Snapshot;
 use super::stream::Client;
+use super::stream_places::{StreamPlace, StreamPlaces};
 use super::view::View;
-use super::what_if::{Asked, MOST_STEPS};
+use super::what_if::Asked;
 
-/// Most streams at once.
-const MOST_STREAMS: usize = 128;
-/// Questions about plans that may be computed or wait.
-const MOST_QUESTIONS: usize = 4;
 /// Largest body of a request, bytes.
 const MOST_BODY_BYTES: usize = 1 << 20;
 /// A request's body must have arrived within this time.
@@ -57,10 +53,8 @@ pub(super) struct App {
     pub(super) metrics_robots: usize,
     /// Messages sent on streams.
     pub(super) messages: AtomicU64,
-    streams: Arc<Semaphore>,
-    questions: Arc<Semaphore>,
-    /// Models are loaded at the first question.
-    plans: OnceCell<Arc<Fleet>>,
+    streams: Arc<StreamPlaces>,
+    questions: Questions,
 }
 
 impl App {
@@ -76,9 +70,8 @@ impl App {
             asks,
             metrics_robots,
             messages: AtomicU64::new(0),
-            streams: Arc::new(Semaphore::new(MOST_STREAMS)),
-            questions: Arc::new(Semaphore::new(MOST_QUESTIONS)),
-            plans: OnceCell::new(),
+            streams: Arc::default(),
+            questions: Questions::new(),
         }
     }
 
@@ -247,10 +240,10 @@ struct Flow {
     ticks: tokio::time::Interval,
     shown: Option<Arc<Snapshot>>,
     sent: Instant,
-    _place: OwnedSemaphorePermit,
+    _place: StreamPlace,
 }
 
-async fn stream(State(app): State<Arc<App>>, uri: Uri) -> Answer {
+async fn stream(State(app): State<Arc<App>>, Extension(peer): Extension<Peer>, uri: Uri) -> Answer {
     let (mut view, mut robot, mut hz) = (View::default(), None, USUAL_HZ);
     for (name, value) in parameters(&uri) {
         match name.as_str() {
@@ -263,12 +256,7 @@ async fn stream(State(app): State<Arc<App>>, uri: Uri) -> Answer {
             _ => return Err(unknown_parameter(&name)),
         }
     }
-    let place = Arc::clone(&app.streams).try_acquire_owned();
-    let place = place.map_err(|_| {
-        ApiError::busy(format!(
-            "{MOST_STREAMS} streams are open: close one, or ask later"
-        ))
-    })?;
+    let place = app.streams.enter(peer)?;
     let now = Instant::now();
     let mut ticks = interval_at(now, Duration::from_secs_f64(1.0 / hz));
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -316,28 +304,16 @@ impl Flow {
 
 async fn what_if(State(app): State<Arc<App>>, request: Request) -> Answer {
     let question = question(request).await?;
-    let place = Arc::clone(&app.questions).try_acquire_owned();
-    let _place = place.map_err(|_| {
-        ApiError::busy(format!(
-            "{MOST_QUESTIONS} questions are being answered: ask again"
-        ))
-    })?;
-    let plans = app
-        .plans
-        .get_or_try_init(|| load(app.config.clone()))
-        .await?;
+    let turn = app.questions.turn(&app.config).await?;
     let (reply, answer) = oneshot::channel();
     app.ask(Ask::Rows(question.plan.robots().to_vec(), reply))?;
     let rows = within(answer).await?.map_err(|error| match error {
         RowsError::UnknownRobot(_) => ApiError::new(StatusCode::NOT_FOUND, error.to_string()),
         error => ApiError::busy(error.to_string()),
     })?;
-    let coverage = question.coverage;
-    let (plans, asked) = (Arc::clone(plans), rows.clone());
-    let reply = tokio::task::spawn_blocking(move || compute(&plans, question, &asked)).await;
-    let reply =
-        reply.map_err(|_| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, "a defect"))??;
-    Ok(json(&report(&app.config, coverage, &rows, &reply)))
+    let (coverage, of) = (question.coverage, rows.first().copied());
+    let reply = app.questions.answer(turn, question, rows).await?;
+    Ok(json(&report(&app.config, coverage, of.as_ref(), &reply)))
 }
 
 async fn question(request: Request) -> Result<Question, ApiError> {
@@ -370,43 +346,4 @@ async fn question(request: Request) -> Result<Question, ApiError> {
         ))
     })?;
     asked.question().map_err(wrong)
-}
-
-async fn load(config: Config) -> Result<Arc<Fleet>, ApiError> {
-    let loaded = tokio::task::spawn_blocking(move || {
-        let models = load_models(&config)?;
-        Ok::<_, joulebus_models::ModelsError>(Arc::new(Fleet::new(config.settings(), &models)))
-    });
-    let failed =
-        |error: String| ApiError::busy(format!("the config's models cannot be loaded: {error}"));
-    let loaded = loaded.await.map_err(|error| failed(error.to_string()))?;
-    loaded.map_err(|error| failed(error.to_string()))
-}
-
-fn compute(plans: &Fleet, question: Question, rows: &[RobotRows]) -> Result<Reply, ApiError> {
-    let failed = |error: String| ApiError::new(StatusCode::BAD_REQUEST, error);
-    if let Some(rows) = rows.first() {
-        let checked = plans.check(&rows.header);
-        checked.map_err(|error| ApiError::busy(error.to_string()))?;
-    }
-    let find = |robot| rows.iter().find(|rows| rows.state.robot == robot).copied();
-    question
-        .answer(plans, find, MOST_STEPS)
-        .map_err(|error: QuestionError| failed(error.to_string()))
-}
-
-fn report(config: &Config, coverage: f32, rows: &[RobotRows], reply: &Reply) -> AnswersReport {
-    let of = rows.first();
-    let answers = reply.rows.iter();
-    AnswersReport {
-        fleet: config.fleet().to_owned(),
-        tick: of.map_or(0, |rows| rows.header.tick),
-        age_s: of.map_or(0.0, |rows| {
-            rows.now_ns.saturating_sub(rows.header.sent_ns) as f64 * 1e-9
-        }),
-        coverage,
-        answers: answers
-            .map(|row| AnswerReport::new(config.settings(), row))
-            .collect(),
-    }
 }

@@ -15,11 +15,12 @@ use axum::body::{Body, Bytes, HttpBody};
 use hyper::body::{Frame, SizeHint};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::sync::Notify;
-use tokio::time::{Sleep, sleep};
+use tokio::time::{Instant, Sleep, sleep};
 
 /// Most connections.
 pub(super) const MOST_CONNECTIONS: usize = 256;
-/// A client that has accepted no bytes for this time is disconnected.
+/// A client that does not take this many bytes of what waits for it, or all of it, within this time is disconnected.
+const WRITE_BYTES: u64 = 64 << 10;
 const WRITE_LIMIT: Duration = Duration::from_secs(10);
 
 /// A connection.
@@ -139,36 +140,66 @@ impl HttpBody for Marked {
     }
 }
 
-/// A stream whose writes fail when the client accepts nothing for [`WRITE_LIMIT`].
-#[derive(Debug)]
-pub(super) struct Watched<S> {
-    stream: S,
-    /// Runs while a write waits.
-    limit: Option<Pin<Box<Sleep>>>,
+/// What a client must take, and by when.
+#[derive(Debug, Default)]
+struct Due {
+    /// Bytes that it has taken.
+    taken: u64,
+    /// Bytes that it must have taken, and when, while some wait.
+    by: Option<(u64, Instant)>,
 }
 
-impl<S> Watched<S> {
-    pub(super) const fn new(stream: S) -> Self {
-        Self {
-            stream,
-            limit: None,
+impl Due {
+    /// It has taken so many bytes of what waited.
+    fn take(&mut self, bytes: usize) {
+        self.taken += bytes as u64;
+        if self.by.is_some_and(|(due, _)| self.taken >= due) {
+            self.by = None;
         }
     }
 
-    /// The result of a write, or an error if it has waited for too long.
-    fn watch<T>(
+    /// It takes nothing now of `bytes` that wait; returns until when it must have.
+    fn wait(&mut self, bytes: usize, now: Instant) -> Instant {
+        let due = self.taken + WRITE_BYTES.min(bytes as u64);
+        let (_, until) = *self.by.get_or_insert((due, now + WRITE_LIMIT));
+        until
+    }
+}
+
+/// A stream whose writes fail when the client takes too little in [`WRITE_LIMIT`].
+#[derive(Debug)]
+pub(super) struct Watched<S> {
+    stream: S,
+    due: Due,
+    /// Wakes a write that waits, at the time that is due.
+    limit: Pin<Box<Sleep>>,
+}
+
+impl<S> Watched<S> {
+    pub(super) fn new(stream: S) -> Self {
+        Self {
+            stream,
+            due: Due::default(),
+            limit: Box::pin(sleep(WRITE_LIMIT)),
+        }
+    }
+
+    /// The result of writing some of `bytes`, or an error if the client takes too little.
+    fn watch(
         &mut self,
         cx: &mut Context<'_>,
-        written: Poll<io::Result<T>>,
-    ) -> Poll<io::Result<T>> {
-        if written.is_ready() {
-            self.limit = None;
-            return written;
+        bytes: usize,
+        written: Poll<io::Result<usize>>,
+    ) -> Poll<io::Result<usize>> {
+        if let Poll::Ready(result) = written {
+            self.due.take(*result.as_ref().unwrap_or(&0));
+            return Poll::Ready(result);
         }
-        let limit = self
-            .limit
-            .get_or_insert_with(|| Box::pin(sleep(WRITE_LIMIT)));
-        match limit.as_mut().poll(cx) {
+        let until = self.due.wait(bytes, Instant::now());
+        if self.limit.deadline() != until {
+            self.limit.as_mut().reset(until);
+        }
+        match self.limit.as_mut().poll(cx) {
             Poll::Ready(()) => Poll::Ready(Err(io::ErrorKind::TimedOut.into())),
             Poll::Pending => Poll::Pending,
         }
@@ -192,7 +223,7 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for Watched<S> {
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
         let written = Pin::new(&mut self.stream).poll_write(cx, bytes);
-        self.watch(cx, written)
+        self.watch(cx, bytes.len(), written)
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
@@ -230,5 +261,26 @@ mod tests {
         // Closed connections give nobody's place back.
         drop(places);
         assert_eq!(connections.lock().1.len(), 2);
+    }
+
+    #[test]
+    fn a_client_must_take_what_waits_or_64_kib_of_it_in_ten_seconds() {
+        let begin = Instant::now();
+        let at = |seconds| begin + Duration::from_secs(seconds);
+        let mut due = Due::default();
+        assert_eq!(due.wait(1_000, at(0)), at(10));
+        // A byte now and then does not prolong it.
+        for second in 1..10 {
+            due.take(1);
+            assert_eq!(due.wait(1_000, at(second)), at(10));
+        }
+        // All that waited at first; what came later has its own time.
+        due.take(991);
+        assert_eq!(due.wait(9, at(9)), at(19));
+        due.take(9);
+        assert_eq!(due.wait(1 << 20, at(30)), at(40));
+        // A slow one that takes 64 KiB of much that waits.
+        due.take(64 << 10);
+        assert_eq!(due.wait(15 << 16, at(38)), at(48));
     }
 }

@@ -16,9 +16,11 @@ mod listen;
 mod metrics;
 mod page;
 mod plan_rows;
+mod questions;
 mod reader;
 mod snapshot;
 mod stream;
+mod stream_places;
 mod totals;
 mod view;
 mod what_if;
@@ -65,6 +67,8 @@ const MOST_HEAD_BYTES: usize = 16 << 10;
 const MOST_HEADERS: usize = 64;
 /// Bytes that the system keeps for a client that does not take them.
 const SEND_BUFFER_BYTES: usize = 64 << 10;
+/// Bytes of a connection kept here: with so many unsent, no further message is made.
+const MOST_KEPT_BYTES: usize = 64 << 10;
 /// Nice value of the thread that answers clients, and of those that compute for them.
 const NICE: u8 = 10;
 /// Interval of looking for recorders.
@@ -168,7 +172,8 @@ impl HttpServer {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .thread_name("joulebus-compute")
-            .max_blocking_threads(1)
+            // A question about a plan, and meanwhile the recorders.
+            .max_blocking_threads(2)
             .build()
             .context("cannot start the server's runtime")?;
         let web = thread::Builder::new()
@@ -307,6 +312,7 @@ where
         .header_read_timeout(HEAD_LIMIT)
         .max_header_size(MOST_HEAD_BYTES)
         .max_headers(MOST_HEADERS)
+        .max_buf_size(MOST_KEPT_BYTES)
         .serve_connection(TokioIo::new(Watched::new(stream)), respond);
     tokio::select! {
         result = served => {
@@ -320,7 +326,7 @@ where
 
 /// Answers one request.
 async fn respond(
-    request: Request<Incoming>,
+    mut request: Request<Incoming>,
     peer: Peer,
     shared: &Arc<Shared>,
     connection: &Arc<Connection>,
@@ -339,6 +345,7 @@ async fn respond(
         }
         Ok(Some(entered)) => entered,
         Ok(None) => {
+            request.extensions_mut().insert(peer);
             let router = TowerToHyperService::new(shared.router.clone());
             match router.call(request.map(Body::new)).await {
                 Ok(response) => response,

@@ -1,9 +1,10 @@
 //! An HTTP client, as small as the tests need it.
 
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
-use std::net::TcpStream;
+use std::net::{Ipv4Addr, SocketAddrV4, TcpStream};
 
 use joulebus_test_processes::PATIENCE;
+use rustix::net::{AddressFamily, SocketType, bind, connect, socket};
 use serde_json::Value;
 
 /// A response.
@@ -32,6 +33,17 @@ impl Response {
 
 pub(crate) fn dial(address: &str) -> TcpStream {
     let stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream
+}
+
+/// As another client: from another address of this host.
+pub(crate) fn dial_from(from: Ipv4Addr, address: &str) -> TcpStream {
+    let socket = socket(AddressFamily::INET, SocketType::STREAM, None).unwrap();
+    bind(&socket, &SocketAddrV4::new(from, 0)).unwrap();
+    let to: SocketAddrV4 = address.parse().unwrap();
+    connect(&socket, &to).unwrap();
+    let stream = TcpStream::from(socket);
     stream.set_read_timeout(Some(PATIENCE)).unwrap();
     stream
 }
@@ -106,7 +118,10 @@ pub(crate) struct Events {
 
 impl Events {
     pub(crate) fn open(address: &str, query: &str) -> Self {
-        let mut stream = dial(address);
+        Self::read(dial(address), address, query)
+    }
+
+    pub(crate) fn read(mut stream: TcpStream, address: &str, query: &str) -> Self {
         let head = format!("GET /api/v1/stream?{query} HTTP/1.1\r\nHost: {address}\r\n\r\n");
         stream.write_all(head.as_bytes()).unwrap();
         let mut reader = BufReader::new(stream);

@@ -2,12 +2,13 @@
 
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
+use std::time::Duration;
 
 use joulebus_test_processes::eventually;
 use rustix::process::{Resource, getrlimit, setrlimit};
-use serde_json::Value;
+use serde_json::{Value, json};
 
-use crate::client::{Events, dial, get, get_json, send};
+use crate::client::{Events, dial, dial_from, get, get_json, send};
 use crate::fleet::Fleet;
 
 /// The worker ticks on, and a client is answered.
@@ -163,9 +164,11 @@ fn a_stream_that_is_not_read_is_closed_and_its_place_given_back() {
     });
     // One is sent much; the others seldom, so that they are not full for a long time.
     let mut deaf = vec![Events::open(&address, "hz=10&count=200&robot=3")];
-    deaf.extend((1..128).map(|_| Events::open(&address, "hz=0.2&count=1")));
+    deaf.extend((1..64).map(|_| Events::open(&address, "hz=0.2&count=1")));
     let full = get(&address, "/api/v1/stream");
     assert_eq!(full.status, 503, "{}", full.text());
+    let other = dial_from([127, 0, 0, 2].into(), &address);
+    let _other = Events::read(other, &address, "");
     assert_live(&address);
     // Once the system keeps no more for it, the one that is sent much is closed.
     eventually("a place for a stream", || {
@@ -193,4 +196,45 @@ fn a_body_that_is_too_long_is_refused() {
     let refused = send(&address, &head, &body);
     assert_eq!(refused.status, 413, "{}", refused.text());
     server.stop();
+}
+
+#[test]
+fn clients_that_ask_and_hang_up_leave_nothing_to_be_computed() {
+    let fleet = Fleet::new();
+    let mut worker = fleet.worker();
+    let mut source = fleet.joulebus("publish sim --robots 20");
+    let (mut server, address) = fleet.serve(&[]);
+    eventually("robots", || {
+        get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 20
+    });
+    let head = format!(
+        "POST /api/v1/what_if HTTP/1.1\r\nHost: {address}\r\nContent-Type: application/json"
+    );
+    let robots: Vec<u32> = (0..20).collect();
+    let path = json!([{"x_m": 0, "y_m": 0}, {"x_m": 2_000, "y_m": 0, "speed_mps": 0.2}]);
+    let long = json!({"rank": robots, "path": path, "return": "dock"}).to_string();
+    let length = long.len();
+    let request = format!("{head}\r\nContent-Length: {length}\r\n\r\n{long}");
+    for _ in 0..13 {
+        let asking: Vec<TcpStream> = (0..4)
+            .map(|_| {
+                let mut stream = dial(&address);
+                stream.write_all(request.as_bytes()).unwrap();
+                stream
+            })
+            .collect();
+        // For the first of them to be computed; if it is not yet, the server has less to do.
+        std::thread::sleep(Duration::from_millis(200));
+        drop(asking);
+    }
+    let short = json!({"robot": 1, "idle_s": 20}).to_string();
+    eventually("an answer", || {
+        let answered = send(&address, &head, short.as_bytes());
+        assert!([200, 503].contains(&answered.status), "{answered:?}");
+        answered.status == 200
+    });
+    assert_live(&address);
+    source.end();
+    server.stop();
+    worker.stop();
 }
