@@ -162,23 +162,29 @@ fn a_stream_that_is_not_read_is_closed_and_its_place_given_back() {
     eventually("robots", || {
         get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 20
     });
-    // One is sent much; the others seldom, so that they are not full for a long time.
-    let mut deaf = vec![Events::open(&address, "hz=10&count=200&robot=3")];
-    deaf.extend((1..64).map(|_| Events::open(&address, "hz=0.2&count=1")));
-    let full = get(&address, "/api/v1/stream");
-    assert_eq!(full.status, 503, "{}", full.text());
-    let other = dial_from([127, 0, 0, 2].into(), &address);
-    let _other = Events::read(other, &address, "");
-    assert_live(&address);
-    // Once the system keeps no more for it, the one that is sent much is closed.
-    eventually("a place for a stream", || {
+    // Those that are sent little are not full for a long time.
+    let seldom = |from: [u8; 4]| {
+        let stream = dial_from(from.into(), &address);
+        Events::read(stream, &address, "hz=0.2&count=1")
+    };
+    let (one, other, third) = ([127, 0, 0, 1], [127, 0, 0, 2], [127, 0, 0, 3]);
+    let status = |from: [u8; 4]| {
         let head = format!("GET /api/v1/stream HTTP/1.0\r\nHost: {address}\r\n\r\n");
-        let mut stream = dial(&address);
+        let mut stream = dial_from(from.into(), &address);
         stream.write_all(head.as_bytes()).unwrap();
         let mut status = [0; 12];
         stream.read_exact(&mut status).unwrap();
-        &status[9..] == b"200"
-    });
+        String::from_utf8_lossy(&status[9..]).into_owned()
+    };
+    let mut deaf: Vec<Events> = (0..64).map(|_| seldom(one)).collect();
+    assert_eq!(status(one), "503", "one client has them all");
+    deaf.extend((0..63).map(|_| seldom(other)));
+    // The last place is for one that is sent much. Once the system keeps no more for it, it is closed.
+    let last = dial_from(other.into(), &address);
+    deaf.push(Events::read(last, &address, "hz=10&count=200&robot=3"));
+    assert_live(&address);
+    eventually("a place for a stream", || status(third) == "200");
+    assert_eq!(status(one), "503", "the others keep their places");
     drop(deaf);
     source.end();
     server.stop();
