@@ -18,10 +18,12 @@ else
 fi
 program=${program:-$target/debug/joulebus}
 work=$(mktemp -d)
+# A prefix has at most eight characters, a pid up to seven digits.
+mark=$(($$ % 1000000))
 worker= source=
 cleanup() {
     for process in $source $worker; do kill "$process" 2>/dev/null && wait "$process" || true; done
-    rm -rf "$work" /dev/shm/jbc$$.d /dev/shm/jbc$$_*
+    rm -rf "$work" /dev/shm/jbc$$.d /dev/shm/c${mark}_*
 }
 trap cleanup EXIT
 skipped() {
@@ -55,7 +57,7 @@ cat >"$work/fleet.toml" <<TOML
 name = "c"
 [domain]
 root = "/dev/shm/jbc$$.d"
-prefix = "jbc$$_"
+prefix = "c${mark}_"
 [readers]
 max_planners = 16
 [[platform]]

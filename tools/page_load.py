@@ -28,6 +28,7 @@ root = "/dev/shm/jbload-{number}"
 prefix = "jbload_"
 [worker]
 priority = {priority}
+cpus = "{cpus}"
 [[platform]]
 file = "builtin:gternal"
 robots = ["0-{last}"]
@@ -95,14 +96,19 @@ def main():
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--priority", type=int, default=0, help="worker.priority: SCHED_FIFO above 0")
     parser.add_argument("--programs", type=Path, default=Path(__file__).parent.parent / "target/release")
+    parser.add_argument("--cpu", type=int, help="the worker's own processor (worker.cpus); all else runs on the others")
     args = parser.parse_args()
+    if args.cpu is not None:
+        # Inherited by all processes and threads; the worker's ticks go where its config says.
+        os.sched_setaffinity(0, os.sched_getaffinity(0) - {args.cpu})
     found = {0: [], args.browsers: []}
     with tempfile.TemporaryDirectory() as directory:
         for number in range(args.rounds):
             for browsers in found:
                 config = Path(directory) / "fleet.toml"
                 config.write_text(CONFIG.format(capacity=args.robots, last=args.robots - 1, number=number,
-                                                priority=args.priority))
+                                                priority=args.priority,
+                                                cpus="" if args.cpu is None else args.cpu))
                 report, events = run(args.programs, config, browsers, args)
                 tick = report["tick"]
                 found[browsers].append((tick["p50_us"], tick["p99_us"], tick["p999_us"]))
