@@ -10,7 +10,7 @@ use std::time::Duration;
 use joulebus_bus::{Bus, FrameBuf, SampleReader, clock};
 use joulebus_config::{Config, ConnectError};
 use joulebus_consumer::{
-    BudgetFeed, DiagnosticFeed, End, Event, Planner, QueryFeed, ReadError, WorkerState,
+    BudgetFeed, DiagnosticFeed, End, Planner, QueryFeed, ReadError, WorkerState,
 };
 
 use crate::board::{Board, Link};
@@ -59,6 +59,7 @@ pub struct Reading {
     /// None if there are too many readers.
     queries: Option<QueryFeed>,
     tap: Option<Tap>,
+    polls: bool,
     planner: Planner,
 }
 
@@ -69,12 +70,34 @@ impl Reading {
     /// # Errors
     /// The domain cannot be joined.
     pub fn open(config: &Config, name: &str, taps: bool) -> Result<Self, OpenError> {
-        let planner = Planner::with_config(config, name)?;
+        let mut reading = Self::of(Planner::with_config(config, name)?)?;
+        if taps {
+            reading.tap = Some(Tap::open(config)?);
+        }
+        Ok(reading)
+    }
+
+    /// As [`Reading::open`], for boards that are looked at only `every` so often: ticks do not wake it, as in
+    /// [`Planner::polling`]. No frame of forecasts is skipped. They count as readable when they are sent, since what
+    /// passes until the next look is not the worker's.
+    ///
+    /// # Errors
+    /// The domain cannot be joined.
+    pub fn polling(config: &Config, name: &str, every: Duration) -> Result<Self, OpenError> {
+        let reading = Self::of(Planner::polling(config, name, every)?)?;
+        Ok(Self {
+            polls: true,
+            ..reading
+        })
+    }
+
+    fn of(planner: Planner) -> Result<Self, OpenError> {
         Ok(Self {
             diagnostics: planner.diagnostics()?,
             budgets: planner.budgets()?,
             queries: planner.queries().ok(),
-            tap: if taps { Some(Tap::open(config)?) } else { None },
+            tap: None,
+            polls: false,
             planner,
         })
     }
@@ -84,27 +107,45 @@ impl Reading {
     ///
     /// # Errors
     /// Reading fails permanently.
-    pub fn turn<B>(&mut self, mut borrow: impl FnMut() -> B) -> Result<bool, ReadError>
+    pub fn turn<B>(&mut self, borrow: impl FnMut() -> B) -> Result<bool, ReadError>
     where
         B: DerefMut<Target = Board>,
     {
-        let event = self.planner.wait_next(PATIENCE);
-        // Before the wait for the board, which may be locked for drawing.
-        let readable_ns = clock::monotonic_ns();
-        let mut tick = None;
+        self.turn_within(PATIENCE, borrow)
+    }
+
+    /// As [`Reading::turn`], with another longest wait.
+    ///
+    /// # Errors
+    /// Reading fails permanently.
+    pub fn turn_within<B>(
+        &mut self,
+        longest: Duration,
+        mut borrow: impl FnMut() -> B,
+    ) -> Result<bool, ReadError>
+    where
+        B: DerefMut<Target = Board>,
+    {
+        let (polls, mut tick) = (self.polls, None);
+        let waited = self.planner.wait_each(longest, |header, robots| {
+            // Before the wait for the board, which may be locked for drawing.
+            let readable_ns = if polls {
+                header.sent_ns
+            } else {
+                clock::monotonic_ns()
+            };
+            borrow().forecasts(header, robots, readable_ns);
+            tick = Some((header.worker_epoch, header.tick));
+        });
+        let now_ns = clock::monotonic_ns();
+        let waited = waited.map(drop);
         let mut board = borrow();
-        match event {
-            Ok(Event::Frame(frame)) => {
-                board.forecasts(frame.header(), frame.robots(), readable_ns);
-                tick = Some((frame.header().worker_epoch, frame.header().tick));
-            }
-            Ok(_) => {}
-            Err(ReadError::Receive(error)) => {
-                board.note(format!("forecasts: {error}"), readable_ns);
-            }
+        match waited {
+            Ok(()) => {}
+            Err(ReadError::Receive(error)) => board.note(format!("forecasts: {error}"), now_ns),
             Err(error) => return Err(error),
         }
-        board.set_link(link(self.planner.worker()), readable_ns);
+        board.set_link(link(self.planner.worker()), now_ns);
         if let Some(tap) = &mut self.tap {
             tap.read(&mut board);
         }

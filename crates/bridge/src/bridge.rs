@@ -8,7 +8,7 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use anyhow::{Context as _, anyhow};
-use joulebus_bus::lower_priority;
+use joulebus_bus::yield_to_the_worker;
 use joulebus_config::Config;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
@@ -52,6 +52,16 @@ struct BridgeReport {
     unmapped: Vec<UnmappedRecord>,
 }
 
+impl BridgeReport {
+    /// Whether all arrived that came and was to be told; `unmapped`: messages that could not be mapped, though they
+    /// should.
+    fn outcome(&self, unmapped: u64) -> Outcome {
+        Outcome::unless_lost(
+            self.not_written > 0 || self.published.frames_failed > 0 || unmapped > 0,
+        )
+    }
+}
+
 /// What `--check` says.
 #[derive(Debug, Serialize)]
 struct CheckReport {
@@ -88,9 +98,8 @@ pub(crate) fn run(args: &BridgeArguments, output: Output) -> anyhow::Result<Outc
         thread::sleep(LOOK_EVERY);
     }
     let report = bridge.finish(&config, &settings)?;
-    let lost = report.not_written > 0 || bridge.shared.account().lost() > 0;
     output.report(&report)?;
-    Ok(Outcome::unless_lost(lost))
+    Ok(report.outcome(bridge.shared.account().lost()))
 }
 
 fn checked(config: &Config, settings: &Settings) -> CheckReport {
@@ -156,7 +165,7 @@ impl Bridge {
         bridge.start_telling(config, settings, sides)?;
         if let Some(connection) = connection {
             let thread = spawn("joulebus-mqtt", move || {
-                yield_to_the_worker();
+                yield_to_the_worker(NICE);
                 connection.run().map_err(Into::into)
             })?;
             bridge.connections.push(thread);
@@ -199,7 +208,7 @@ impl Bridge {
         let (ros2, robots) = (ros2.clone(), settings.robots.clone());
         let (shared, counts) = (Arc::clone(&self.shared), Arc::clone(&self.ros2));
         let thread = spawn("joulebus-ros2", move || {
-            yield_to_the_worker();
+            yield_to_the_worker(NICE);
             let of = (fleet.as_str(), name.as_str());
             let (connection, telling) = Ros2::open(&ros2, of, &robots, &shared, &counts)?;
             // The caller waits for it.
@@ -252,7 +261,7 @@ impl Bridge {
             let (config, name) = (config.clone(), settings.name.clone());
             let (shared, lost) = (Arc::clone(&self.shared), Arc::clone(&self.lost));
             let thread = spawn("joulebus-alarms", move || {
-                yield_to_the_worker();
+                yield_to_the_worker(NICE);
                 read_alarms(&config, &name, &changes, &shared, &lost)
             })?;
             self.others.push(thread);
@@ -271,8 +280,9 @@ impl Bridge {
         }
         let (config, name) = (config.clone(), settings.name.clone());
         let shared = Arc::clone(&self.shared);
+        let every = settings.tells_every();
         self.start_joining("joulebus-tell", move |ready| {
-            telling::run(&config, &name, &shared, &mut sides, || {
+            telling::run(&config, (&name, every), &shared, &mut sides, || {
                 // The caller waits for it.
                 let _ = ready.send(());
             })
@@ -287,7 +297,7 @@ impl Bridge {
     ) -> anyhow::Result<()> {
         let (ready, joined) = sync_channel(1);
         let thread = spawn(name, move || {
-            yield_to_the_worker();
+            yield_to_the_worker(NICE);
             work(ready)
         })?;
         if joined.recv().is_err() {
@@ -343,12 +353,6 @@ fn join<T>(thread: Thread<T>) -> anyhow::Result<T> {
     thread
         .join()
         .map_err(|_| anyhow!("a thread of the bridge panicked"))?
-}
-
-fn yield_to_the_worker() {
-    if let Err(error) = lower_priority(NICE) {
-        tracing::warn!(%error, "this thread competes with the worker for processors");
-    }
 }
 
 impl fmt::Display for BridgeReport {
@@ -424,5 +428,41 @@ impl fmt::Display for CheckReport {
             .map(|topic| ("reads", topic))
             .chain(writes.iter().map(|topic| ("writes", topic)));
         lines.try_for_each(|(verb, topic)| writeln!(out, "  {verb} {topic}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_kind_of_loss_and_none_that_is_not_one_ends_with_code_3() {
+        let unheard = PublishedRecord {
+            frames_unheard: 9,
+            ..PublishedRecord::default()
+        };
+        let failed = PublishedRecord {
+            frames_failed: 1,
+            ..PublishedRecord::default()
+        };
+        for (published, not_written, unmapped, outcome) in [
+            (unheard, 0, 0, Outcome::Done),
+            (failed, 0, 0, Outcome::Incomplete),
+            (unheard, 1, 0, Outcome::Incomplete),
+            (unheard, 0, 1, Outcome::Incomplete),
+        ] {
+            let report = BridgeReport {
+                fleet: String::new(),
+                bridge: String::new(),
+                robots: 0,
+                messages: 0,
+                observations: 0,
+                published,
+                written: 0,
+                not_written,
+                unmapped: Vec::new(),
+            };
+            assert_eq!(report.outcome(unmapped), outcome, "{report:?}");
+        }
     }
 }

@@ -77,14 +77,14 @@ pub use os::clock;
 pub use os::memory::touch_own_memory;
 pub use os::process_id;
 pub use os::scheduling::{
-    Rights, Scheduling, SchedulingError, lower_priority, page_faults, set_timer_slack,
+    Rights, Scheduling, SchedulingError, page_faults, set_timer_slack, yield_to_the_worker,
 };
 pub use ports::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,
     Frame, FrameBuf, IncomingFrame, KeptFrame, Loan, OpenError, OpenQuery, PlanStateReader,
-    PlanStateWriter, QueriesReader, QueriesWriter, QueryClient, QueryError, QueryServer, Reader,
-    ReceiveError, SampleReader, SampleTap, SampleWriter, SendError, StateReader, StateWriter,
-    TickReader, TickWriter, WaitError, Waiter, Waker, Woken, Writer,
+    PlanStateWriter, Poller, QueriesReader, QueriesWriter, QueryClient, QueryError, QueryServer,
+    Reader, ReceiveError, SampleReader, SampleTap, SampleWriter, SendError, StateReader,
+    StateWriter, TickReader, TickWriter, WaitError, Waiter, Waker, Woken, Writer,
 };
 pub use preflight::{CapacityError, CapacityReport, Ports, check_capacity};
 pub use private::{DomainWarning, RootError};

@@ -9,9 +9,7 @@ use joulebus_config::{Config, ConnectError};
 use joulebus_wire::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, SCHEMA_VERSION};
 
 use crate::newest::{ReadError, check_schema};
-
-/// Longest pause between two calls of [`AlarmFeed::changes`].
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+use crate::planner::look_every;
 
 /// What has become of an alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -213,14 +211,10 @@ impl AlarmFeed {
         let limits = config.limits();
         let bus = config.join(name)?;
         let reader = bus.diagnostic_reader(&limits)?;
-        // At most a quarter of what is buffered arrives between two looks.
-        let buffered_ns = config
-            .tick_period_ns()
-            .saturating_mul(limits.forecast_frames as u64);
         Ok(Self {
             reader,
             history: AlarmHistory::default(),
-            look_every: LOOK_EVERY.min(Duration::from_nanos(buffered_ns / 4)),
+            look_every: look_every(config),
             _bus: bus,
         })
     }

@@ -59,7 +59,7 @@ impl<H: Payload, T: Payload> Feed<H, T> {
     /// [`ReadError`]; the next call may succeed.
     pub fn latest(&mut self) -> Result<Option<Frame<'_, H, T>>, ReadError> {
         let (mut place, mut foreign) = (self.place, None);
-        let found = self.reader.hold_latest(|header, run| {
+        let found = self.reader.hold_latest(|header, _, run| {
             let (schema, epoch, tick) = (self.of_header)(header);
             newer(schema, (run, epoch, tick), &mut place, &mut foreign)
         })?;

@@ -63,15 +63,16 @@ impl FleetAlarms {
     /// # Errors
     /// [`ConnectError`] with the cause and the remedy.
     pub fn with_config(config: &Config, name: &str) -> Result<Self, ConnectError> {
+        let feed = AlarmFeed::with_config(config, name)?;
         Ok(Self {
-            planner: Planner::with_config(config, name)?,
-            feed: AlarmFeed::with_config(config, name)?,
+            planner: Planner::polling(config, name, feed.look_every())?,
+            feed,
             worker: None,
         })
     }
 
     /// Waits a tenth of a second at most, and calls `each` for every change. To be called again at once, so that
-    /// nothing is overwritten.
+    /// nothing is overwritten. It listens to no events, which would cost the worker time in every tick.
     ///
     /// # Errors
     /// [`ReadError`]; the next call may succeed, unless the fleet's files were removed.

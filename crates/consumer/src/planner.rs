@@ -5,9 +5,13 @@ use std::fmt;
 use std::path::Path;
 use std::time::Duration;
 
-use joulebus_bus::{Bus, ForecastReader, Limits, OpenError, PeerWatch, Waiter, Woken, clock};
+use joulebus_bus::{
+    Bus, ForecastReader, Limits, OpenError, PeerWatch, Poller, WaitError, Waiter, Woken, clock,
+};
 use joulebus_config::{Config, ConnectError};
-use joulebus_wire::{BudgetHeader, DiagnosticHeader, Forecast, PlanStateHeader, QueriesHeader};
+use joulebus_wire::{
+    BudgetHeader, DiagnosticHeader, Forecast, ForecastHeader, PlanStateHeader, QueriesHeader,
+};
 
 use crate::frame::{Frame, KeptForecasts};
 use crate::index::RobotIndex;
@@ -18,12 +22,15 @@ use crate::{
     WorkerState,
 };
 
+/// What is done with each frame.
+type Each<'a> = &'a mut dyn FnMut(&ForecastHeader, &[Forecast]);
+
 /// A reader of forecasts: a planner, a live view, a recorder.
 ///
 /// Stays connected while the worker ends and restarts. Belongs to one thread.
 pub struct Planner {
     reader: ForecastReader,
-    waiter: Waiter,
+    waiting: Waiting,
     watch: Option<PeerWatch>,
     tracker: Tracker,
     arrival: Arrival,
@@ -31,6 +38,49 @@ pub struct Planner {
     limits: Limits,
     // After the ports, which must be dropped before the process leaves the domain.
     bus: Bus,
+}
+
+/// Longest time between two looks of a planner that polls.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+
+/// The time between two looks after which nothing that the worker sends to `config`'s fleet is overwritten before it is
+/// read: at most a quarter of what is buffered arrives between them.
+pub(crate) fn look_every(config: &Config) -> Duration {
+    let frames = config.limits().forecast_frames as u64;
+    let buffered_ns = config.tick_period_ns().saturating_mul(frames);
+    LOOK_EVERY.min(Duration::from_nanos(buffered_ns / 4))
+}
+
+/// What a planner waits with.
+enum Waiting {
+    /// Every tick wakes it.
+    Listening(Box<Waiter>),
+    Polling(Polling),
+}
+
+struct Polling {
+    poller: Poller,
+    every_ns: u64,
+    /// Time of the last look, monotonic ns.
+    looked_ns: u64,
+}
+
+impl Waiting {
+    /// Sleeps until something happens or `until_ns`.
+    fn wait_until(
+        &mut self,
+        until_ns: u64,
+        worker: Option<&PeerWatch>,
+    ) -> Result<Woken, WaitError> {
+        match self {
+            Self::Listening(waiter) => waiter.wait_until(Some(until_ns), worker),
+            Self::Polling(polling) => {
+                let woken = polling.poller.wait_until(until_ns, worker)?;
+                polling.looked_ns = clock::monotonic_ns();
+                Ok(woken)
+            }
+        }
+    }
 }
 
 /// Result of [`Planner::wait_next`].
@@ -68,14 +118,43 @@ impl Planner {
     /// # Errors
     /// [`ConnectError`].
     pub fn with_config(config: &Config, name: &str) -> Result<Self, ConnectError> {
+        // The waiter before the reader: a frame that arrives in between is found without an event.
+        Self::open(config, name, |bus, limits| {
+            let waiter = bus.planner_waiter(limits)?;
+            Ok(Waiting::Listening(Box::new(waiter)))
+        })
+    }
+
+    /// As [`Planner::with_config`], for those who need forecasts only `every` so often: it looks for them instead of
+    /// being woken by every tick, which costs the worker time. It looks more often than that where frames would be
+    /// overwritten ([`Planner::wait_each`] returns them all), and at least ten times a second. It learns of the
+    /// worker's exit at once, and of its silence at the next look.
+    ///
+    /// # Errors
+    /// [`ConnectError`].
+    pub fn polling(config: &Config, name: &str, every: Duration) -> Result<Self, ConnectError> {
+        let every = every.min(look_every(config));
+        Self::open(config, name, |bus, _| {
+            Ok(Waiting::Polling(Polling {
+                poller: bus.planner_poller(),
+                every_ns: every.as_nanos() as u64,
+                looked_ns: 0,
+            }))
+        })
+    }
+
+    fn open(
+        config: &Config,
+        name: &str,
+        waiting: impl FnOnce(&Bus, &Limits) -> Result<Waiting, OpenError>,
+    ) -> Result<Self, ConnectError> {
         let limits = config.limits();
         let bus = config.join(name)?;
-        // The waiter first: a frame that arrives in between is found without an event.
-        let waiter = bus.planner_waiter(&limits)?;
+        let waiting = waiting(&bus, &limits)?;
         let reader = bus.forecast_reader(&limits)?;
         Ok(Self {
             reader,
-            waiter,
+            waiting,
             watch: None,
             tracker: Tracker::new(),
             arrival: Arrival::default(),
@@ -93,13 +172,33 @@ impl Planner {
     /// # Errors
     /// [`ReadError`]; the next call may succeed.
     pub fn wait_next(&mut self, timeout: Duration) -> Result<Event<'_>, ReadError> {
+        self.wait(timeout, None)
+    }
+
+    /// As [`Planner::wait_next`], and calls `each` for every frame that has arrived since the last call, oldest first: none
+    /// of them is skipped. The event is that of the last one.
+    ///
+    /// # Errors
+    /// [`ReadError`]; the next call may succeed.
+    pub fn wait_each(
+        &mut self,
+        timeout: Duration,
+        mut each: impl FnMut(&ForecastHeader, &[Forecast]),
+    ) -> Result<Event<'_>, ReadError> {
+        self.wait(timeout, Some(&mut each))
+    }
+
+    fn wait(
+        &mut self,
+        timeout: Duration,
+        mut each: Option<Each<'_>>,
+    ) -> Result<Event<'_>, ReadError> {
         let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX);
         let deadline_ns = clock::monotonic_ns().saturating_add(timeout_ns);
-        // Polls first, without sleeping: the event of a waiting frame may have been consumed.
-        let mut until_ns = 0;
+        let mut until_ns = self.first_look_ns().min(deadline_ns);
         loop {
             let woken = self.look(until_ns)?;
-            if self.fetch()? {
+            if self.fetch(&mut each)? {
                 break;
             }
             let now_ns = clock::monotonic_ns();
@@ -114,7 +213,7 @@ impl Planner {
             if now_ns >= deadline_ns {
                 return Ok(Event::TimedOut);
             }
-            until_ns = deadline_ns.min(self.tracker.change_due_ns().unwrap_or(u64::MAX));
+            until_ns = deadline_ns.min(self.next_look_ns());
         }
         // `fetch` has found a frame.
         Ok(self.current().map_or(Event::TimedOut, Event::Frame))
@@ -128,7 +227,7 @@ impl Planner {
     /// [`ReadError`]; the next call may succeed.
     pub fn latest(&mut self) -> Result<Option<Forecasts<'_>>, ReadError> {
         self.look(0)?;
-        self.fetch()?;
+        self.fetch(&mut None)?;
         Ok(self.current())
     }
 
@@ -152,7 +251,11 @@ impl Planner {
     /// [`Planner::latest`].
     #[must_use]
     pub fn worker(&self) -> WorkerState {
-        self.tracker.state(clock::monotonic_ns())
+        self.tracker.state(match &self.waiting {
+            Waiting::Listening(_) => clock::monotonic_ns(),
+            // Frames that have arrived since are not known yet.
+            Waiting::Polling(polling) => polling.looked_ns,
+        })
     }
 
     /// Numbers of frames returned and missed.
@@ -219,11 +322,26 @@ impl Planner {
         self.reader.foreign()
     }
 
+    fn first_look_ns(&self) -> u64 {
+        match &self.waiting {
+            // At once, without sleeping: the event of a waiting frame may have been consumed.
+            Waiting::Listening(_) => 0,
+            // What it has learned and not told yet does not wait for the next look.
+            Waiting::Polling(_) if self.tracker.is_end_untold() => 0,
+            Waiting::Polling(_) => self.next_look_ns(),
+        }
+    }
+
+    fn next_look_ns(&self) -> u64 {
+        match &self.waiting {
+            Waiting::Listening(_) => self.tracker.change_due_ns().unwrap_or(u64::MAX),
+            Waiting::Polling(polling) => polling.looked_ns.saturating_add(polling.every_ns),
+        }
+    }
+
     /// Sleeps until something happens or `until_ns`, and takes note of the worker's end.
     fn look(&mut self, until_ns: u64) -> Result<Woken, ReadError> {
-        let woken = self
-            .waiter
-            .wait_until(Some(until_ns), self.watch.as_ref())?;
+        let woken = self.waiting.wait_until(until_ns, self.watch.as_ref())?;
         let now_ns = clock::monotonic_ns();
         if woken.ended {
             self.tracker.over(End::Ended, now_ns);
@@ -238,23 +356,35 @@ impl Planner {
         Ok(woken)
     }
 
-    /// Takes the newest frame; returns whether it is new.
-    fn fetch(&mut self) -> Result<bool, ReadError> {
+    /// Takes the newest frame, and hands those before it to `each`; returns whether it is new.
+    fn fetch(&mut self, each: &mut Option<Each<'_>>) -> Result<bool, ReadError> {
         let (mut at, mut schema) = (self.tracker.place(), None);
-        let found = self.reader.hold_latest(|header, run| {
-            newer(header.schema, place(run, header), &mut at, &mut schema)
+        let workers = self.tracker.counts().workers;
+        let (tracker, arrival) = (&mut self.tracker, &mut self.arrival);
+        let found = self.reader.hold_latest(|header, robots, run| {
+            let is_newer = newer(header.schema, place(run, header), &mut at, &mut schema);
+            if is_newer && let Some(each) = each.as_mut() {
+                *arrival = tracker.frame(run, header);
+                each(header, robots);
+            }
+            is_newer
         })?;
         check_schema(found, schema)?;
         let (Some((header, _)), Some((run, ..))) = (self.reader.held().filter(|_| found), at)
         else {
             return Ok(false);
         };
-        let first = self.tracker.place().is_none();
-        self.arrival = self.tracker.frame(run, header);
-        if first || self.arrival.restarted {
+        if each.is_none() {
+            // The frames before it were skipped.
+            self.arrival = self.tracker.frame(run, header);
+        }
+        if self.tracker.counts().workers != workers {
             // If the pid has been reused meanwhile, the worker is already gone and no fresh frame
             // arrives: the frame's age shows it.
             self.watch = PeerWatch::open(header.pid);
+            if let Waiting::Polling(polling) = &mut self.waiting {
+                polling.poller.watch_worker(header.pid);
+            }
         }
         Ok(true)
     }

@@ -176,6 +176,11 @@ impl Tracker {
         changed.then_some(state)
     }
 
+    /// Whether the worker's end is known, and [`Tracker::change`] has not returned it.
+    pub(crate) fn is_end_untold(&self) -> bool {
+        self.over.is_some() && self.told != Told::Gone
+    }
+
     /// When the state will change without frames, monotonic ns.
     pub(crate) fn change_due_ns(&self) -> Option<u64> {
         let last = self.last.as_ref()?;

@@ -31,7 +31,11 @@ fn member() {
     run_member(|role, config| match role {
         "worker" => worker(config, true),
         "impostor" => worker(config, false),
-        "planner" => plan(config),
+        "planner" => plan(Planner::connect(config).unwrap()),
+        "poller" => {
+            let config = Config::load(config).unwrap();
+            plan(Planner::polling(&config, "poller", Duration::from_millis(100)).unwrap());
+        }
         "example" => {
             planner::run(config, 3).unwrap();
             send_to_test("seen");
@@ -40,7 +44,7 @@ fn member() {
     });
 }
 
-/// Commands: `ticks FROM TO`, `period NS`, `schema N`, `epoch N`, `pid N`, `update`, `end`. An impostor has
+/// Commands: `ticks FROM TO`, `wake`, `period NS`, `schema N`, `epoch N`, `pid N`, `update`, `end`. An impostor has
 /// the worker's ports, and not its lock.
 fn worker(config: &Path, is_worker: bool) {
     let config = Config::load(config).unwrap();
@@ -72,6 +76,10 @@ fn worker(config: &Path, is_worker: bool) {
             ("update", []) => {
                 budgets.update();
                 plan_states.update();
+            }
+            ("wake", []) => {
+                send_to_test(waker.wake(WakeEvent::Frame).unwrap().to_string());
+                continue;
             }
             ("end", []) => {
                 waker.wake(WakeEvent::Ended).unwrap();
@@ -143,9 +151,8 @@ fn power_w(robot: u64, tick: u64) -> f32 {
     (robot * 10_000 + tick) as f32
 }
 
-/// Commands: `next MS`, `latest`, `worker`, `counts`, `feeds`.
-fn plan(config: &Path) {
-    let mut planner = Planner::connect(config).unwrap();
+/// Commands: `next MS`, `each MS`, `latest`, `worker`, `counts`, `feeds`.
+fn plan(mut planner: Planner) {
     let mut feeds: Option<(DiagnosticFeed, BudgetFeed, PlanStateFeed)> = None;
     send_to_test("ready");
     while let Some(line) = told() {
@@ -156,6 +163,16 @@ fn plan(config: &Path) {
                     Ok(event) => describe(&event),
                     Err(error) => error.to_string(),
                 });
+            }
+            ("each", ms) => {
+                let timeout = Duration::from_millis(ms.parse().unwrap());
+                let mut ticks = Vec::new();
+                let waited = planner.wait_each(timeout, |header, robots| {
+                    assert_eq!(robots.len(), 64);
+                    ticks.push(header.tick);
+                });
+                let event = describe(&waited.unwrap());
+                send_to_test(format!("{ticks:?}, {event}"));
             }
             ("latest", _) => match planner.latest().unwrap() {
                 Some(frame) => send_to_test(describe(&Event::Frame(frame))),
@@ -266,8 +283,17 @@ fn a_planner_may_start_before_or_after_the_worker() {
 
 #[test]
 fn a_killed_worker_is_gone_at_once_and_its_successor_takes_over() {
+    killed_and_followed("planner");
+}
+
+#[test]
+fn a_planner_that_polls_learns_at_once_that_the_worker_was_killed_and_follows_its_successor() {
+    killed_and_followed("poller");
+}
+
+fn killed_and_followed(role: &str) {
     let place = Place::new();
-    let mut planner = ready(&place, "planner");
+    let mut planner = ready(&place, role);
     for life in 0..4 {
         let mut worker = ready(&place, "worker");
         worker.ask("ticks 1 1");
@@ -397,9 +423,74 @@ fn a_normal_end_of_the_worker_is_reported() {
 }
 
 #[test]
-fn a_silent_worker_is_stale_until_it_continues() {
+fn a_planner_that_polls_tells_a_shutdown_from_a_death_and_returns_the_last_frames_first() {
     let place = Place::new();
-    let mut planner = ready(&place, "planner");
+    let mut planner = ready(&place, "poller");
+    for first in ["tick 1, missed 0", "tick 1, missed 0, restarted"] {
+        let mut worker = ready(&place, "worker");
+        worker.ask("ticks 1 1");
+        assert_eq!(planner.ask("next 60000"), first);
+        worker.ask("ticks 2 4");
+        // No event tells of it.
+        worker.finish();
+        assert_eq!(planner.ask("each 60000"), "[2, 3, 4], tick 4, missed 0");
+        assert_eq!(planner.ask("next 60000"), "Gone(Ended)");
+        assert_eq!(planner.ask("worker"), "Gone(Ended)");
+        assert_eq!(planner.ask("next 200"), "TimedOut", "told once");
+    }
+    planner.finish();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn a_planner_that_polls_gets_every_frame_in_order_and_none_twice() {
+    let place = Place::new();
+    let mut planner = ready(&place, "poller");
+    let mut worker = ready(&place, "worker");
+    worker.ask("ticks 1 3");
+    assert_eq!(planner.ask("each 60000"), "[1, 2, 3], tick 3, missed 0");
+    assert_eq!(planner.ask("each 200"), "[], TimedOut");
+    worker.ask("ticks 4 4");
+    worker.ask("ticks 6 7");
+    assert_eq!(planner.ask("each 60000"), "[4, 6, 7], tick 7, missed 0");
+    assert_eq!(
+        planner.ask("counts"),
+        "6 frames, 1 gaps, 1 ticks, 1 workers"
+    );
+    // Who wants the newest gets it alone.
+    worker.ask("ticks 8 9");
+    assert_eq!(planner.ask("next 60000"), "tick 9, missed 1");
+    worker.finish();
+    planner.finish();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn a_tick_wakes_planners_that_listen_and_none_that_polls() {
+    let place = Place::new();
+    let mut worker = ready(&place, "worker");
+    for (role, woken) in [("poller", 0), ("planner", 1), ("poller", 0)] {
+        let planner = ready(&place, role);
+        assert_eq!(worker.ask("wake"), format!("{woken}"), "{role}");
+        planner.finish();
+    }
+    worker.finish();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn a_silent_worker_is_stale_until_it_continues() {
+    silent_and_back("planner");
+}
+
+#[test]
+fn a_silent_worker_is_stale_for_a_planner_that_polls() {
+    silent_and_back("poller");
+}
+
+fn silent_and_back(role: &str) {
+    let place = Place::new();
+    let mut planner = ready(&place, role);
     let mut worker = ready(&place, "worker");
     worker.ask("period 50000000");
     worker.ask("ticks 1 1");

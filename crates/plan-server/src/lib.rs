@@ -19,7 +19,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-use joulebus_bus::{Background, Steps, clock, lower_priority};
+use joulebus_bus::{Background, Steps, clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_models::{ModelsError, load_models};
 use joulebus_plan::Fleet;
@@ -150,9 +150,7 @@ struct Answering {
 
 impl Answering {
     fn new(config: Config, models: Fleet, shared: Arc<Shared>) -> Self {
-        if let Err(error) = lower_priority(config.queries().nice) {
-            tracing::warn!(%error, "questions are answered at the worker's nice value");
-        }
+        yield_to_the_worker(config.queries().nice);
         Self {
             config,
             models,

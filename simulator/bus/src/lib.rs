@@ -33,7 +33,7 @@ pub use ports::{
 };
 pub use query::{OpenQuery, QueryClient, QueryServer};
 pub use queues::{begin, remove_process, size};
-pub use wait::{Waiter, Waker};
+pub use wait::{Poller, Waiter, Waker};
 
 /// The clocks of the simulated host.
 pub mod clock {
@@ -78,12 +78,7 @@ pub fn process_id() -> u32 {
 pub const fn touch_own_memory() {}
 
 /// There is one processor, and no nice value.
-///
-/// # Errors
-/// None.
-pub const fn lower_priority(_nice: u8) -> std::io::Result<()> {
-    Ok(())
-}
+pub const fn yield_to_the_worker(_nice: u8) {}
 
 /// Timers are exact.
 ///

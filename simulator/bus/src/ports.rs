@@ -15,7 +15,7 @@ use crate::limits::Shape;
 use crate::liveness::worker_ports::WorkerPorts;
 use crate::query::{QueryClient, QueryServer};
 use crate::queues::{Connection, Listed, Queue, Sent, port_id, with};
-use crate::{Bus, Limits, OpenError, ReceiveError, SendError, Waiter, Waker};
+use crate::{Bus, Limits, OpenError, Poller, ReceiveError, SendError, Waiter, Waker};
 
 /// As of the real reader.
 const MOST_PASSED_OVER: u32 = 4_096;
@@ -346,12 +346,12 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     /// [`ReceiveError`].
     pub fn hold_latest(
         &mut self,
-        mut newer: impl FnMut(&H, u64) -> bool,
+        mut newer: impl FnMut(&H, &[T], u64) -> bool,
     ) -> Result<bool, ReceiveError> {
         let mut found = false;
         while let Some(frame) = self.receive()? {
             let runs = self.worker.as_ref().map_or(0, WorkerPorts::runs);
-            if newer(&frame.header, runs) {
+            if newer(&frame.header, &frame.payload, runs) {
                 self.held = Some(frame);
                 found = true;
             }
@@ -696,6 +696,12 @@ opens! {
 }
 
 impl Bus {
+    /// Waits for times.
+    #[must_use]
+    pub fn planner_poller(&self) -> Poller {
+        Poller::new(self)
+    }
+
     /// A source's port.
     ///
     /// # Errors

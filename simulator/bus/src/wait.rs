@@ -6,6 +6,7 @@ use std::rc::Rc;
 use joulebus_simulated_host::{self as host, time};
 use joulebus_wire::{Service, WakeEvent};
 
+use crate::liveness::worker_lock::LockWatch;
 use crate::queues::{Waiting, with};
 use crate::{Bus, OpenError, PeerWatch, WaitError, Woken};
 
@@ -142,5 +143,50 @@ impl Drop for Waiter {
         with(self.service, |state| {
             state.waiting.retain(|waiting| waiting.number != number);
         });
+    }
+}
+
+/// Waits for times, and for the end of the worker: as the waiter, it returns at once.
+#[derive(Debug)]
+pub struct Poller {
+    lock: Option<LockWatch>,
+    bus: Bus,
+}
+
+impl Poller {
+    pub(crate) fn new(bus: &Bus) -> Self {
+        let bus = bus.clone();
+        Self { lock: None, bus }
+    }
+
+    /// From now on, process `pid` is the worker whose end is waited for.
+    pub fn watch_worker(&mut self, pid: u32) {
+        host::operation();
+        self.lock = LockWatch::open(pid);
+    }
+
+    /// Returns what has happened. If nothing has, the process sleeps from its next pause on until `deadline_ns`.
+    ///
+    /// # Errors
+    /// The files of this process were removed.
+    pub fn wait_until(
+        &mut self,
+        deadline_ns: u64,
+        peer: Option<&PeerWatch>,
+    ) -> Result<Woken, WaitError> {
+        host::operation();
+        self.bus.check()?;
+        let ended = self.lock.as_ref().is_some_and(LockWatch::has_ended);
+        let mut woken = Woken::default();
+        (woken.ended, woken.peer_gone) = (ended, peer.is_some_and(PeerWatch::is_gone));
+        let now_ns = time::monotonic_ns();
+        let until_ns = if woken.is_nothing() {
+            deadline_ns.min(now_ns.saturating_add(LONGEST_SLEEP_NS))
+        } else {
+            self.lock = None;
+            now_ns
+        };
+        host::sleep_until(until_ns);
+        Ok(woken)
     }
 }

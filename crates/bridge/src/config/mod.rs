@@ -7,6 +7,7 @@ mod ros2;
 mod secret;
 
 use std::path::Path;
+use std::time::Duration;
 
 use joulebus_config::Config;
 use joulebus_config::error::ConfigError;
@@ -15,6 +16,7 @@ use toml::Value;
 use crate::config::check::Check;
 use crate::config::file::BridgeFile;
 use crate::mapping::intake::{Holds, Intake};
+use crate::mapping::outgoing::What;
 use crate::mapping::robots::Robots;
 
 pub(crate) use mqtt::{MqttSettings, Write};
@@ -64,6 +66,16 @@ impl Settings {
         let ros2 = self.ros2.as_ref();
         mqtt.is_some_and(|it| !it.routes.is_empty() || it.vizier.is_some())
             || ros2.is_some_and(|it| !it.routes.is_empty())
+    }
+
+    /// How often the most frequent topic is written; changes of alarms are read apart.
+    pub(crate) fn tells_every(&self) -> Duration {
+        let mqtt = self.mqtt.iter().flat_map(|mqtt| &mqtt.writes);
+        let ros2 = self.ros2.iter().flat_map(|ros2| &ros2.writes);
+        let timed = mqtt.filter(|write| write.what != What::AlarmChanges);
+        let every_ns = timed.map(|write| write.every_ns);
+        let least_ns = every_ns.chain(ros2.map(|write| write.every_ns)).min();
+        least_ns.map_or(Duration::MAX, Duration::from_nanos)
     }
 
     /// What is known of the robots at the start: nothing.

@@ -16,7 +16,7 @@ use crate::mapping::outgoing::{Object, What, document, values};
 use crate::mapping::robots::Robots;
 use crate::mqtt::outlet::Outlet;
 use crate::shared::Shared;
-use crate::telling::{Tell, Times};
+use crate::telling::{Tell, Times, next_due_ns};
 
 /// Changes of alarms that wait for a connection; further ones are lost.
 pub(crate) const MOST_WAITING: usize = 10_000;
@@ -203,13 +203,13 @@ impl MqttTelling {
             QoS::AtLeastOnce,
             retain,
         ) {
-            topic.due_ns = times.now_ns + topic.write.every_ns;
+            topic.due_ns = next_due_ns(topic.due_ns, topic.write.every_ns, times.now_ns);
         }
     }
 
     fn tell_robots(&mut self, place: usize, board: &Board, times: Times) {
         let topic = &mut self.topics[place];
-        topic.due_ns = times.now_ns + topic.write.every_ns;
+        topic.due_ns = next_due_ns(topic.due_ns, topic.write.every_ns, times.now_ns);
         // Without a worker nothing is known; its status says so.
         if board.link != Link::Live {
             return;

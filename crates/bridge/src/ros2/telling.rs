@@ -16,7 +16,7 @@ use crate::mapping::ros::outgoing::{
 };
 use crate::ros2::raw::Raw;
 use crate::shared::Shared;
-use crate::telling::{Tell, Times};
+use crate::telling::{Tell, Times, next_due_ns};
 
 /// A writer of encoded messages.
 pub(super) type Writer = DataWriter<Vec<u8>, Raw>;
@@ -71,14 +71,7 @@ impl Tell for RosTelling {
             if times.now_ns < topic.due_ns {
                 continue;
             }
-            // A grid: what is late now does not make the next ones late.
-            let due_ns = topic.due_ns + topic.write.every_ns;
-            let is_behind = due_ns <= times.now_ns;
-            topic.due_ns = if is_behind {
-                times.now_ns + topic.write.every_ns
-            } else {
-                due_ns
-            };
+            topic.due_ns = next_due_ns(topic.due_ns, topic.write.every_ns, times.now_ns);
             let topic = &self.topics[place];
             match topic.write.what {
                 RosWhat::Diagnostics => self.diagnose(topic, board, times),

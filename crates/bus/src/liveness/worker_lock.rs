@@ -162,6 +162,8 @@ impl Drop for WorkerLock {
         if is_same(&self.file, &path).unwrap_or(false) {
             let _ = fs::remove_file(&path);
         }
+        // Who has it open learns that this was no death: `LockWatch`.
+        let _ = self.file.set_len(0);
         self.domain.remove_root();
     }
 }
@@ -170,7 +172,7 @@ impl Drop for WorkerLock {
 const LOOKS: u32 = 50;
 const LOOK_EVERY: Duration = Duration::from_millis(2);
 /// A file that is longer than this is not a lock's, bytes.
-const LONGEST_BYTES: u64 = 64;
+pub(crate) const LONGEST_BYTES: u64 = 64;
 
 /// What the holder of the lock has written into its file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -187,7 +189,7 @@ impl Owner {
         format!("{} {} {}\n", self.pid, self.since_unix_ns, self.port_pid)
     }
 
-    fn parse(text: &str) -> Option<Self> {
+    pub(crate) fn parse(text: &str) -> Option<Self> {
         let mut words = text.strip_suffix('\n')?.split_ascii_whitespace();
         let pid = words.next()?.parse().ok()?;
         Some(Self {

@@ -276,13 +276,13 @@ pub fn set_timer_slack() -> io::Result<()> {
     rustix::thread::set_current_timer_slack(NonZeroU64::new(1)).map_err(Into::into)
 }
 
-/// Sets the calling thread's nice value, 0 to 19: above 0 it yields the processor to others.
-///
-/// # Errors
-/// The system refuses; the value is unchanged.
-pub fn lower_priority(nice: u8) -> io::Result<()> {
+/// Sets the calling thread's nice value, 0 to 19: above 0 the worker and its sources run first where all want the same
+/// processor. Threads that it starts have the same value. A refusal is logged, and leaves the value unchanged.
+pub fn yield_to_the_worker(nice: u8) {
     // On Linux this is a property of threads: of the calling one.
-    setpriority_process(None, nice.into()).map_err(Into::into)
+    if let Err(error) = setpriority_process(None, nice.into()) {
+        tracing::warn!(%error, "this thread competes with the worker for processors");
+    }
 }
 
 fn allowed_cpus() -> Vec<usize> {

@@ -1,6 +1,7 @@
 //! Ports: the payload of each service, and how a member opens it.
 
 mod degradation;
+mod poll;
 mod query;
 mod reader;
 mod repair;
@@ -16,6 +17,7 @@ use joulebus_wire::{
     TakenFrame, TickHeader,
 };
 
+pub use self::poll::Poller;
 pub use self::query::{OpenQuery, QueryClient, QueryError, QueryServer};
 pub use self::reader::{Frame, KeptFrame, Reader, ReceiveError};
 pub use self::samples::{FrameBuf, IncomingFrame, SampleReader, SampleWriter};
@@ -243,5 +245,11 @@ impl Bus {
     /// [`OpenError`].
     pub fn planner_waiter(&self, limits: &Limits) -> Result<Waiter, OpenError> {
         Waiter::open(self, Service::Wake, limits, limits.wake())
+    }
+
+    /// Waits for times instead: readers that look now and then.
+    #[must_use]
+    pub fn planner_poller(&self) -> Poller {
+        Poller::new(self)
     }
 }

@@ -116,12 +116,14 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     /// [`ReceiveError`] if nothing newer was found; the next call may succeed.
     pub fn hold_latest(
         &mut self,
-        mut newer: impl FnMut(&H, u64) -> bool,
+        mut newer: impl FnMut(&H, &[T], u64) -> bool,
     ) -> Result<bool, ReceiveError> {
         let mut found = false;
         loop {
             match self.receive() {
-                Ok(Some(frame)) if newer(frame.user_header(), self.worker_runs()) => {
+                Ok(Some(frame))
+                    if newer(frame.user_header(), frame.payload(), self.worker_runs()) =>
+                {
                     self.held = Some(frame);
                     found = true;
                 }

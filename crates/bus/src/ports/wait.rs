@@ -22,7 +22,7 @@ use crate::{Bus, FilesRemoved, Limits, PeerWatch, clock};
 /// Maximum duration of a sleep. A notification that races with the emptying of the listener can
 /// leave its descriptor not readable although events are pending, and a signal may arrive just
 /// before the sleep: this bounds both.
-const LONGEST_SLEEP_NS: u64 = 100_000_000;
+pub(super) const LONGEST_SLEEP_NS: u64 = 100_000_000;
 
 /// Sends a service's event.
 #[derive(Debug)]

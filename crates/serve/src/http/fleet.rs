@@ -52,7 +52,7 @@ pub(super) struct TickTimes {
     max: Option<f64>,
 }
 
-/// From a sample sent to its forecast readable.
+/// From a sample sent to its forecast sent.
 #[derive(Debug, Clone, Default, Serialize)]
 pub(super) struct LatencyTimes {
     p50: Option<f64>,

@@ -80,7 +80,7 @@ impl Metrics {
         histogram(
             encoder,
             "joulebus_forecast_latency",
-            "Time from a sample sent to its forecast readable by this program",
+            "Time from a sample sent to its forecast sent",
             &counters.latency,
         )
     }

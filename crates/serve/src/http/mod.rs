@@ -44,7 +44,7 @@ use hyper::server::conn::http1;
 use hyper::service::{Service as _, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
-use joulebus_bus::inspect;
+use joulebus_bus::{inspect, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::say;
@@ -58,7 +58,7 @@ use connections::{Busy, Connection, Connections, Marked, Place, Watched};
 use error::ApiError;
 use fleet::Recorder;
 use listen::{Listeners, Peer, SocketFile};
-use reader::{Reader, yield_to_the_worker};
+use reader::Reader;
 
 /// A request's head must have arrived within this time; so must the next one of an open connection begin.
 const HEAD_LIMIT: Duration = Duration::from_secs(5);

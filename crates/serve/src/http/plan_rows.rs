@@ -54,6 +54,11 @@ impl PlanRows {
         });
     }
 
+    /// Whether somebody waits for an answer.
+    pub(super) const fn are_asked(&self) -> bool {
+        !self.waiting.is_empty()
+    }
+
     /// Answers what can be answered.
     pub(super) fn turn(&mut self, planner: &Planner, now_ns: u64) {
         if self.waiting.is_empty() {

@@ -1,14 +1,16 @@
-//! The thread that reads shared memory: a planner like any other. It waits for no client: what it reads is replaced
-//! in one place, and the few things that clients ask of it wait in a bounded queue.
+//! The thread that reads shared memory: a planner that looks as often as clients are shown something, so that no tick
+//! of the worker has to wake it. It waits for no client: what it reads is replaced in one place, and the few things that
+//! clients ask of it wait in a bounded queue.
 
 use std::cell::RefCell;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
+use std::time::Duration;
 
 use joulebus_board::{Board, OpenError, Platforms, Reading};
-use joulebus_bus::{clock, lower_priority};
+use joulebus_bus::{clock, yield_to_the_worker};
 use joulebus_config::{Config, ConnectError};
 use joulebus_consumer::{AlarmFeed, ReadError};
 use joulebus_plan::RobotRows;
@@ -21,8 +23,13 @@ use super::plan_rows::{PlanRows, RowsError};
 use super::snapshot::Snapshot;
 use super::totals::Accumulator;
 
-/// Interval between snapshots, ns: as fast as a stream may be.
-const SHOW_EVERY_NS: u64 = 100_000_000;
+/// Interval between snapshots: as fast as a stream may be.
+const SHOW_EVERY: Duration = Duration::from_millis(100);
+const SHOW_EVERY_NS: u64 = SHOW_EVERY.as_nanos() as u64;
+/// Looks at the fleet are not exactly as far apart as snapshots: one is due at the look that is nearest to its time.
+const EARLY_NS: u64 = SHOW_EVERY_NS / 8;
+/// Longest wait while a question needs rows of the next tick.
+const ANSWER_EVERY: Duration = Duration::from_millis(10);
 /// Interval between distributions, ns.
 const DISTRIBUTE_EVERY_NS: u64 = 500_000_000;
 /// Nice value of the thread: it runs before those of clients, and after what robots wait for.
@@ -113,14 +120,6 @@ impl Drop for Reader {
     }
 }
 
-/// Lets the worker and its controllers run first where all want the same processor. Threads started by the calling one
-/// do as it does.
-pub(super) fn yield_to_the_worker(nice: u8) {
-    if let Err(error) = lower_priority(nice) {
-        tracing::warn!(%error, "this thread competes with the worker for processors");
-    }
-}
-
 fn join(thread: JoinHandle<Result<(), ReaderError>>) -> Result<(), ReaderError> {
     thread.join().unwrap_or(Err(ReaderError::Panicked))
 }
@@ -174,7 +173,7 @@ impl Work {
         );
         let (show, snapshots) = watch::channel(Arc::new(first));
         let work = Self {
-            reading: Reading::open(config, "page", false)?,
+            reading: Reading::polling(config, "page", SHOW_EVERY)?,
             alarm_feed: AlarmFeed::with_config(config, "page")?,
             config: config.clone(),
             board: RefCell::new(board),
@@ -194,10 +193,15 @@ impl Work {
         Ok((work, snapshots))
     }
 
-    /// Waits for a frame, at most 100 ms, and does what is due.
+    /// Waits until the next look at the fleet is due, at most 100 ms, and does what is due.
     fn turn(&mut self) -> Result<(), ReaderError> {
         let Self { reading, board, .. } = self;
-        reading.turn(|| board.borrow_mut())?;
+        let longest = if self.plan_rows.are_asked() {
+            ANSWER_EVERY
+        } else {
+            SHOW_EVERY
+        };
+        reading.turn_within(longest, || board.borrow_mut())?;
         let alarms = &mut self.alarms;
         match self.alarm_feed.changes(|change| alarms.add(change)) {
             // As of the forecasts: the next call may succeed.
@@ -213,7 +217,7 @@ impl Work {
             let next_ns = self.history_at_ns + history::STEP_NS;
             self.history_at_ns = next_ns.max(now_ns);
         }
-        if now_ns >= self.show_at_ns {
+        if now_ns + EARLY_NS >= self.show_at_ns {
             self.show_at_ns = now_ns + SHOW_EVERY_NS;
             self.show(now_ns, now_unix_ns);
         }

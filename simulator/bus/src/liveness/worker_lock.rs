@@ -19,10 +19,13 @@ pub(crate) struct Owner {
 thread_local! {
     /// Whom the file names, and whether the lock is held.
     static FILE: Cell<Option<(Owner, bool)>> = const { Cell::new(None) };
+    /// Who has shut down last.
+    static ENDED: Cell<Option<Owner>> = const { Cell::new(None) };
 }
 
 pub(crate) fn begin() {
     FILE.set(None);
+    ENDED.set(None);
 }
 
 /// The exclusive right to be the fleet's worker.
@@ -76,5 +79,25 @@ impl Drop for WorkerLock {
             Some((owner, _)) if owner == self.owner => FILE.set(None),
             _ => {}
         }
+        if !host::is_dead() {
+            ENDED.set(Some(self.owner));
+        }
+    }
+}
+
+/// Watches a worker by the file of its lock.
+#[derive(Debug)]
+pub(crate) struct LockWatch(Owner);
+
+impl LockWatch {
+    /// That of process `pid`, if the file names it.
+    pub(crate) fn open(pid: u32) -> Option<Self> {
+        let (owner, _) = FILE.get().filter(|(owner, _)| owner.pid == pid)?;
+        Some(Self(owner))
+    }
+
+    /// True once the worker has shut down.
+    pub(crate) fn has_ended(&self) -> bool {
+        ENDED.get() == Some(self.0)
     }
 }
