@@ -15,8 +15,8 @@ use peer::{Peer, RosDomain, cyclonedds};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 
-/// Robots 1 to 3, all that is read and written.
-fn file(domain: &RosDomain) -> String {
+/// Robots 1 to 3 in this domain, and the topics of `topics`.
+fn file_of(domain: &RosDomain, topics: &str) -> String {
     let id = domain.id;
     format!(
         r#"
@@ -25,11 +25,19 @@ fn file(domain: &RosDomain) -> String {
         [ros2]
         domain_id = {id}
         networks = ["127.0.0.1"]
+        {topics}
+        "#
+    )
+}
+
+/// All that is read and written.
+fn file(domain: &RosDomain) -> String {
+    let topics = r#"
         [[ros2.read]]
-        topic = "/fleet/{{robot}}/battery_state"
+        topic = "/fleet/{robot}/battery_state"
         type = "sensor_msgs/msg/BatteryState"
         [[ros2.read]]
-        topic = "/fleet/{{robot}}/cmd_vel"
+        topic = "/fleet/{robot}/cmd_vel"
         type = "geometry_msgs/msg/Twist"
         [[ros2.write]]
         what = "forecast"
@@ -49,8 +57,8 @@ fn file(domain: &RosDomain) -> String {
         [[ros2.write]]
         what = "diagnostics"
         every_s = 0.2
-        "#
-    )
+        "#;
+    file_of(domain, topics)
 }
 
 /// 4.4 W out of a battery of 4 V.
@@ -189,22 +197,15 @@ fn odometry_and_stamped_twists_are_read_from_publishers_of_either_reliability() 
     let Some(python) = cyclonedds() else { return };
     let (fleet, domain) = (Fleet::new(), RosDomain::take());
     let mut worker = fleet.worker();
-    let id = domain.id;
-    let text = format!(
-        r#"
-        [robots]
-        "r{{id}}" = "1-3"
-        [ros2]
-        domain_id = {id}
-        networks = ["127.0.0.1"]
+    let topics = r#"
         [[ros2.read]]
-        topic = "/{{robot}}/odom"
+        topic = "/{robot}/odom"
         type = "nav_msgs/msg/Odometry"
         [[ros2.read]]
-        topic = "/{{robot}}/cmd_vel"
+        topic = "/{robot}/cmd_vel"
         type = "geometry_msgs/msg/TwistStamped"
         [[ros2.read]]
-        topic = "/{{robot}}/battery"
+        topic = "/{robot}/battery"
         type = "sensor_msgs/msg/BatteryState"
         current = "discharge_positive"
         percentage_unit = "%"
@@ -215,9 +216,8 @@ fn odometry_and_stamped_twists_are_read_from_publishers_of_either_reliability() 
         [[ros2.write]]
         what = "diagnostics"
         every_s = 0.2
-        "#
-    );
-    let mut bridge = fleet.bridge(&text, "in ROS domain");
+        "#;
+    let mut bridge = fleet.bridge(&file_of(&domain, topics), "in ROS domain");
     let mut peer = Peer::start(&python, &domain);
     peer.hear("/r1/joulebus/reading_w", "Float64");
     peer.hear("/r2/joulebus/reading_w", "Float64");

@@ -9,36 +9,30 @@ use joulebus_ros_messages::{
 };
 use serde_json::Value;
 
-use crate::mapping::outgoing::{Object, Told};
+use crate::mapping::outgoing::{Object, Told, value_names};
 use crate::mapping::ros::incoming::{CHARGING, DISCHARGING};
 
 /// `diagnostic_msgs/DiagnosticStatus`: nobody measures.
 const STALE: u8 = 3;
 /// Robots of one `diagnostic_msgs/DiagnosticArray`: some 40 kB.
 const MOST_STATUSES: usize = 32;
-/// Values of a robot that are diagnosed, beside its alarms.
-const DIAGNOSED: [&str; 20] = [
-    "quality",
-    "quality_detail",
-    "reading_w",
-    "reading_age_s",
-    "power_w",
-    "lo_w",
-    "hi_w",
-    "residual_w",
-    "bias_w",
-    "drawn_j",
-    "mean_power_w",
-    "soc",
-    "soc_lo",
-    "soc_hi",
-    "charging",
-    "usable_j",
-    "usable_lo_j",
-    "time_to_empty_s",
-    "time_to_empty_lo_s",
-    "time_to_empty_hi_s",
+/// Values of a robot that are not diagnosed: what a state says in fields of its own, times of the values, and how long a
+/// ledger has counted.
+const NOT_DIAGNOSED: [&str; 8] = [
+    "robot",
+    "name",
+    "stamp_unix_ns",
+    "target_unix_ns",
+    "level",
+    "alarms",
+    "metered_s",
+    "unmetered_s",
 ];
+
+/// Values of a robot that are diagnosed, beside its alarms.
+fn diagnosed() -> impl Iterator<Item = &'static str> {
+    value_names().filter(|name| !NOT_DIAGNOSED.contains(name))
+}
 
 /// What a topic of ROS 2 is told.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
@@ -136,8 +130,8 @@ pub(crate) fn robot_status(name: &str, values: &Object) -> DiagnosticStatus {
         Some(Value::String(text)) => text.clone(),
         Some(other) => other.to_string(),
     };
-    let values = DIAGNOSED.iter().map(|value| KeyValue {
-        key: (*value).to_owned(),
+    let values = diagnosed().map(|value| KeyValue {
+        key: value.to_owned(),
         value: shown(value),
     });
     DiagnosticStatus {
