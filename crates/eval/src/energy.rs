@@ -9,8 +9,8 @@ use joulebus_predictor::{
     Features, INPUTS, LAGS, Linear, Model, ReadingAge, RolloutStart, Rollouts,
 };
 use joulebus_wire::{Sample, sample_flag};
-use serde::Serialize;
 use serde::ser::{SerializeMap as _, Serializer};
+use serde::{Deserialize, Serialize};
 
 /// Readings before the first forecast.
 const FIRST: usize = LAGS;
@@ -66,7 +66,7 @@ pub struct EnergyErrors {
 }
 
 /// One forecast of each kind, and what was measured.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Scored {
     energy_j: f64,
     forecasts_j: [f64; FORECASTS.len()],
@@ -75,7 +75,7 @@ struct Scored {
 }
 
 /// Forecasts of several recordings, to be [summed up](EnergyScores::errors).
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct EnergyScores {
     scored: [Vec<Scored>; HORIZONS_S.len()],
 }

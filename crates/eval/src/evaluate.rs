@@ -1,5 +1,6 @@
 //! Recorded trials through the tick, offline, in one pass: to the bit the results of a live run.
 
+mod live_trial;
 mod report;
 mod series;
 
@@ -11,8 +12,9 @@ use joulebus_fleet::{Fleet, Learned, Ledger, Scores};
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, Platform, SettingsError};
 use joulebus_wire::{DropCounts, Quality, SCHEMA_VERSION, Sample, SampleHeader, diagnostic_flag};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
+pub(crate) use live_trial::LiveTrial;
 pub use report::{EvaluationReport, PlatformReport, RobotReport, ScoreReport};
 pub use series::Series;
 
@@ -50,7 +52,7 @@ pub enum EvaluateError {
 }
 
 /// Whose forecasts are published, and so scored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Forecast {
     /// What is learned online for each robot from its last reading, the network and the model's
@@ -279,20 +281,20 @@ impl RobotEvaluation {
     /// Sums the scores of the steps that are marked as scored.
     pub(crate) fn score_again(&mut self) {
         let mut scores = Scores::default();
-        self.pool_into(&mut scores);
+        for [reading_w, residual_w, previous_w] in self.scored_readings_w() {
+            scores.observe(reading_w, residual_w, previous_w);
+        }
         self.scores = scores;
     }
 
-    /// Adds this robot's scored readings to `pooled`, in order.
-    fn pool_into(&self, pooled: &mut Scores) {
+    /// The scored readings in order: each with the residual of its forecast and the reading before it, W.
+    fn scored_readings_w(&self) -> impl Iterator<Item = [f32; 3]> + '_ {
         let mut previous_w = None;
-        for step in self.steps.iter().filter(|step| step.accepted) {
-            if let (true, Some(reading_w), Some(residual_w), Some(previous_w)) =
-                (step.scored, step.reading_w, step.residual_w, previous_w)
-            {
-                pooled.observe(reading_w, residual_w, previous_w);
-            }
-            previous_w = step.reading_w;
-        }
+        let accepted = self.steps.iter().filter(|step| step.accepted);
+        accepted.filter_map(move |step| {
+            let before_w = std::mem::replace(&mut previous_w, step.reading_w);
+            let scored_w = [step.reading_w?, step.residual_w?, before_w?];
+            step.scored.then_some(scored_w)
+        })
     }
 }

@@ -7,7 +7,9 @@ pub mod calibrate;
 pub mod energy;
 pub mod evaluate;
 pub mod online_learning;
+mod part;
 mod report;
 pub mod score;
 
+pub use part::{EvalPart, Merged, PartError};
 pub use report::EvalReport;

@@ -23,10 +23,11 @@ impl EvalReport {
     /// Of the live path of all trials, and the scores of each platform.
     #[must_use]
     pub fn new(live: &Evaluation, evaluations: Vec<ScoreReport>) -> Self {
-        Self {
-            live: live.report(),
-            evaluations,
-        }
+        Self::of(live.report(), evaluations)
+    }
+
+    pub(crate) const fn of(live: EvaluationReport, evaluations: Vec<ScoreReport>) -> Self {
+        Self { live, evaluations }
     }
 }
 

@@ -24,12 +24,14 @@
 
 mod blocks;
 mod cell;
+mod common;
 mod compare;
 mod corrected;
 mod design;
 mod members;
 mod open_loop;
 mod options;
+mod portion;
 mod recording;
 mod report;
 mod run;
@@ -38,11 +40,14 @@ mod text;
 mod trained_on;
 
 pub use cell::{Blocks, Cell, ForecasterScore, Horizon, HorizonCell, HorizonScore, Role, Skill};
+pub use common::BaselineReport;
 pub use compare::{Comparison, Difference, MemberScore, Verdict, compare};
 pub use design::{Design, DesignReport, Fold, Part};
 pub use options::{LONGEST_HORIZON, Options, ScoreError};
+pub(crate) use portion::Misfit;
+pub use portion::{Portion, score_portion};
 pub use recording::{Recording, check_apart, read_recordings, recorded_platform};
-pub use report::{BaselineReport, ModelReport, ScoreReport};
+pub use report::{ModelReport, ScoreReport};
 pub use run::{Scored, score, score_watched};
 pub use subject::Subject;
 pub use trained_on::{ScoredRows, TrainedOn};

@@ -9,7 +9,7 @@
 //! The intervals say nothing about robots or surfaces of which there is no block.
 
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::metrics::{quantile, sorted};
 use crate::noise::Noise;
@@ -18,7 +18,7 @@ use crate::noise::Noise;
 pub const LEAST_BLOCKS: usize = 8;
 
 /// Configuration of the bootstrap.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Bootstrap {
     /// Number of draws; 0 disables intervals.
     pub resamples: u32,

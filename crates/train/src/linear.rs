@@ -9,7 +9,8 @@ use std::fmt;
 
 use joulebus_predictor::{FEATURE_NAMES, FEATURES, FeatureSet, Features, LAGS};
 use nalgebra::{Cholesky, DMatrix, DVector, SMatrix, SVector};
-use serde::Serialize;
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
 
 use joulebus_dataset::rows::Row;
 
@@ -138,7 +139,7 @@ pub enum LinearError {
 }
 
 /// Why a feature has no coefficient.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Dropped {
@@ -476,18 +477,35 @@ pub fn known_terms(parts: &[&[Row]], terms: Terms) -> (Terms, Vec<usize>) {
 }
 
 /// A fitted linear model as names and numbers.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LinearReport {
     /// The requested features.
     pub terms: String,
     /// The forecast where every feature is 0, W.
     pub intercept_w: f64,
     /// Name of each feature used, and its coefficient in W per unit of the feature.
+    #[serde(deserialize_with = "of_features")]
     pub coefficients: Vec<(&'static str, f64)>,
     /// Name of each requested feature that is not used, and why.
+    #[serde(deserialize_with = "of_features")]
     pub dropped: Vec<(&'static str, Dropped)>,
     /// Rows that it was fitted on.
     pub rows: usize,
     /// Rows that could not be used.
     pub unusable_rows: usize,
+}
+
+/// Values with the names of their features, which are those of [`FEATURE_NAMES`].
+fn of_features<'de, D, T>(from: D) -> Result<Vec<(&'static str, T)>, D::Error>
+where
+    D: Deserializer<'de>,
+    T: Deserialize<'de>,
+{
+    let read: Vec<(String, T)> = Vec::deserialize(from)?;
+    let named = read.into_iter().map(|(found, value)| {
+        let name = FEATURE_NAMES.into_iter().find(|name| *name == found);
+        let unknown = || D::Error::custom(format!("no feature is named {found:?}"));
+        Ok((name.ok_or_else(unknown)?, value))
+    });
+    named.collect()
 }

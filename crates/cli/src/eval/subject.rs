@@ -1,6 +1,6 @@
 //! Inputs of an evaluation: recordings, their platforms, the evaluated rows, and options.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use joulebus_config::Config;
 use joulebus_dataset::split::Split;
@@ -81,6 +81,11 @@ impl Section {
         }
     }
 
+    /// Number of its recordings.
+    pub(crate) fn len(&self) -> usize {
+        self.recordings.len()
+    }
+
     pub(crate) fn name(&self) -> &str {
         let platform = self.platform.as_ref();
         platform.map_or("recorded", |platform| &platform.name)
@@ -88,6 +93,11 @@ impl Section {
 }
 
 impl Selection {
+    /// The paths as they were given.
+    pub(crate) fn arguments(&self) -> impl Iterator<Item = &Path> {
+        self.trials.arguments()
+    }
+
     pub(crate) fn config(&self) -> anyhow::Result<Config> {
         self.config.load()
     }

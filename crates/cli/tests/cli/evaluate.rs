@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use super::fleet::{Fleet, code, json, output, stderr, stdout};
+use super::fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
 
 const MODELS: [&str; 2] = [
     concat!(
@@ -435,4 +435,164 @@ fn a_comparison_shows_differences_and_exits_with_3_only_on_request() {
     ] {
         assert!(stdout(&same).contains(said), "{said}: {}", stdout(&same));
     }
+}
+
+/// Makes the parts of an evaluation in processes that run at once. Returns their files.
+fn parts(asked: &[&str], folder: &Path, of: usize) -> Vec<PathBuf> {
+    let started = (1..=of).map(|number| {
+        let file = folder.join(format!("{number}-of-{of}.part"));
+        let part = format!("{number}/{of}");
+        let mut command = joulebus(asked);
+        let command = command.args(["--partition", &part, "-o", text(&file)]);
+        (file, command.stdout(std::process::Stdio::null()).spawn())
+    });
+    let started: Vec<_> = started.collect();
+    let ended = started.into_iter().map(|(file, child)| {
+        assert!(child.unwrap().wait().unwrap().success(), "{file:?}");
+        file
+    });
+    ended.collect()
+}
+
+fn merge(files: &[PathBuf], format: &str) -> std::process::Output {
+    let arguments = ["eval", "--merge", "--format", format].map(PathBuf::from);
+    output(arguments.iter().chain(files))
+}
+
+#[test]
+fn parts_of_an_evaluation_by_several_processes_merge_into_the_report_of_one_run_to_the_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = recordings(folder.path(), 5, 150);
+    for options in [
+        &["--energy"][..],
+        &[
+            "--split",
+            "trial",
+            "--held-out",
+            "0.5",
+            "--horizons",
+            "none",
+        ],
+    ] {
+        let asked = [&["eval", "--model", MODELS[0], text(&data)], options].concat();
+        for format in ["text", "json"] {
+            let whole = output(asked.iter().chain(&["--format", format]));
+            assert_eq!(code(&whole), 0, "{}", stderr(&whole));
+            for of in [1, 2, 3, 7] {
+                let folder = tempfile::tempdir().unwrap();
+                let mut files = parts(&asked, folder.path(), of);
+                // Schedulers end in any order.
+                files.reverse();
+                let merged = merge(&files, format);
+                assert_eq!(code(&merged), 0, "{}", stderr(&merged));
+                assert_eq!(stdout(&merged), stdout(&whole), "{of} parts");
+                assert_eq!(stderr(&merged), stderr(&whole), "{of} parts");
+            }
+        }
+    }
+}
+
+#[test]
+fn parts_of_two_platforms_merge_into_the_report_of_one_run_to_the_bit() {
+    let fleet = Fleet::new();
+    let folder = tempfile::tempdir().unwrap();
+    let data = recordings(folder.path(), 3, 120);
+    let (config, data) = (fleet.config(), text(&data).to_owned());
+    let (gternal, rover) = (format!("{data}@gternal"), format!("{data}@rover"));
+    let asked = ["eval", "--config", text(&config), &gternal, &rover];
+    let whole = output(asked.iter().chain(&["--format", "json"]));
+    assert_eq!(code(&whole), 0, "{}", stderr(&whole));
+    let files = parts(&asked, folder.path(), 4);
+    assert_eq!(stdout(&merge(&files, "json")), stdout(&whole));
+}
+
+#[test]
+fn parts_that_are_missing_twice_there_damaged_or_of_other_evaluations_are_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = recordings(folder.path(), 3, 120);
+    let asked = ["eval", "--model", MODELS[0], text(&data)];
+    let [first, second, third]: [PathBuf; 3] = parts(&asked, folder.path(), 3).try_into().unwrap();
+    let refused = |files: &[&PathBuf], wanted: i32, why: &str| {
+        let files: Vec<PathBuf> = files.iter().map(|file| (*file).clone()).collect();
+        let found = merge(&files, "text");
+        let said = stderr(&found);
+        assert!(code(&found) == wanted && said.contains(why), "{said}");
+        assert_eq!(stdout(&found), "");
+    };
+    refused(&[&first, &third], 2, "parts 2 of 3 are missing");
+    refused(
+        &[&first, &second, &second, &third],
+        2,
+        "name each part once",
+    );
+
+    let seed = [&asked[..], &["--seed", "1"]].concat();
+    let elsewhere = tempfile::tempdir().unwrap();
+    let others = parts(&seed, elsewhere.path(), 3);
+    refused(&[&first, &others[1], &third], 2, "different evaluations");
+    let two = parts(&asked, elsewhere.path(), 2);
+    refused(&[&first, &second, &two[1]], 2, "is one of 3");
+
+    let whole = fs::read(&second).unwrap();
+    let bad = folder.path().join("bad.part");
+    for length in (0..whole.len())
+        .step_by(whole.len() / 16)
+        .chain([whole.len() - 1])
+    {
+        fs::write(&bad, &whole[..length]).unwrap();
+        let why = if length < 16 {
+            "is no part"
+        } else {
+            "is damaged"
+        };
+        refused(&[&first, &bad, &third], 1, why);
+    }
+    for at in (16..whole.len()).step_by(whole.len() / 16) {
+        let mut bytes = whole.clone();
+        bytes[at] ^= 1;
+        fs::write(&bad, bytes).unwrap();
+        refused(&[&first, &bad, &third], 1, "is damaged");
+    }
+    refused(&[&data.join("ice_01.csv")], 1, "is no part");
+
+    // What is there is not replaced.
+    let again = output(
+        asked
+            .iter()
+            .chain(&["--partition", "2/3", "-o", text(&second)]),
+    );
+    assert!(
+        code(&again) == 1 && stderr(&again).contains("exists"),
+        "{}",
+        stderr(&again)
+    );
+    assert_eq!(fs::read(&second).unwrap(), whole);
+}
+
+#[test]
+fn the_script_reports_what_one_run_does_and_leaves_nothing_when_a_part_fails() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = recordings(folder.path(), 3, 120);
+    let rooms = folder.path().join("tmp");
+    fs::create_dir(&rooms).unwrap();
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../../tools/eval_parts.sh");
+    let run = |arguments: &[&str]| {
+        let mut command = std::process::Command::new(script);
+        let command = command.args(arguments).env("TMPDIR", &rooms);
+        let command = command.env("JOULEBUS", env!("CARGO_BIN_EXE_joulebus"));
+        let ended = command.output().unwrap();
+        assert_eq!(fs::read_dir(&rooms).unwrap().count(), 0);
+        ended
+    };
+    let asked = ["--model", MODELS[0], text(&data)];
+    let whole = output(["eval"].iter().chain(&asked));
+    // More parts than recordings.
+    let found = run(&[&["5"], &asked[..]].concat());
+    assert_eq!(code(&found), 0, "{}", stderr(&found));
+    assert_eq!(stdout(&found), stdout(&whole));
+
+    let failed = run(&["2", "--model", "/nowhere.safetensors", text(&data)]);
+    assert_eq!((code(&failed), stdout(&failed).as_str()), (1, ""));
+    assert!(stderr(&failed).contains("/nowhere.safetensors"));
+    assert_eq!(code(&run(&["0", text(&data)])), 2);
 }

@@ -4,10 +4,9 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use joulebus_fleet::{Learned, Scores};
-use joulebus_wire::Quality;
 use serde::Serialize;
 
-use super::{Evaluation, Forecast, RobotEvaluation};
+use super::{Evaluation, Forecast, LiveTrial};
 
 /// An evaluation without its steps. `Display` is a table; unknown numbers are null in JSON.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -73,7 +72,7 @@ pub struct RobotReport {
     /// Samples accepted.
     pub accepted: u64,
     /// Samples dropped, by reason.
-    pub dropped: BTreeMap<&'static str, u64>,
+    pub dropped: BTreeMap<String, u64>,
     /// Samples by the quality of their forecast.
     pub qualities: BTreeMap<String, u64>,
     /// The scores.
@@ -96,75 +95,65 @@ impl Evaluation {
     /// The evaluation without its steps.
     #[must_use]
     pub fn report(&self) -> EvaluationReport {
+        let trials: Vec<LiveTrial> = self.robots.iter().map(LiveTrial::from).collect();
+        EvaluationReport::of(&trials)
+    }
+}
+
+impl EvaluationReport {
+    /// Of trials in their order.
+    pub(crate) fn of(trials: &[LiveTrial]) -> Self {
         let mut groups = BTreeMap::<_, Vec<_>>::new();
-        for robot in &self.robots {
-            let key = (&robot.platform, &robot.model);
-            groups.entry(key).or_default().push(robot);
+        for trial in trials {
+            let key = (&trial.platform, &trial.model);
+            groups.entry(key).or_default().push(trial);
         }
-        EvaluationReport {
+        Self {
             platforms: groups
                 .values()
-                .map(|robots| platform_report(robots))
+                .map(|trials| platform_report(trials))
                 .collect(),
-            robots: self.robots.iter().map(robot_report).collect(),
+            robots: trials.iter().map(robot_report).collect(),
         }
     }
 }
 
-fn platform_report(robots: &[&RobotEvaluation]) -> PlatformReport {
+fn platform_report(trials: &[&LiveTrial]) -> PlatformReport {
     let mut pooled = Scores::default();
-    for robot in robots {
-        robot.pool_into(&mut pooled);
+    for [reading_w, residual_w, previous_w] in
+        trials.iter().flat_map(|trial| &trial.scored_readings_w)
+    {
+        pooled.observe(*reading_w, *residual_w, *previous_w);
     }
-    let name = |of: fn(&RobotEvaluation) -> &String| robots.first().map(|robot| of(robot).clone());
+    let name = |of: fn(&LiveTrial) -> &String| trials.first().map(|trial| of(trial).clone());
     PlatformReport {
-        platform: name(|robot| &robot.platform).unwrap_or_default(),
-        model: name(|robot| &robot.model).unwrap_or_default(),
-        forecast: robots.first().map(|robot| robot.forecast),
-        trials: robots.len(),
-        accepted: robots.iter().map(|robot| robot.accepted).sum(),
-        dropped: robots.iter().map(|robot| robot.drops.total()).sum(),
+        platform: name(|trial| &trial.platform).unwrap_or_default(),
+        model: name(|trial| &trial.model).unwrap_or_default(),
+        forecast: trials.first().map(|trial| trial.forecast),
+        trials: trials.len(),
+        accepted: trials.iter().map(|trial| trial.accepted).sum(),
+        dropped: trials.iter().flat_map(|trial| trial.dropped.values()).sum(),
         scores: (&pooled).into(),
     }
 }
 
-fn robot_report(robot: &RobotEvaluation) -> RobotReport {
-    let mut qualities = BTreeMap::new();
-    for step in &robot.steps {
-        *qualities.entry(quality_name(step.quality)).or_default() += 1;
-    }
-    let ledger = &robot.ledger;
+fn robot_report(trial: &LiveTrial) -> RobotReport {
     RobotReport {
-        robot: robot.robot,
-        file: robot.path.display().to_string(),
-        platform: robot.platform.clone(),
-        model: robot.model.clone(),
-        forecast: robot.forecast,
-        notes: robot.notes.to_string(),
-        accepted: robot.accepted,
-        dropped: robot
-            .drops
-            .iter()
-            .map(|(reason, count)| (reason.name(), count))
-            .collect(),
-        qualities,
-        scores: (&robot.scores).into(),
-        coverage: robot.coverage,
-        learned: robot.learned,
-        drawn_j: ledger.drawn_uj as f64 / 1e6,
-        metered_s: ledger.metered_ns as f64 / 1e9,
-        unmetered_s: ledger.unmetered_ns as f64 / 1e9,
-    }
-}
-
-fn quality_name(quality: Quality) -> String {
-    match quality {
-        Quality::Fresh => "Fresh".to_owned(),
-        Quality::Held => "Held".to_owned(),
-        Quality::Warmup { .. } => "Warmup".to_owned(),
-        Quality::OpenLoop { .. } => "OpenLoop".to_owned(),
-        Quality::Invalid(reason) => format!("Invalid({})", reason.name()),
-        Quality::Unknown => "Unknown".to_owned(),
+        robot: trial.robot,
+        file: trial.file.clone(),
+        platform: trial.platform.clone(),
+        model: trial.model.clone(),
+        forecast: trial.forecast,
+        notes: trial.notes.clone(),
+        accepted: trial.accepted,
+        dropped: trial.dropped.clone(),
+        qualities: trial.qualities.clone(),
+        scores: (&trial.scores).into(),
+        coverage: trial.coverage,
+        learned: trial.learned,
+        drawn_j: trial.drawn_uj as f64 / 1e6,
+        metered_s: trial.metered_ns as f64 / 1e9,
+        unmetered_s: trial.unmetered_ns as f64 / 1e9,
     }
 }
 

@@ -2,12 +2,15 @@
 
 use std::collections::BTreeMap;
 
+use serde::{Deserialize, Serialize};
+
 use super::Recording;
+use joulebus_dataset::split::digest;
 use joulebus_statistics::bootstrap::Bootstrap;
 use joulebus_statistics::metrics::{Additive, CoverageTally, Tally};
 
 /// Sums of one recording.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(crate) struct Sums {
     /// Blocks of consecutive rows, in order.
     pub(crate) blocks: Vec<Block>,
@@ -18,7 +21,7 @@ pub(crate) struct Sums {
 }
 
 /// A block of consecutive rows.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(crate) struct Block {
     /// One entry per forecaster: the models, persistence, the linear baselines, the models' members.
     pub(crate) forecasters: Vec<Tally>,
@@ -27,7 +30,7 @@ pub(crate) struct Block {
 }
 
 /// All origins at one horizon; one entry per forecaster.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(crate) struct HorizonSums {
     /// The reading at the horizon.
     pub(crate) power: Vec<Tally>,
@@ -155,11 +158,34 @@ pub(crate) struct Tallied {
 
 #[derive(Debug, Clone)]
 struct Named {
-    name: String,
+    listed: Listed,
+    sums: Sums,
+}
+
+/// What tables need of a recording beside its sums.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Listed {
+    pub(crate) name: String,
     robot: String,
     group: String,
     period_s: f64,
-    sums: Sums,
+    /// Rows of the trial.
+    pub(crate) rows: usize,
+    /// Hash of the rows with a forecast.
+    digest: [u8; 32],
+}
+
+impl Listed {
+    pub(crate) fn of(recording: &Recording) -> Self {
+        Self {
+            name: recording.name.clone(),
+            robot: recording.robot.clone(),
+            group: recording.group.clone(),
+            period_s: recording.trial.period_ns() as f64 * 1e-9,
+            rows: recording.trial.rows(),
+            digest: digest(&recording.rows),
+        }
+    }
 }
 
 /// Recordings scored together, by index.
@@ -177,14 +203,11 @@ impl Set {
 
 impl Tallied {
     /// `sums` correspond to `recordings` by index.
-    pub(crate) fn new(recordings: &[Recording], sums: Vec<Sums>) -> Self {
+    pub(crate) fn new(recordings: &[Listed], sums: Vec<Sums>) -> Self {
         let pairs = recordings.iter().zip(sums);
         let evaluated = pairs.filter(|(_, sums)| !sums.blocks.is_empty());
-        let named = evaluated.map(|(recording, sums)| Named {
-            name: recording.name.clone(),
-            robot: recording.robot.clone(),
-            group: recording.group.clone(),
-            period_s: recording.trial.period_ns() as f64 * 1e-9,
+        let named = evaluated.map(|(listed, sums)| Named {
+            listed: listed.clone(),
             sums,
         });
         Self {
@@ -201,7 +224,7 @@ impl Tallied {
 
     /// Median period of the recordings, s.
     pub(crate) fn period_s(&self) -> f64 {
-        let periods = self.recordings.iter().map(|named| named.period_s);
+        let periods = self.recordings.iter().map(|named| named.listed.period_s);
         joulebus_statistics::metrics::quantile(&joulebus_statistics::metrics::sorted(periods), 0.5)
     }
 
@@ -215,18 +238,18 @@ impl Tallied {
     pub(crate) fn trials(&self) -> Vec<Set> {
         let each = self.recordings.iter().enumerate();
         each.map(|(at, named)| Set {
-            name: named.name.clone(),
+            name: named.listed.name.clone(),
             places: vec![at],
         })
         .collect()
     }
 
     pub(crate) fn groups(&self) -> Vec<Set> {
-        self.by(|named| &named.group)
+        self.by(|named| &named.listed.group)
     }
 
     pub(crate) fn robots(&self) -> Vec<Set> {
-        self.by(|named| &named.robot)
+        self.by(|named| &named.listed.robot)
     }
 
     fn by(&self, name: fn(&Named) -> &String) -> Vec<Set> {

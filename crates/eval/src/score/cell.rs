@@ -1,6 +1,6 @@
 //! Tables: the scores of a set of recordings, each forecaster on the same rows.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::Options;
 use super::blocks::{Block, Draws, HorizonSums, Set, Tallied};
@@ -151,7 +151,7 @@ pub struct HorizonScore {
 }
 
 /// Names of the forecasters, and which of them are models and which baselines; the others are members.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Names {
     pub(crate) forecasters: Vec<String>,
     /// In open loop, where each model is its network alone and there are no members.

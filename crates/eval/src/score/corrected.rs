@@ -9,6 +9,7 @@ use super::blocks::{Block, Sums};
 use super::design::Lines;
 use super::members::Member;
 use super::{Options, Recording, ScoreError, Subject, open_loop, recorded_platform};
+use crate::energy::EnergyScores;
 use crate::evaluate::{RobotEvaluation, evaluate_trial};
 use joulebus_statistics::metrics::{CoverageTally, Tally};
 use joulebus_train::linear::Linear;
@@ -30,6 +31,8 @@ pub(super) struct Found {
     pub(super) trained_on: Sums,
     /// The live path of each model.
     pub(super) live: Vec<RobotEvaluation>,
+    /// The energy forecasts of each model; empty if not [asked for](Options::energy).
+    pub(super) energy: Vec<EnergyScores>,
 }
 
 /// Sums of one recording, and the live path of each model.
@@ -78,7 +81,31 @@ pub(super) fn one(
         sums,
         trained_on: sums_of(&apart),
         live: if parts.is_empty() { Vec::new() } else { live },
+        energy: match options.energy {
+            true => energy(subject, at),
+            false => Vec::new(),
+        },
     })
+}
+
+/// Forecasts of the energy of the rows that are evaluated, by each model.
+fn energy(subject: Subject<'_>, at: usize) -> Vec<EnergyScores> {
+    let recording = &subject.recordings[at];
+    let mut scored = vec![false; recording.trial.rows()];
+    let parts = subject.design.evaluated(at).map(|(_, part)| part);
+    for row in parts.flatten() {
+        // The target of a row is the reading of the sample after its own.
+        let target = recording.rows.sample_seq[row] as usize + 1;
+        if let Some(scored) = scored.get_mut(target) {
+            *scored = true;
+        }
+    }
+    let of = |model| {
+        let mut scores = EnergyScores::default();
+        scores.add(model, &recording.trial, &scored);
+        scores
+    };
+    subject.models.iter().map(of).collect()
 }
 
 fn live(subject: Subject<'_>, recording: &Recording) -> Result<Vec<RobotEvaluation>, ScoreError> {

@@ -4,7 +4,7 @@ use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::{Recording, ScoreError};
 use joulebus_dataset::rows::Row;
@@ -243,7 +243,7 @@ impl Design {
 }
 
 /// Which rows were evaluated, for reports.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DesignReport {
     /// Description.
     pub description: String,

@@ -3,13 +3,17 @@
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use joulebus_train::linear::Linear;
 use rayon::prelude::*;
 
-use super::blocks::Tallied;
+use super::blocks::{Sums, Tallied};
+use super::common::Common;
+use super::corrected::{self, Found};
 use super::design::fit_lines;
 use super::report::{ScoreReport, report};
-use super::{Options, ScoreError, Subject, corrected};
-use crate::evaluate::{Evaluation, RobotEvaluation};
+use super::{Options, ScoreError, Subject};
+use crate::energy::EnergyScores;
+use crate::evaluate::Evaluation;
 
 /// Result of an evaluation.
 #[derive(Debug, Clone)]
@@ -66,54 +70,104 @@ pub fn score_watched(
     options: &Options,
     watch: impl Fn(usize) -> ControlFlow<()> + Sync,
 ) -> Result<Scored, ScoreError> {
-    options.check()?;
-    let Subject {
-        models, recordings, ..
-    } = subject;
-    if recordings.is_empty() {
-        return Err(ScoreError::NoRecording);
-    }
-    if models.is_empty() {
-        return Err(ScoreError::NoModel);
-    }
-    let lines = fit_lines(subject.design, recordings, &options.baselines)?;
-    let done = AtomicUsize::new(0);
-    let all = (0..recordings.len())
-        .into_par_iter()
-        .map(|at| {
-            let found = corrected::one(subject, options, &lines, at)?;
-            match watch(done.fetch_add(1, Ordering::Relaxed) + 1) {
-                ControlFlow::Continue(()) => Ok(found),
-                ControlFlow::Break(()) => Err(ScoreError::Ended),
-            }
-        })
-        .collect::<Result<Vec<_>, _>>()?;
-    let (mut evaluated, mut apart) = (Vec::new(), Vec::new());
-    let mut by_recording: Vec<Vec<RobotEvaluation>> = Vec::new();
-    for found in all {
-        evaluated.push(found.sums);
-        apart.push(found.trained_on);
-        by_recording.push(found.live);
-    }
-    let blocks = Tallied::new(recordings, evaluated);
-    let apart = Tallied::new(recordings, apart);
-    if blocks.rows() == 0 {
-        let rows = recordings.iter().map(|recording| recording.trial.rows());
-        return Err(ScoreError::NoRows {
-            recordings: recordings.len(),
-            rows: rows.sum(),
-        });
-    }
-    let mut live = vec![Evaluation { robots: Vec::new() }; models.len()];
-    for robots in by_recording {
-        for (evaluation, robot) in live.iter_mut().zip(robots) {
+    let prepared = Prepared::new(subject, options)?;
+    let recordings = prepared.common.recordings.len();
+    let mut live = vec![Evaluation { robots: Vec::new() }; subject.models.len()];
+    let mut sums = SumsOfAll::default();
+    for found in prepared.run(0..recordings, watch)? {
+        for (evaluation, robot) in live.iter_mut().zip(found.live) {
             evaluation.robots.push(robot);
         }
+        sums.push(found.sums, found.trained_on, found.energy);
     }
-    let report = report(subject, options, &lines, [&blocks, &apart]);
+    let (report, blocks) = sums.report(&prepared.common)?;
     Ok(Scored {
         report,
         live,
         blocks,
     })
+}
+
+/// An evaluation before its recordings are run.
+pub(super) struct Prepared<'a> {
+    subject: Subject<'a>,
+    options: &'a Options,
+    lines: Vec<Vec<Option<Linear>>>,
+    pub(super) common: Common,
+}
+
+impl<'a> Prepared<'a> {
+    pub(super) fn new(subject: Subject<'a>, options: &'a Options) -> Result<Self, ScoreError> {
+        options.check()?;
+        if subject.recordings.is_empty() {
+            return Err(ScoreError::NoRecording);
+        }
+        if subject.models.is_empty() {
+            return Err(ScoreError::NoModel);
+        }
+        let lines = fit_lines(subject.design, subject.recordings, &options.baselines)?;
+        Ok(Self {
+            subject,
+            options,
+            common: Common::of(subject, options, &lines),
+            lines,
+        })
+    }
+
+    /// Runs some recordings, in parallel. Results are in the order of `places`.
+    pub(super) fn run(
+        &self,
+        places: impl IntoParallelIterator<Item = usize, Iter: IndexedParallelIterator>,
+        watch: impl Fn(usize) -> ControlFlow<()> + Sync,
+    ) -> Result<Vec<Found>, ScoreError> {
+        let done = AtomicUsize::new(0);
+        let each = places.into_par_iter().map(|at| {
+            let found = corrected::one(self.subject, self.options, &self.lines, at)?;
+            match watch(done.fetch_add(1, Ordering::Relaxed) + 1) {
+                ControlFlow::Continue(()) => Ok(found),
+                ControlFlow::Break(()) => Err(ScoreError::Ended),
+            }
+        });
+        each.collect()
+    }
+}
+
+/// The sums of all recordings, in their order.
+#[derive(Default)]
+pub(super) struct SumsOfAll {
+    evaluated: Vec<Sums>,
+    trained_on: Vec<Sums>,
+    /// Of each model.
+    energy: Vec<EnergyScores>,
+}
+
+impl SumsOfAll {
+    pub(super) fn push(&mut self, evaluated: Sums, trained_on: Sums, energy: Vec<EnergyScores>) {
+        self.evaluated.push(evaluated);
+        self.trained_on.push(trained_on);
+        if self.energy.len() < energy.len() {
+            self.energy.resize_with(energy.len(), Default::default);
+        }
+        for (all, one) in self.energy.iter_mut().zip(energy) {
+            all.append(one);
+        }
+    }
+
+    pub(super) fn report(self, common: &Common) -> Result<(ScoreReport, Tallied), ScoreError> {
+        let blocks = Tallied::new(&common.recordings, self.evaluated);
+        let apart = Tallied::new(&common.recordings, self.trained_on);
+        if blocks.rows() == 0 {
+            let rows = common.recordings.iter().map(|recording| recording.rows);
+            return Err(ScoreError::NoRows {
+                recordings: common.recordings.len(),
+                rows: rows.sum(),
+            });
+        }
+        let mut energy = self.energy;
+        if common.energy {
+            energy.resize_with(common.models.len(), Default::default);
+        }
+        let report = report(common, [&blocks, &apart], &energy);
+        Ok((report, blocks))
+    }
 }

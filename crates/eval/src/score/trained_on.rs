@@ -2,7 +2,7 @@
 
 use joulebus_dataset::trained_rows::is_trained_on;
 use joulebus_predictor::Model;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::design::Part;
 use super::{Design, Recording};
@@ -12,7 +12,7 @@ use crate::evaluate::RobotEvaluation;
 const FEWEST_APART: usize = 50;
 
 /// Rows that a model was trained on, among those that were to be evaluated.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TrainedOn {
     /// Rows trained on, or beside such rows.
     pub rows: usize,
@@ -23,7 +23,7 @@ pub struct TrainedOn {
 }
 
 /// What the rows of the tables are to the models.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ScoredRows {
     /// No model was trained on any of them.

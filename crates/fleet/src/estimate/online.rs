@@ -173,7 +173,7 @@ fn within(value: f32, most: f32) -> f32 {
 }
 
 /// What a robot's forecast has learned from its readings.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Learned {
     /// The network's own forecast of the next reading, W; NaN before the first.
     pub network_w: f32,

@@ -1,0 +1,162 @@
+//! The scores of some of an evaluation's recordings, which are merged into those of all.
+
+use std::ops::ControlFlow;
+
+use serde::{Deserialize, Serialize};
+
+use super::blocks::{Block, Sums};
+use super::common::Common;
+use super::report::ScoreReport;
+use super::run::{Prepared, SumsOfAll};
+use super::{Options, ScoreError, Subject};
+use crate::energy::EnergyScores;
+use crate::evaluate::LiveTrial;
+
+/// Sums of some recordings of an evaluation. Sums of floats depend on their order: each recording's are kept, and are
+/// added in the order of the recordings when all are there, so that the tables have the bits of a single run.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Portion {
+    common: Common,
+    recordings: Vec<OfRecording>,
+}
+
+/// Results of one recording.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+struct OfRecording {
+    /// Its index.
+    place: usize,
+    evaluated: Sums,
+    trained_on: Sums,
+    /// Of each model.
+    live: Vec<LiveTrial>,
+    energy: Vec<EnergyScores>,
+}
+
+/// Why portions cannot be merged.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Misfit {
+    /// They are of different evaluations.
+    Different,
+    /// Results of a recording, by its index, are there twice, or are missing.
+    Recording(usize),
+    /// Tables of another size than those of the evaluation.
+    Size,
+}
+
+/// Evaluates the recordings at those indices for which `is_own` is true; baselines are fitted on all.
+///
+/// # Errors
+/// As [`score`](super::score), except for rows that cannot be scored: only all portions together tell.
+pub fn score_portion(
+    subject: Subject<'_>,
+    options: &Options,
+    is_own: impl Fn(usize) -> bool,
+) -> Result<Portion, ScoreError> {
+    let prepared = Prepared::new(subject, options)?;
+    let places: Vec<usize> = (0..subject.recordings.len())
+        .filter(|at| is_own(*at))
+        .collect();
+    let all = prepared.run(places.clone(), |_| ControlFlow::Continue(()))?;
+    let recordings = places
+        .into_iter()
+        .zip(all)
+        .map(|(place, found)| OfRecording {
+            place,
+            evaluated: found.sums,
+            trained_on: found.trained_on,
+            live: found.live.iter().map(LiveTrial::from).collect(),
+            energy: found.energy,
+        });
+    Ok(Portion {
+        recordings: recordings.collect(),
+        common: prepared.common,
+    })
+}
+
+impl Portion {
+    /// Number of its recordings, and of all.
+    #[must_use]
+    pub fn recordings(&self) -> (usize, usize) {
+        (self.recordings.len(), self.common.recordings.len())
+    }
+
+    /// Name of the platform.
+    #[must_use]
+    pub fn platform(&self) -> &str {
+        &self.common.platform
+    }
+
+    /// The evaluation that the portions make up, and the live path: by model, in the recordings' order. The inner error is
+    /// that of a single run.
+    pub(crate) fn merged(
+        portions: Vec<Self>,
+    ) -> Result<Result<(ScoreReport, Vec<LiveTrial>), ScoreError>, Misfit> {
+        let mut portions = portions.into_iter();
+        let Some(Self {
+            common,
+            mut recordings,
+        }) = portions.next()
+        else {
+            return Ok(Err(ScoreError::NoRecording));
+        };
+        for other in portions {
+            if !is_same(&common, &other.common) {
+                return Err(Misfit::Different);
+            }
+            recordings.extend(other.recordings);
+        }
+        recordings.sort_by_key(|one| one.place);
+        if let Some(place) = (0..common.recordings.len().max(recordings.len()))
+            .find(|at| recordings.get(*at).is_none_or(|one| one.place != *at))
+        {
+            return Err(Misfit::Recording(place));
+        }
+        if !recordings.iter().all(|one| one.fits(&common)) {
+            return Err(Misfit::Size);
+        }
+        let mut live = vec![Vec::new(); common.models.len()];
+        let mut sums = SumsOfAll::default();
+        for one in recordings {
+            for (all, trial) in live.iter_mut().zip(one.live) {
+                all.push(trial);
+            }
+            sums.push(one.evaluated, one.trained_on, one.energy);
+        }
+        let live = live.into_iter().flatten().collect();
+        Ok(sums.report(&common).map(|(report, _)| (report, live)))
+    }
+}
+
+/// To the bit: a NaN equals itself.
+fn is_same(one: &Common, other: &Common) -> bool {
+    let bytes = |common| postcard::to_allocvec(common).ok();
+    bytes(one).is_some_and(|own| bytes(other).is_some_and(|other| own == other))
+}
+
+impl OfRecording {
+    /// Whether its tables have the sizes that the evaluation's names and horizons ask for.
+    fn fits(&self, common: &Common) -> bool {
+        let (models, names) = (common.models.len(), &common.names);
+        let is_none_or = |found: usize, wanted: usize| found == 0 || found == wanted;
+        let block = |block: &Block| {
+            block.forecasters.len() == names.forecasters.len() && block.intervals.len() == models
+        };
+        let sums = |sums: &Sums| {
+            let open_loop = names.open_loop.len();
+            sums.blocks.iter().all(block)
+                && is_none_or(sums.residuals_w.len(), names.forecasters.len())
+                && is_none_or(sums.horizons.len(), common.horizons.len())
+                && sums
+                    .horizons
+                    .iter()
+                    .all(|sums| sums.power.len() == open_loop && sums.energy.len() == open_loop)
+        };
+        names.models == models
+            && names.open_loop.len() <= names.forecasters.len()
+            && names.models + names.baselines <= names.forecasters.len()
+            && sums(&self.evaluated)
+            && sums(&self.trained_on)
+            && is_none_or(self.live.len(), models)
+            && is_none_or(self.energy.len(), models)
+    }
+}
