@@ -397,6 +397,24 @@ fn the_worker_answers_with_the_bits_that_a_planner_computes_itself() {
 }
 
 #[test]
+fn a_question_that_takes_longer_than_two_ticks_is_a_yes_about_a_state_that_is_not_stale() {
+    let arena = Arena::new(&setup());
+    let mut worker = arena.worker();
+    let mut source = arena.controller("source", 0, ROBOTS, HZ);
+    let mut asker = Asker::new(&arena, &["asker", "far", "3"]);
+    assert_eq!(
+        asker.next(),
+        Some(AskerLine::Done { answered: 3 }),
+        "{}",
+        asker.child.tail()
+    );
+    asker.child.finish();
+    source.finish();
+    worker.stop();
+    arena.close();
+}
+
+#[test]
 fn recorded_answers_are_computed_again_and_a_changed_one_is_found() {
     let arena = Arena::new(&setup());
     let mut worker = arena.worker();

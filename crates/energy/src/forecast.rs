@@ -65,14 +65,29 @@ impl CommandSum {
     /// Before the first command of a plan that begins now; each command is in force for `period_s`.
     #[must_use]
     pub fn new(state: &EnergyState, period_s: f32) -> Self {
+        Self::after(state.command(), period_s)
+    }
+
+    /// Before the next command after one that is in force, (m/s, rad/s): a part of a plan, whatever the robot.
+    #[must_use]
+    pub const fn after(command: (f32, f32), period_s: f32) -> Self {
         Self {
             period_s,
             steps: 0,
             power_w: 0.0,
             is_known: true,
             steps_outside: 0,
-            last: state.command(),
+            last: command,
         }
+    }
+
+    /// Adds a part that begins after this sum's last command, and has its period.
+    pub fn join(&mut self, next: &Self) {
+        self.steps += next.steps;
+        self.power_w += next.power_w;
+        self.is_known &= next.is_known;
+        self.steps_outside += next.steps_outside;
+        self.last = next.last;
     }
 
     /// Adds the next commands, whose period must be that of the sum. Reads them once and allocates

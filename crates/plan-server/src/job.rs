@@ -23,6 +23,8 @@ pub(crate) struct Job {
     /// What the answer is computed from; filled when that begins.
     pub(crate) answer: AnswerHeader,
     pub(crate) state: State,
+    /// How often its answer was begun again, because the robots' state had become stale.
+    pub(crate) renewals: u32,
     watch: Option<PeerWatch>,
 }
 
@@ -50,6 +52,7 @@ impl Job {
             taken_ns: now_ns,
             answer: AnswerHeader::default(),
             state: State::Waiting(question),
+            renewals: 0,
             watch: PeerWatch::open(client),
         };
         (job, checked)

@@ -16,6 +16,9 @@ use crate::records::Records;
 
 /// Questions of one process that may wait.
 const MOST_OF_A_PROCESS: usize = 4;
+/// Times that an answer is begun again with newer rows, at most: ways are followed once, so that the first is enough
+/// unless the thread is hardly run.
+const MOST_RENEWALS: u32 = 3;
 /// Pause while a frame of the fleet is awaited, ns.
 const FRAME_POLL_NS: u64 = 1_000_000;
 /// Time after the last client has left until plan states are not read any more, ns.
@@ -224,7 +227,7 @@ impl Server {
         Ok((next, next.is_none()))
     }
 
-    /// Works on a question: up to one robot of it.
+    /// Works on a question: up to one robot of it, or one way to be followed.
     fn advance(&mut self, place: usize) -> Result<(), ServerError> {
         // What other threads take from this one is not charged to a client.
         let begun_ns = clock::thread_cpu_ns();
@@ -261,8 +264,43 @@ impl Server {
         let State::Working(work) = &mut job.state else {
             return Ok(None);
         };
-        let is_done = work.step(planner.fleet()).map_err(refused)?;
-        Ok(is_done.then(|| std::mem::take(work)))
+        let fleet = planner.fleet();
+        let is_done = if job.renewals == 0 {
+            work.step(fleet)
+        } else {
+            work.rest(fleet)
+        };
+        if !is_done.map_err(refused)? {
+            return Ok(None);
+        }
+        let work = std::mem::take(work);
+        self.renew(job, work)
+    }
+
+    /// The complete work; where the robots' state has become stale meanwhile, computed again from the newest frames.
+    /// What is left of that if one more way has to be followed stays with the question.
+    fn renew(&mut self, job: &mut Job, work: Work) -> Result<Option<Work>, Refused> {
+        if job.renewals >= MOST_RENEWALS || !work.is_stale(clock::monotonic_ns()) {
+            return Ok(Some(work));
+        }
+        // Without a newer frame the answer states that.
+        let Some(planner) = self.planner.as_mut() else {
+            return Ok(Some(work));
+        };
+        let Some(view) = planner.view().ok().flatten().filter(View::is_current) else {
+            return Ok(Some(work));
+        };
+        let refused = |error: QuestionError| Refused::from(&error);
+        let mut work = work
+            .renew(|robot| View::rows(&view, robot))
+            .map_err(refused)?;
+        view.state_in(&mut job.answer);
+        job.renewals += 1;
+        if work.rest(planner.fleet()).map_err(refused)? {
+            return Ok(Some(work));
+        }
+        job.state = State::Working(work);
+        Ok(None)
     }
 
     fn answer(&mut self, mut job: Job, work: Work) -> Result<(), ServerError> {

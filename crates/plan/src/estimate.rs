@@ -26,6 +26,11 @@ impl Progress {
         }
     }
 
+    /// Time that each command is in force, s.
+    pub(crate) const fn period_s(&self) -> f32 {
+        self.sum.period_s()
+    }
+
     /// Follows the next commands.
     pub(crate) fn add(&mut self, model: &EnergyModel, next: Commands<'_>) {
         let missing = self.most_covered.saturating_sub(self.sum.steps());
@@ -34,6 +39,15 @@ impl Progress {
             self.covered = self.sum;
         }
         self.sum.add(model, part(next, missing, next.steps()));
+    }
+
+    /// Follows a way that is known already but for its first command, which has been followed.
+    pub(crate) fn join(&mut self, rest: &Rest) {
+        if self.sum.steps() < self.most_covered {
+            self.covered = self.sum;
+            self.covered.join(&rest.covered);
+        }
+        self.sum.join(&rest.whole);
     }
 
     /// The energy so far, widened to what the platform can draw at least and at most (W) where the
@@ -78,6 +92,31 @@ impl Progress {
                 beyond_horizon: beyond,
                 ..Caveats::default()
             },
+        }
+    }
+}
+
+/// What the command model says of the commands of a way after its first one: the same for every robot of a platform.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Rest {
+    whole: CommandSum,
+    /// As far as the longest horizon whose errors are known.
+    covered: CommandSum,
+}
+
+impl Rest {
+    /// Of a way that is followed after the first `begins` steps of a plan.
+    pub(crate) fn new(model: &EnergyModel, way: Commands<'_>, begins: usize) -> Self {
+        let first = (way.v_mps[0], way.omega_radps[0]);
+        let mut sum = CommandSum::after(first, way.period_s);
+        let most_covered = (model.longest_s() / way.period_s) as usize;
+        let covered_to = most_covered.saturating_sub(begins).max(1);
+        sum.add(model, part(way, 1, covered_to));
+        let covered = sum;
+        sum.add(model, part(way, covered_to, way.steps()));
+        Self {
+            whole: sum,
+            covered,
         }
     }
 }

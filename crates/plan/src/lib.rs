@@ -55,6 +55,7 @@ mod platform;
 mod question;
 mod report;
 mod robot;
+mod route;
 mod trip;
 
 pub use answer::{Answer, Caveats, Left, Range, Unknown, Verdict};

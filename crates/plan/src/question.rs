@@ -7,6 +7,7 @@ use crate::fleet::Fleet;
 use crate::follower::{Path, Point};
 use crate::platform::RobotRows;
 use crate::robot::{Robot, stale};
+use crate::route::{Route, Ways};
 
 /// A question about one robot or several.
 #[derive(Debug, Clone, PartialEq)]
@@ -116,11 +117,16 @@ impl Question {
     }
 }
 
-/// The answering of a question, robot by robot, so that it can be interrupted.
+/// The answering of a question in short steps, so that it can be interrupted.
+///
+/// What is slow does not depend on the robots' rows: following a path and the ways back from it, once for each
+/// platform. So rows that have become stale meanwhile are [renewed](Work::renew), and the energies computed again.
 #[derive(Debug, Clone, Default)]
 pub struct Work {
     question: Question,
     robots: Vec<RobotRows>,
+    /// The path, by the platform's place.
+    routes: Vec<(u16, Route)>,
     most_steps: usize,
     done: usize,
     reply: Reply,
@@ -142,24 +148,65 @@ impl Work {
         Ok(Self {
             robots: rows.collect::<Result<_, _>>()?,
             question,
+            routes: Vec::new(),
             most_steps,
             done: 0,
             reply: Reply::default(),
         })
     }
 
-    /// Answers about the next robot; returns whether it was the last.
+    /// Begins again with the robots as they are now; what was followed is kept.
+    ///
+    /// # Errors
+    /// [`QuestionError::UnknownRobot`].
+    pub fn renew(self, find: impl Fn(u32) -> Option<RobotRows>) -> Result<Self, QuestionError> {
+        let Self {
+            question,
+            routes,
+            most_steps,
+            ..
+        } = self;
+        let begun = Self::begin(question, find, most_steps)?;
+        Ok(Self { routes, ..begun })
+    }
+
+    /// Whether the state of a robot is stale at a time, monotonic ns: older than two ticks.
+    #[must_use]
+    pub fn is_stale(&self, now_ns: u64) -> bool {
+        let mut robots = self.robots.iter();
+        robots.any(|rows| stale(&rows.header, now_ns).is_some())
+    }
+
+    /// Follows a path or a way back, or answers about the next robot; returns whether all are answered.
     ///
     /// # Errors
     /// [`QuestionError`].
     pub fn step(&mut self, fleet: &Fleet) -> Result<bool, QuestionError> {
-        if let Some(rows) = self.robots.get(self.done) {
-            let id = rows.state.robot;
-            let robot = fleet.robot(&rows.frames());
-            self.one(&robot.ok_or(QuestionError::UnknownRobot { robot: id })?)?;
-            self.done += 1;
-        }
+        self.advance(fleet)?;
         Ok(self.done >= self.robots.len())
+    }
+
+    /// Answers about all robots that are left, or until one more way has been followed; returns whether all are
+    /// answered. Without ways to follow this is short, some microseconds a robot.
+    ///
+    /// # Errors
+    /// [`QuestionError`].
+    pub fn rest(&mut self, fleet: &Fleet) -> Result<bool, QuestionError> {
+        while self.advance(fleet)? {}
+        Ok(self.done >= self.robots.len())
+    }
+
+    /// Answers about the next robot, unless a way has to be followed first; returns whether there was one to answer.
+    fn advance(&mut self, fleet: &Fleet) -> Result<bool, QuestionError> {
+        let Some(rows) = self.robots.get(self.done) else {
+            return Ok(false);
+        };
+        let (id, platform) = (rows.state.robot, rows.state.platform);
+        let robot = fleet.robot(&rows.frames());
+        let robot = robot.ok_or(QuestionError::UnknownRobot { robot: id })?;
+        let is_answered = self.one(&robot, platform)?;
+        self.done += usize::from(is_answered);
+        Ok(is_answered)
     }
 
     /// The reply, after the last step, as of the time at which the answering began.
@@ -192,7 +239,8 @@ impl Work {
         self.finish()
     }
 
-    fn one(&mut self, robot: &Robot<'_>) -> Result<(), QuestionError> {
+    /// Whether the robot is answered, or a way was followed first.
+    fn one(&mut self, robot: &Robot<'_>, platform: u16) -> Result<bool, QuestionError> {
         let Question {
             plan,
             coverage,
@@ -226,17 +274,28 @@ impl Work {
                 self.reply.rows.push(row(answer, None));
             }
             Plan::Follow { path, back_to, .. } => {
-                let trip = robot.can_finish_within(path, *back_to, *coverage, self.most_steps)?;
-                self.reply.rows.push(row(trip.answer, trip.turn_back_s));
+                let known = self.routes.iter().position(|(of, _)| *of == platform);
+                let Some(known) = known else {
+                    let route = Route::new(robot, path, *back_to, self.most_steps)?;
+                    self.routes.push((platform, route));
+                    return Ok(false);
+                };
+                let route = &mut self.routes[known].1;
+                let answer = robot.on(route, *coverage)?;
+                let turned = robot.turn_back_s(route, &answer, *coverage, &mut Ways(1))?;
+                let Ok(turn_back_s) = turned else {
+                    return Ok(false);
+                };
+                self.reply.rows.push(row(answer, turn_back_s));
                 if *power && self.robots.len() == 1 {
-                    let followed = &trip.commands;
+                    let followed = route.whole();
                     let columns = (&followed.v_mps, &followed.omega_radps);
                     let plan = Candidates::new(1, followed.period_s, columns.0, columns.1)?;
                     self.reply.power_w = powers(robot, &plan)?;
                 }
             }
         }
-        Ok(())
+        Ok(true)
     }
 }
 

@@ -8,7 +8,7 @@ use joulebus_wire::{
 use crate::answer::{Answer, Caveats, Left, Range, Unknown, Verdict};
 use crate::candidates::{Candidates, part};
 use crate::error::AskError;
-use crate::estimate::{Estimate, Progress};
+use crate::estimate::{Estimate, Progress, Rest};
 use crate::limits::{COVERAGE, MAX_STEPS};
 use crate::platform::{Frames, Platform};
 
@@ -274,6 +274,11 @@ impl<'a> Robot<'a> {
     /// Follows the next commands of a plan.
     pub(crate) fn follow(&self, progress: &mut Progress, next: Commands<'_>) {
         progress.add(self.model(), next);
+    }
+
+    /// What is known of a way after the first `begins` steps of a plan, whatever the robot of its platform.
+    pub(crate) fn rest(&self, way: Commands<'_>, begins: usize) -> Rest {
+        Rest::new(self.model(), way, begins)
     }
 
     /// Whether the verdict on a plan, as far as it has been followed, is [`Verdict::Yes`].

@@ -4,14 +4,13 @@ use joulebus_energy::Commands;
 
 use crate::answer::{Answer, Verdict};
 use crate::candidates::{Candidates, part};
-use crate::error::{AskError, PathError};
-use crate::follower::{Followed, Follower, Path, Point};
+use crate::error::AskError;
+use crate::estimate::Progress;
+use crate::follower::{Followed, Path, Point};
 use crate::limits::MAX_STEPS;
 use crate::question::{Row, best_first};
 use crate::robot::Robot;
-
-/// Times at which turning back is tried, at most.
-const TURNS: usize = 64;
+use crate::route::{Home, Later, Route, Ways};
 
 /// The answer to a path, and back if asked.
 #[derive(Debug, Clone, PartialEq)]
@@ -62,16 +61,16 @@ impl Robot<'_> {
         coverage: f32,
         most_steps: usize,
     ) -> Result<Trip, AskError> {
-        let follower = Follower::new(self.platform())?.within(most_steps);
-        let Some(dock) = back_to else {
-            return self.trip(follower.follow(path)?, None, coverage);
-        };
-        let there = follower.follow(path)?;
-        let back = Back::after(path, &follower, dock);
-        let all = back.append(&there)?;
-        let mut trip = self.trip(all, None, coverage)?;
-        trip.turn_back_s = self.turn_back_s(&there, &trip, &back, coverage)?;
-        Ok(trip)
+        let mut route = Route::new(self, path, back_to, most_steps)?;
+        let answer = self.on(&route, coverage)?;
+        // There are fewer than that.
+        let mut ways = Ways(usize::MAX);
+        let turned = self.turn_back_s(&mut route, &answer, coverage, &mut ways)?;
+        Ok(Trip {
+            answer,
+            turn_back_s: turned.unwrap_or(None),
+            commands: route.into_whole(),
+        })
     }
 
     /// As [`Robot::can_finish`], without the time to turn back, whose search costs up to 64 times as
@@ -85,131 +84,74 @@ impl Robot<'_> {
         back_to: Option<Point>,
         coverage: f32,
     ) -> Result<Trip, AskError> {
-        let follower = Follower::new(self.platform())?;
-        let there = follower.follow(path)?;
-        let commands = match back_to {
-            Some(dock) => Back::after(path, &follower, dock).append(&there)?,
-            None => there,
-        };
-        self.trip(commands, None, coverage)
-    }
-
-    fn trip(
-        &self,
-        commands: Followed,
-        turn_back_s: Option<f32>,
-        coverage: f32,
-    ) -> Result<Trip, AskError> {
-        self.check_followed(&commands, coverage)?;
-        let answer = self.answer(commands.commands(), &commands.leg_ends, coverage);
+        let route = Route::new(self, path, back_to, MAX_STEPS)?;
         Ok(Trip {
-            answer,
-            turn_back_s,
-            commands,
+            answer: self.on(&route, coverage)?,
+            turn_back_s: None,
+            commands: route.into_whole(),
         })
     }
 
-    fn check_followed(&self, followed: &Followed, coverage: f32) -> Result<(), AskError> {
-        let columns = (&followed.v_mps, &followed.omega_radps);
-        let candidates = Candidates::new(1, followed.period_s, columns.0, columns.1)?;
-        self.check(&candidates, coverage)
+    /// The answer to a route of its platform.
+    pub(crate) fn on(&self, route: &Route, coverage: f32) -> Result<Answer, AskError> {
+        let whole = route.whole();
+        let columns = (&whole.v_mps, &whole.omega_radps);
+        let candidates = Candidates::new(1, whole.period_s, columns.0, columns.1)?;
+        self.check(&candidates, coverage)?;
+        Ok(self.answer(whole.commands(), &whole.leg_ends, coverage))
     }
 
-    /// `whole`: the whole path and the way back from its end.
-    fn turn_back_s(
+    /// Until when the robot can turn back on a route; `whole`: its answer to all of it.
+    pub(crate) fn turn_back_s(
         &self,
-        there: &Followed,
-        whole: &Trip,
-        back: &Back<'_>,
+        route: &mut Route,
+        whole: &Answer,
         coverage: f32,
-    ) -> Result<Option<f32>, AskError> {
-        let (commands, steps) = (there.commands(), there.v_mps.len());
-        let stride = steps.div_ceil(TURNS).max(1);
-        let mut leg_ends = there.leg_ends.iter().peekable();
-        let (mut progress, mut done, mut last_s) = (self.begin(there.period_s), 0, None);
-        for turn in (0..steps).step_by(stride) {
-            while let Some(end) = leg_ends.next_if(|end| **end <= turn) {
-                self.follow(&mut progress, part(commands, done, *end));
-                done = *end;
+        ways: &mut Ways,
+    ) -> Result<Result<Option<f32>, Later>, AskError> {
+        if !route.returns() {
+            return Ok(Ok(None));
+        }
+        let period_s = route.there().period_s;
+        let (mut progress, mut done, mut leg) = (self.begin(period_s), 0, 0);
+        let mut last_s = None;
+        for (place, turn) in route.turns().enumerate() {
+            let there = route.there();
+            while let Some(end) = there.leg_ends.get(leg).filter(|end| **end <= turn) {
+                self.follow(&mut progress, part(there.commands(), done, *end));
+                (done, leg) = (*end, leg + 1);
                 if !self.makes(&progress, coverage) {
-                    return Ok(last_s);
+                    return Ok(Ok(last_s));
                 }
             }
-            self.follow(&mut progress, part(commands, done, turn));
+            self.follow(&mut progress, part(there.commands(), done, turn));
             done = turn;
-            let Some(home) = back.turned(there, turn)? else {
-                return Ok(last_s);
+            let home = match route.home(self, (place, turn), ways)? {
+                Ok(Some(home)) => home,
+                Ok(None) => return Ok(Ok(last_s)),
+                Err(later) => return Ok(Err(later)),
             };
-            let mut turned = progress;
-            self.follow(&mut turned, home.commands());
-            if !self.makes(&turned, coverage) {
-                return Ok(last_s);
+            if !self.makes(&self.turned(progress, home), coverage) {
+                return Ok(Ok(last_s));
             }
-            last_s = Some(turn as f32 * there.period_s);
+            last_s = Some(turn as f32 * period_s);
         }
-        if whole.answer.verdict == Verdict::Yes {
-            last_s = Some(steps as f32 * there.period_s);
+        if whole.verdict == Verdict::Yes {
+            last_s = Some(route.there().v_mps.len() as f32 * period_s);
         }
-        Ok(last_s)
-    }
-}
-
-/// The way back.
-struct Back<'a> {
-    follower: &'a Follower,
-    dock: Point,
-    speed_mps: f64,
-}
-
-impl<'a> Back<'a> {
-    /// At the speed of the path's last leg.
-    fn after(path: &Path, follower: &'a Follower, dock: Point) -> Self {
-        Self {
-            follower,
-            dock,
-            speed_mps: path.speed_mps.last().copied().unwrap_or(0.0),
-        }
+        Ok(Ok(last_s))
     }
 
-    /// The way back after the first steps of a path, which may have as many steps as the path leaves.
-    fn home(&self, there: &Followed, steps: usize) -> Result<Followed, AskError> {
-        let pose = there.poses[steps];
-        let home = Path {
-            points: vec![pose.at, self.dock],
-            speed_mps: vec![self.speed_mps; 2],
-            heading_rad: Some(pose.heading_rad),
+    /// A plan that goes on with a way back.
+    fn turned(&self, mut progress: Progress, home: &Home) -> Progress {
+        let first = Commands {
+            period_s: progress.period_s(),
+            v_mps: &[home.v_mps],
+            omega_radps: &[home.omega_radps],
         };
-        let home = self.follower.follow(&home)?;
-        let found = steps + home.v_mps.len();
-        let allowed = self.follower.most_steps();
-        if found > allowed {
-            return Err(AskError::Steps { found, allowed });
-        }
-        Ok(home)
-    }
-
-    /// As [`Back::home`]; `None` if the robot cannot turn back there.
-    fn turned(&self, there: &Followed, steps: usize) -> Result<Option<Followed>, AskError> {
-        match self.home(there, steps) {
-            Ok(home) => Ok(Some(home)),
-            Err(AskError::Steps { .. } | AskError::Path(PathError::NotReached { .. })) => Ok(None),
-            Err(error) => Err(error),
-        }
-    }
-
-    /// A path, and the way back from its end as one more leg.
-    fn append(&self, there: &Followed) -> Result<Followed, AskError> {
-        let steps = there.v_mps.len();
-        let home = self.home(there, steps)?;
-        let mut leg_ends = there.leg_ends.clone();
-        leg_ends.push(steps + home.v_mps.len());
-        Ok(Followed {
-            period_s: there.period_s,
-            v_mps: [&there.v_mps[..], &home.v_mps].concat(),
-            omega_radps: [&there.omega_radps[..], &home.omega_radps].concat(),
-            leg_ends,
-            poses: [&there.poses[..steps], &home.poses].concat(),
-        })
+        self.follow(&mut progress, first);
+        progress.join(&home.rest);
+        progress
     }
 }
 

@@ -156,6 +156,62 @@ fn a_yes_whose_state_is_stale_when_the_answer_is_sent_is_unknown() {
     assert_eq!(stale.rows[0].answer, fresh.rows[1].answer);
 }
 
+/// Straight on, so that no command lies outside the training data.
+fn straight(robots: &[u32]) -> Question {
+    let end = Point::new(1.0, 0.0);
+    Question {
+        plan: Plan::Follow {
+            robots: robots.to_vec(),
+            path: Path::new(&[Point::new(0.0, 0.0), end], 0.15),
+            back_to: Some(end),
+        },
+        coverage: 0.9,
+        power: false,
+    }
+}
+
+#[test]
+fn a_way_is_followed_once_for_all_robots_of_a_platform_and_each_is_a_step_of_its_own() {
+    let (fleet, rich) = (fleet(), Rows::with_usable(20_000.0));
+    let steps = |robots: &[u32]| {
+        let find = |robot| Some(rows(&rich, robot));
+        let mut work = Work::begin(straight(robots), find, QUERY_STEPS).unwrap();
+        let mut steps = 1;
+        while !work.step(&fleet).unwrap() {
+            steps += 1;
+        }
+        steps
+    };
+    let (one, four) = (steps(&[3]), steps(&[3, 7, 9, 11]));
+    // The path, up to 64 ways back, and the robot.
+    assert!(one > 40 && one <= 66, "{one}");
+    assert_eq!(four, one + 3);
+}
+
+#[test]
+fn rows_taken_again_are_answered_as_if_they_were_the_first_without_following_a_way_again() {
+    let (fleet, robots) = (fleet(), [3, 7, 9]);
+    let (old, mut new) = (Rows::with_usable(20_000.0), Rows::with_usable(200.0));
+    new.header.sent_ns += 1_000_000_000;
+    new.budget_header.sent_ns += 1_000_000_000;
+    new.now_ns += 1_000_000_000;
+    let mut work = Work::begin(
+        straight(&robots),
+        |robot| Some(rows(&old, robot)),
+        QUERY_STEPS,
+    );
+    let work = work.as_mut().unwrap();
+    while !work.step(&fleet).unwrap() {}
+    assert!(!work.is_stale(old.now_ns) && work.is_stale(new.now_ns));
+    let find = |robot| Some(rows(&new, robot));
+    let mut work = std::mem::take(work).renew(find).unwrap();
+    assert!(!work.is_stale(new.now_ns));
+    assert!(work.rest(&fleet).unwrap(), "nothing is left to be followed");
+    let expected = straight(&robots).answer(&fleet, find, QUERY_STEPS).unwrap();
+    assert_eq!(work.finish_at(new.now_ns), expected);
+    assert_ne!(expected.rows[0].answer.left, None);
+}
+
 #[test]
 fn robots_that_are_not_there_and_paths_that_take_too_long_are_refused() {
     let (fleet, robots) = (fleet(), Rows::with_usable(5_000.0));

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use joulebus_config::Config;
 use joulebus_plan::{
     ClientError, Path, Plan, PlanClient, Planner, Point, QueryError, Question, Reply, RobotRows,
+    Verdict, Work,
 };
 use joulebus_tests::AskerLine;
 use joulebus_wire::{QUERY_STEPS, QueryHeader, QueryRefusal, fnv1a, query_flag};
@@ -112,6 +113,43 @@ pub(crate) fn calm(config: &Config, count: u64) -> Done {
     print_line(&AskerLine::Done { answered: count })
 }
 
+/// Asks whether robots can drive six metres straight on, and until when they can turn back: 64 ways of up to 40 s each.
+/// Until `count` answers were a yes for every robot, each about a state that was at most two ticks old.
+pub(crate) fn far(config: &Config, count: u64) -> Done {
+    let mut client = PlanClient::with_config(config, "far")?;
+    let (from, end) = (Point::new(0.0, 0.0), Point::new(6.0, 0.0));
+    let question = Question {
+        plan: Plan::Follow {
+            robots: vec![0, 1, 2, 3],
+            path: Path::new(&[from, end], 0.15),
+            // No command lies outside the training data.
+            back_to: Some(end),
+        },
+        coverage: 0.9,
+        power: false,
+    };
+    let most_age_ns = 2 * config.settings().platforms[0].period_ns;
+    let mut answered = 0;
+    while answered < count {
+        match client.ask(&question, PATIENCE) {
+            Ok(of) => {
+                let mut rows = of.reply.rows.iter();
+                let is_yes =
+                    rows.all(|row| row.answer.verdict == Verdict::Yes && row.turn_back_s.is_some());
+                if is_yes && of.age_ns > most_age_ns {
+                    return Err(format!("a yes about a state {} ns old", of.age_ns).into());
+                }
+                answered += u64::from(is_yes);
+            }
+            Err(error) if ["NotServed", "NoFrame", "UnknownRobot"].contains(&&*named(&error)) => {
+                std::thread::sleep(Duration::from_millis(5));
+            }
+            Err(error) => return Err(error.into()),
+        }
+    }
+    print_line(&AskerLine::Done { answered })
+}
+
 /// Asks once, with a short deadline.
 pub(crate) fn late(config: &Config) -> Done {
     let stop = stop_with_stdin();
@@ -176,7 +214,11 @@ pub(crate) fn bits(config: &Config, count: u64) -> Done {
             continue;
         };
         let find = |robot| rows.iter().find(|row| row.state.robot == robot).copied();
-        let here = question.clone().answer(&fleet, find, QUERY_STEPS)?;
+        let mut work = Work::begin(question.clone(), find, QUERY_STEPS)?;
+        while !work.step(&fleet)? {}
+        // What was stale when the worker sent it is stale here.
+        let sent_ns = rows[0].header.sent_ns + answered.age_ns;
+        let here = work.finish_at(sent_ns);
         if !same(&here, &answered.reply) {
             return Err(format!("{here:?}\nis not\n{:?}", answered.reply).into());
         }

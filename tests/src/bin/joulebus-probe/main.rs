@@ -50,6 +50,7 @@ fn run(arguments: &[&str]) -> Done {
         ["asker", "flood", config] => asker::flood(&Config::load(config)?, false),
         ["asker", "heavy", config] => asker::flood(&Config::load(config)?, true),
         ["asker", "calm", count, config] => asker::calm(&Config::load(config)?, count.parse()?),
+        ["asker", "far", count, config] => asker::far(&Config::load(config)?, count.parse()?),
         ["asker", "late", config] => asker::late(&Config::load(config)?),
         ["asker", "bits", count, config] => asker::bits(&Config::load(config)?, count.parse()?),
         ["asker", "hostile", config] => asker::hostile(&Config::load(config)?),
