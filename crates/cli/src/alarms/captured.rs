@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use anyhow::Context as _;
 use joulebus_capture::{Entry, Message, ReadError, Reader};
-use joulebus_consumer::{AlarmChange, AlarmHistory, Change};
+use joulebus_consumer::{AlarmChange, AlarmHistory, Change, FleetAlarm};
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
 use serde::Serialize;
@@ -152,7 +152,7 @@ impl Episode {
             alarm: change.alarm.name(),
             level: change.alarm.level().name(),
             raised_ns: change.raised_ns,
-            lasted_s: Some(s_between(change.raised_ns, change.at_ns)),
+            lasted_s: FleetAlarm::from(*change).lasted_s(),
             end: change.change.name(),
         }
     }

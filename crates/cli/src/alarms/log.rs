@@ -6,12 +6,12 @@ use std::time::Duration;
 
 use joulebus_bus::{Background, Steps};
 use joulebus_config::{Config, ConnectError};
-use joulebus_consumer::{AlarmChange, AlarmFeed, Change};
+use joulebus_consumer::{AlarmChange, AlarmFeed, Change, FleetAlarm};
 use joulebus_program::logging::ALARMS;
 use joulebus_wire::Level;
 use serde::Serialize;
 
-use super::{Lasted, s_between};
+use super::Lasted;
 
 /// Pause before the diagnostics are opened again.
 const OPEN_EVERY: Duration = Duration::from_secs(1);
@@ -155,7 +155,7 @@ fn log(change: &AlarmChange) {
             tracing::warn!(target: ALARMS, robot, alarm, level = level_name, change = what, "alarm raised");
         }
         (Change::Cleared | Change::Left, _) => {
-            let lasted_s = s_between(change.raised_ns, change.at_ns);
+            let lasted_s = FleetAlarm::from(*change).lasted_s().unwrap_or_default();
             let lasted = Lasted(lasted_s);
             tracing::info!(target: ALARMS, robot, alarm, level = level_name, change = what, lasted_s, "alarm ended after {lasted}");
         }
