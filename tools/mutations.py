@@ -44,7 +44,7 @@ MUTATIONS = [
     ("the ledger's file is not synced", "predictor-worker/src/ledger_files.rs",
      "        file.sync_all()?;\n", ""),
     ("renames of the ledger are not synced", "predictor-worker/src/ledger_files.rs",
-     "disk::sync_directory(folder)", "Ok(())"),
+     "disk::sync_directory(self.folder())", "Ok(())"),
     ("a capture's folder is not synced", "capture/src/writer/file.rs",
      "disk::sync_directory(folder.unwrap_or(Path::new(\".\")))", "Ok(drop(folder))"),
     ("the ledger is never saved", "predictor-worker/src/checkpointer.rs",

@@ -161,21 +161,16 @@ impl LedgerFiles {
     /// # Errors
     /// The system call failed; the previous files are intact.
     pub(crate) fn write(&mut self, ledger: &Checkpoint) -> Result<(), LedgerFileError> {
-        self.generation += 1;
         self.replace(ledger).map_err(|source| LedgerFileError::Io {
             path: self.newest.clone(),
             source,
         })
     }
 
-    fn replace(&self, ledger: &Checkpoint) -> io::Result<()> {
-        let folder = match self.newest.parent() {
-            Some(folder) if !folder.as_os_str().is_empty() => folder,
-            _ => Path::new("."),
-        };
-        disk::create_dir_all(folder)?;
+    fn replace(&mut self, ledger: &Checkpoint) -> io::Result<()> {
+        disk::create_dir_all(self.folder())?;
         let mut file = File::create(self.unfinished())?;
-        file.write_all(&encode(self.generation, ledger)?)?;
+        file.write_all(&encode(self.generation + 1, ledger)?)?;
         file.sync_all()?;
         drop(file);
         match disk::rename(&self.newest, self.older()) {
@@ -183,8 +178,16 @@ impl LedgerFiles {
             _ => {}
         }
         disk::rename(self.unfinished(), &self.newest)?;
+        // Of a write that failed the number is used again: where the newest is not the first, there is one before it.
+        self.generation += 1;
         // Also syncs the directory, otherwise a power failure could revert the renames.
-        disk::sync_directory(folder)
+        disk::sync_directory(self.folder())
+    }
+
+    fn folder(&self) -> &Path {
+        let folder = self.newest.parent();
+        let named = folder.filter(|folder| !folder.as_os_str().is_empty());
+        named.unwrap_or(Path::new("."))
     }
 
     fn older(&self) -> PathBuf {
@@ -313,6 +316,23 @@ mod tests {
             files.write(&drawn(drawn_uj)).unwrap();
         }
         files
+    }
+
+    #[test]
+    fn a_write_that_fails_is_no_generation() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ledger.json");
+        let mut files = LedgerFiles::new(&path);
+        // Nothing can be written into a folder.
+        fs::create_dir(with(&path, "new")).unwrap();
+        assert!(files.write(&drawn(1)).is_err());
+        assert_eq!(files.generation, 0);
+        fs::remove_dir(with(&path, "new")).unwrap();
+        files.write(&drawn(2)).unwrap();
+        files.write(&drawn(3)).unwrap();
+        assert_eq!(files.generation, 2);
+        assert!(with(&path, "older").exists());
+        assert_eq!(kept(&path), Some(3));
     }
 
     #[test]
