@@ -1,11 +1,21 @@
 //! A robot with its true battery.
 
-use joulebus_plan::{Point, Pose};
+use joulebus_plan::{Follower, Point, Pose};
 use joulebus_sim::arena::Command;
 use joulebus_sim::driven::Driven;
 use joulebus_wire::{Sample, sample_flag};
 
-use crate::scenario::Made;
+use crate::scenario::{Made, SPEED_MPS};
+
+/// Distance at which a point is reached, m: as in plans.
+const REACH_M: f64 = 0.05;
+/// Longest time that a way is followed ahead, ns.
+const LONGEST_AHEAD_NS: u64 = 600_000_000_000;
+
+/// Whether a robot is where it was to go.
+pub(crate) fn is_reached(at: Point, goal: Point) -> bool {
+    (at.x_m - goal.x_m).hypot(at.y_m - goal.y_m) <= REACH_M
+}
 
 /// What is fed into a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -115,6 +125,42 @@ impl Machine {
     /// What the energy drawn so far amounts to on the robot's own monitor, J.
     pub(crate) fn shown_j(&self) -> f64 {
         self.gain * self.drawn_j
+    }
+
+    /// Energy that is really in its battery, J.
+    pub(crate) const fn stored_j(&self) -> f64 {
+        self.stored_j
+    }
+
+    /// Energy that it will really draw on a way and then at rest for a time, J, whatever begins to drag
+    /// meanwhile: the robot itself, driven ahead. Infinite if the end is not reached within ten minutes.
+    pub(crate) fn draws_j(
+        &self,
+        way: &[Point],
+        then_ns: u64,
+        follower: &Follower,
+        dt_ns: u64,
+    ) -> f64 {
+        let mut ahead = self.clone();
+        let (mut next, mut driven_ns) = (0, 0);
+        while driven_ns < LONGEST_AHEAD_NS {
+            let pose = ahead.pose();
+            if way.get(next).is_some_and(|goal| is_reached(pose.at, *goal)) {
+                next += 1;
+            }
+            let Some(goal) = way.get(next) else {
+                ahead.driven.drive(Command::default(), then_ns);
+                return ahead.driven.drawn_j() - self.driven.drawn_j();
+            };
+            let (v_mps, omega_radps) = follower.command(&pose, *goal, SPEED_MPS);
+            let command = Command {
+                v_mps: v_mps.into(),
+                omega_radps: omega_radps.into(),
+            };
+            ahead.driven.drive(command, dt_ns);
+            driven_ns += dt_ns;
+        }
+        f64::INFINITY
     }
 
     pub(crate) fn soc(&self) -> f64 {

@@ -29,7 +29,10 @@ fn run(args: &MissionArguments, output: Output) -> anyhow::Result<Exit> {
         dragging_share: args.dragging,
         ..Scenario::default()
     };
-    let policies = if args.tune { tried() } else { CHOSEN.to_vec() };
+    let mut policies = if args.tune { tried() } else { CHOSEN.to_vec() };
+    if args.oracle {
+        policies.insert(0, Policy::Oracle);
+    }
     let default = if args.tune { TUNING_SEED } else { SEED };
     let first_seed = args.first_seed.unwrap_or(default);
     if let (Some(file), Some(joulebus)) = (&args.picture, policies.last()) {

@@ -9,9 +9,14 @@ use serde::Serialize;
 
 use crate::broker::Broker;
 use crate::error::MissionError;
+use crate::machine::Machine;
 use crate::scenario::{SPEED_MPS, Task};
 
-/// A policy with what was tuned. All know the same estimate of the battery, which the fleet counts.
+/// Rest of a robot that the oracle adds to a way, ns: it waits up to a second for the next decision, and its load
+/// fluctuates otherwise when it leaves later.
+const RESTS_NS: u64 = 4_000_000_000;
+
+/// A policy with what was tuned. All but the oracle know the same estimate of the battery, which the fleet counts.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Policy {
@@ -43,19 +48,35 @@ pub enum Policy {
         /// Share of the battery that is kept in reserve, tuned.
         reserve: f64,
     },
+    /// No policy, but what one with perfect forecasts would do: it drives a copy of the robot ahead, and reads the
+    /// true battery. The others cannot do better by knowing more of energies, with the same dispatcher.
+    Oracle,
 }
 
 /// A robot that is asked.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Asked {
     pub robot: usize,
     pub pose: Pose,
     pub rows: (PlanState, Budget),
+    /// The robot itself: for the oracle alone.
+    pub truth: Option<Machine>,
 }
 
 impl Asked {
     fn usable_j(&self) -> f64 {
         self.rows.1.usable_j.into()
+    }
+
+    /// What the robot really has, J, and really draws on a way.
+    fn truly_j(&self, broker: &Broker<'_>, way: &[Point]) -> (f64, f64) {
+        let Some(machine) = &self.truth else {
+            return (0.0, f64::INFINITY);
+        };
+        let product = broker.product;
+        let (then_ns, dt_ns) = (RESTS_NS, product.period_ns());
+        let draws_j = machine.draws_j(way, then_ns, &product.follower, dt_ns);
+        (machine.stored_j(), draws_j)
     }
 
     /// From where it is over some points.
@@ -81,6 +102,7 @@ impl Policy {
             Self::Distance { .. } => "distance",
             Self::Network { .. } => "network",
             Self::Joulebus { .. } => "joulebus",
+            Self::Oracle => "oracle",
         }
     }
 
@@ -88,7 +110,7 @@ impl Policy {
     pub(crate) const fn reserve(&self) -> f64 {
         match self {
             // Thresholds are states of charge, whatever is usable of them.
-            Self::Threshold { .. } => 0.0,
+            Self::Threshold { .. } | Self::Oracle => 0.0,
             Self::Distance { reserve, .. }
             | Self::Network { reserve, .. }
             | Self::Joulebus { reserve, .. } => *reserve,
@@ -122,6 +144,10 @@ impl Policy {
             return Ok(f64::from(one.rows.1.soc) >= *begin);
         }
         let way = [task.points.as_slice(), &broker.product.home].concat();
+        if matches!(self, Self::Oracle) {
+            let (stored_j, draws_j) = one.truly_j(broker, &way);
+            return Ok(draws_j < stored_j);
+        }
         Ok(self.needed_j(broker, one, &way)? <= one.usable_j())
     }
 
@@ -140,6 +166,7 @@ impl Policy {
                 let drives_s = followed.v_mps.len() as f64 * f64::from(followed.period_s);
                 Ok(power_w * drives_s)
             }
+            Self::Oracle => Ok(one.truly_j(broker, way).1),
             Self::Network { margin, .. } => Ok(margin * rolled_j(broker, &one.rows.0, &path)?),
             Self::Joulebus { coverage, .. } => {
                 let Some(robot) = broker.robot(&one.rows) else {
@@ -165,6 +192,15 @@ impl Policy {
             Self::Distance { .. } | Self::Network { .. } => one.usable_j() < home_j,
             // What is in its samples, the fleet compares with the battery.
             Self::Joulebus { .. } => broker.cannot_return(one.robot),
+            Self::Oracle => {
+                // `home_j` is from where the robot was up to five seconds ago.
+                let stored_j = one.truth.as_ref().map_or(0.0, Machine::stored_j);
+                let is_short = || {
+                    let (stored_j, draws_j) = one.truly_j(broker, &broker.product.home);
+                    stored_j <= draws_j
+                };
+                stored_j <= home_j && is_short()
+            }
         }
     }
 }
@@ -252,10 +288,11 @@ impl fmt::Display for Policy {
             Self::Distance { power_w, .. } => write!(out, "{power_w} W"),
             Self::Network { margin, .. } => write!(out, "rollout × {margin}"),
             Self::Joulebus { coverage, .. } => write!(out, "coverage {coverage}"),
+            Self::Oracle => write!(out, "true energies"),
         }?;
         match self {
-            Self::Threshold { .. } => Ok(()),
-            _ => write!(out, ", {:.0} % in reserve", 100.0 * self.reserve()),
+            Self::Threshold { .. } | Self::Oracle => Ok(()),
+            _ => write!(out, ", {} % in reserve", 100.0 * self.reserve()),
         }
     }
 }

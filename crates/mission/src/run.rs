@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use crate::broker::{Broker, Product};
 use crate::error::MissionError;
-use crate::machine::{Fed, Machine};
+use crate::machine::{Fed, Machine, is_reached};
 use crate::policy::{Asked, Policy};
 use crate::scenario::{SPEED_MPS, SWITCHED_ON_EVERY_S, Scenario, Task};
 
@@ -18,8 +18,6 @@ const BASE_NS: u64 = 1_000_000_000;
 /// Control steps between two decisions, and between two looks at the way home.
 const DECIDES: u64 = 30;
 const LOOKS_HOME: u64 = 150;
-/// Distance at which a point is reached, m: as in plans.
-const REACH_M: f64 = 0.05;
 /// A robot without a task charges below this state of charge, if a charger is free.
 const RESTS_BELOW: f64 = 0.6;
 /// Waiting tasks that are offered, the oldest first.
@@ -271,7 +269,7 @@ impl<'a> Mission<'a> {
 
     /// Where a robot drives to; what it reaches on the way changes its job.
     fn target(&mut self, robot: usize, pose: &Pose) -> Option<Point> {
-        let reached = |goal: Point| distance_m(pose.at, goal) <= REACH_M;
+        let reached = |goal: Point| is_reached(pose.at, goal);
         match &mut self.jobs[robot] {
             Job::Idle | Job::Waiting | Job::Charging(..) => None,
             Job::Task { task, next } => {
@@ -340,10 +338,12 @@ impl<'a> Mission<'a> {
 
     fn asked(&self, robot: usize) -> Option<Asked> {
         let rows = self.broker.state(robot).filter(|_| self.is_on(robot))?;
+        let machine = &self.machines[robot];
         Some(Asked {
             robot,
-            pose: self.machines[robot].pose(),
+            pose: machine.pose(),
             rows,
+            truth: matches!(self.policy, Policy::Oracle).then(|| machine.clone()),
         })
     }
 
@@ -501,8 +501,4 @@ impl<'a> Mission<'a> {
         outcome.unaccounted_j = unaccounted.fold(0.0, f64::max);
         Ok(self.outcome)
     }
-}
-
-fn distance_m(from: Point, to: Point) -> f64 {
-    (from.x_m - to.x_m).hypot(from.y_m - to.y_m)
 }

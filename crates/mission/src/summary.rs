@@ -81,7 +81,7 @@ pub struct Comparison {
 }
 
 impl Summary {
-    /// Of the missions of each policy, all of the same seeds; joulebus last.
+    /// Of the missions of each policy, all of the same seeds; joulebus last. The oracle is no baseline.
     #[must_use]
     pub fn of(scenario: Scenario, first_seed: u64, runs: &[Runs]) -> Self {
         let last = runs.last().map(|runs| runs.outcomes.as_slice());
@@ -106,7 +106,7 @@ fn verdict(policies: &[PolicySummary]) -> Option<Comparison> {
     }
     let safe = baselines
         .iter()
-        .filter(|other| other.stranded <= joulebus.stranded);
+        .filter(|other| other.name != Policy::Oracle.name() && other.stranded <= joulebus.stranded);
     let tasks = |policy: &PolicySummary| policy.tasks_per_h.value;
     let best = safe.max_by(|one, other| tasks(one).total_cmp(&tasks(other)));
     Some(Comparison {

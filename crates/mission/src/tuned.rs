@@ -23,23 +23,23 @@ pub const CHOSEN: [Policy; 4] = [
     },
 ];
 
-/// The settings that `--tune` tries.
+/// The settings that `--tune` tries: around the best of each policy, which must not lie at an edge.
 #[must_use]
 pub fn tried() -> Vec<Policy> {
     let mut policies = Vec::new();
     for begin in [0.5, 0.55, 0.6] {
-        policies.extend([0.3, 0.35].map(|go| Policy::Threshold { begin, go }));
+        policies.extend([0.25, 0.3, 0.35].map(|go| Policy::Threshold { begin, go }));
     }
-    for reserve in [0.05, 0.1, 0.15] {
-        let powers_w = [5.0, 5.5, 6.0, 6.5];
+    for reserve in [0.1, 0.15, 0.2, 0.25] {
+        let powers_w = [4.5, 5.0, 5.5];
         policies.extend(powers_w.map(|power_w| Policy::Distance { power_w, reserve }));
     }
-    for reserve in [0.05, 0.1, 0.15] {
-        let margins = [1.0, 1.2, 1.4, 1.6];
+    for reserve in [0.1, 0.15, 0.2, 0.25] {
+        let margins = [1.0, 1.2, 1.4];
         policies.extend(margins.map(|margin| Policy::Network { margin, reserve }));
     }
-    for reserve in [0.05, 0.1, 0.15] {
-        let coverages = [0.9, 0.95, 0.98];
+    for reserve in [0.0, 0.025, 0.05, 0.1] {
+        let coverages = [0.9, 0.95, 0.98, 0.995];
         policies.extend(coverages.map(|coverage| Policy::Joulebus { coverage, reserve }));
     }
     policies

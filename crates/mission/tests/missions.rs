@@ -139,3 +139,33 @@ fn the_program_reports_as_json_and_draws_a_picture() {
     assert!(std::fs::read_to_string(&file).unwrap().starts_with("<svg"));
     assert_eq!(run(program, ["--hours", "NaN"]).exit_code(), 2);
 }
+
+#[test]
+fn with_true_energies_nobody_strands_robots_charge_later_and_the_oracle_is_no_baseline() {
+    let oracle = mission(&short(), Policy::Oracle, 2001).unwrap();
+    let joulebus = mission(&short(), CHOSEN[3], 2001).unwrap();
+    assert_eq!(oracle.stranded, 0, "{oracle:?}");
+    assert!(
+        oracle.soc_before < joulebus.soc_before,
+        "{oracle:?} {joulebus:?}"
+    );
+    assert!(
+        oracle.unaccounted_j < 1e-6 && oracle.metered_error < 0.01,
+        "{oracle:?}"
+    );
+    let more = Outcome {
+        tasks: 2 * joulebus.tasks,
+        ..oracle
+    };
+    let runs = |policy: Policy, outcome: &Outcome| Runs {
+        policy,
+        outcomes: vec![outcome.clone(); 10],
+    };
+    let all = [
+        runs(Policy::Oracle, &more),
+        runs(CHOSEN[1], &joulebus),
+        runs(CHOSEN[3], &joulebus),
+    ];
+    let verdict = Summary::of(short(), 1, &all).verdict.unwrap();
+    assert_eq!(verdict.baseline, Some("distance"));
+}

@@ -34,6 +34,9 @@ pub struct MissionArguments {
     /// Try many settings of each policy on other seeds, instead of comparing the chosen ones
     #[arg(long)]
     pub tune: bool,
+    /// Also a policy that knows the true energies: what perfect forecasts would be worth
+    #[arg(long)]
+    pub oracle: bool,
     /// Write a picture of the first seed's mission with joulebus (.svg)
     #[arg(long, value_name = "FILE", conflicts_with = "tune")]
     pub picture: Option<PathBuf>,
