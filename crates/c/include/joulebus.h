@@ -935,6 +935,10 @@ enum joulebus_end
      * Another process found it dead: where processes cannot be watched.
      */
     JOULEBUS_END_FOUND_DEAD = 3,
+    /**
+     * It is on another host, from which nothing comes. The worker may run.
+     */
+    JOULEBUS_END_UNREACHABLE = 4,
 };
 #ifndef __cplusplus
 #if __STDC_VERSION__ >= 202311L

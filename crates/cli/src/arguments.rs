@@ -4,6 +4,7 @@ use clap::{Parser, Subcommand};
 use joulebus_program::options::GlobalOptions;
 use joulebus_program::verbs::bench::BenchArguments;
 use joulebus_program::verbs::bridge::BridgeArguments;
+use joulebus_program::verbs::link::LinkArguments;
 use joulebus_program::verbs::mission::MissionArguments;
 use joulebus_program::verbs::report::ReportArguments;
 use joulebus_program::verbs::serve::ServeArguments;
@@ -57,6 +58,7 @@ pub(crate) enum Command {
     Recover(recover::Args),
     Serve(ServeArguments),
     Bridge(BridgeArguments),
+    Link(LinkArguments),
     Import(import::Args),
     Data(data::Args),
     Doctor(doctor::Args),

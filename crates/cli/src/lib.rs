@@ -86,6 +86,7 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Recover(args) => recover::run(args, output),
         Command::Serve(_) => external::run("serve"),
         Command::Bridge(_) => external::run("bridge"),
+        Command::Link(_) => external::run("link"),
         Command::Import(args) => import::run(args, output),
         Command::Data(args) => data::run(args, output),
         Command::Doctor(args) => doctor::run(args, output),

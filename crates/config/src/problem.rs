@@ -20,6 +20,41 @@ pub struct Problem {
     pub remedy: String,
 }
 
+impl Problem {
+    /// A problem of `key` in `text`, the contents of `file`: at byte `at`, or else in the line that sets the last part of
+    /// the key, if one does.
+    #[must_use]
+    pub fn in_text(
+        (file, text): (&str, &str),
+        at: Option<usize>,
+        key: &str,
+        what: String,
+        remedy: &str,
+    ) -> Self {
+        let name = key.rsplit('.').next().unwrap_or(key);
+        let sets = |line: &str| {
+            let line = line.trim_start();
+            let rest = line.strip_prefix(name).filter(|_| !name.is_empty());
+            rest.is_some_and(|rest| rest.trim_start().starts_with('='))
+                || (!name.is_empty() && line.starts_with(&format!("[{name}]")))
+        };
+        let line = match at {
+            Some(at) => {
+                let before = &text.as_bytes()[..at.min(text.len())];
+                Some(1 + before.iter().filter(|byte| **byte == b'\n').count())
+            }
+            None => text.lines().position(sets).map(|line| line + 1),
+        };
+        Self {
+            file: file.to_owned(),
+            line,
+            key: key.to_owned(),
+            what,
+            remedy: remedy.to_owned(),
+        }
+    }
+}
+
 impl fmt::Display for Problem {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.line {

@@ -346,6 +346,9 @@ impl Planner {
         if woken.ended {
             self.tracker.over(End::Ended, now_ns);
         }
+        if woken.unreachable {
+            self.tracker.over(End::Unreachable, now_ns);
+        }
         if woken.peer_gone {
             self.tracker.over(End::Exited, now_ns);
             self.watch = None;

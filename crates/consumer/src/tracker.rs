@@ -29,6 +29,8 @@ pub enum End {
     Exited,
     /// Another process found it dead: where processes cannot be watched.
     FoundDead,
+    /// It is on another host, from which nothing comes: the link is down, or the host. The worker may run.
+    Unreachable,
 }
 
 /// Gap before a frame of forecasts.
@@ -275,7 +277,7 @@ mod tests {
 
     #[test]
     fn an_end_is_reported_once_and_not_undone_by_frames_sent_before() {
-        for end in [End::Ended, End::Exited, End::FoundDead] {
+        for end in [End::Ended, End::Exited, End::FoundDead, End::Unreachable] {
             let mut tracker = Tracker::new();
             // An end before the first frame is ignored.
             tracker.over(end, 900);

@@ -372,6 +372,7 @@ const fn end_name(end: End) -> &'static str {
         End::Ended => "ended",
         End::Exited => "exited",
         End::FoundDead => "found dead",
+        End::Unreachable => "unreachable",
         _ => "unknown",
     }
 }

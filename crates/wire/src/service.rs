@@ -89,6 +89,8 @@ pub enum WakeEvent {
     Died,
     /// The peer process ended normally.
     Ended,
+    /// The worker is on another host, and nothing comes from there.
+    Unreachable,
 }
 
 impl WakeEvent {

@@ -73,6 +73,7 @@ impl Waiting {
             WakeEvent::Frame => woken.frame = true,
             WakeEvent::Died => woken.died = true,
             WakeEvent::Ended => woken.ended = true,
+            WakeEvent::Unreachable => woken.unreachable = true,
         }
         self.woken.set(woken);
         host::wake(self.pid, self.thread);

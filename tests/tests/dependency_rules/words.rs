@@ -57,6 +57,30 @@ fn the_core_uses_no_clock_file_thread_or_shared_memory() {
     assert_eq!(mapping, Vec::<String>::new());
 }
 
+/// The network between hosts is named in one file, and what two links tell each other needs neither it nor a clock.
+#[test]
+fn only_one_file_of_the_link_uses_zenoh() {
+    for name in names() {
+        let found = places(
+            &crates().join(name).join("src"),
+            &["zenoh::"],
+            &["link/src/network.rs"],
+        );
+        assert_eq!(found, Vec::<String>::new());
+    }
+    let words = [
+        "std::time",
+        "std::fs",
+        "std::thread",
+        "std::net",
+        "tracing",
+        "joulebus_bus",
+        "joulebus_consumer",
+    ];
+    let protocol = places(&crates().join("link/src/protocol"), &words, &[]);
+    assert_eq!(protocol, Vec::<String>::new());
+}
+
 #[test]
 fn only_the_bus_uses_iceoryx2() {
     for name in names().iter().filter(|name| *name != "bus") {

@@ -48,26 +48,8 @@ impl Check<'_> {
 
     /// `at`: byte of the text; without it the line that sets the last part of `key`, if one does.
     pub(super) fn problem(&mut self, at: Option<usize>, key: &str, what: String, remedy: &str) {
-        let name = key.rsplit('.').next().unwrap_or(key);
-        let sets = |line: &str| {
-            let line = line.trim_start();
-            let rest = line.strip_prefix(name).filter(|_| !name.is_empty());
-            rest.is_some_and(|rest| rest.trim_start().starts_with('='))
-                || (!name.is_empty() && line.starts_with(&format!("[{name}]")))
-        };
-        let line = match at {
-            Some(at) => {
-                let before = &self.text.as_bytes()[..at.min(self.text.len())];
-                Some(1 + before.iter().filter(|byte| **byte == b'\n').count())
-            }
-            None => self.text.lines().position(sets).map(|line| line + 1),
-        };
-        self.problems.push(Problem {
-            file: self.file.clone(),
-            line,
-            key: key.to_owned(),
-            what,
-            remedy: remedy.to_owned(),
-        });
+        let place = (self.file.as_str(), self.text);
+        let problem = Problem::in_text(place, at, key, what, remedy);
+        self.problems.push(problem);
     }
 }

@@ -88,7 +88,7 @@ pub(super) fn open_event(
             .max_listeners(listeners)
             .max_notifiers(notifiers)
             .max_nodes(limits.nodes())
-            .event_id_max_value(WakeEvent::Ended.id())
+            .event_id_max_value(WakeEvent::Unreachable.id())
             .notifier_dead_event(EventId::new(WakeEvent::Died.id()))
             .open_or_create_with_attributes(&verifier(limits))
     };

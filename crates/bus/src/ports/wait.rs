@@ -93,6 +93,8 @@ pub struct Woken {
     pub died: bool,
     /// A process of the other side has shut down.
     pub ended: bool,
+    /// The other side is on another host, and nothing comes from there.
+    pub unreachable: bool,
     /// The watched process is gone.
     pub peer_gone: bool,
     /// A signal arrived.
@@ -192,6 +194,7 @@ impl Waiter {
             let taken = self.listener.try_wait(|event| match event.id.as_value() {
                 id if id == WakeEvent::Died.id() => woken.died = true,
                 id if id == WakeEvent::Ended.id() => woken.ended = true,
+                id if id == WakeEvent::Unreachable.id() => woken.unreachable = true,
                 _ => woken.frame = true,
             });
             match taken {

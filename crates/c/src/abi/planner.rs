@@ -315,6 +315,7 @@ fn ended(end: End) -> joulebus_end {
     match end {
         End::Ended => joulebus_end::Ended,
         End::Exited => joulebus_end::Exited,
+        End::Unreachable => joulebus_end::Unreachable,
         _ => joulebus_end::FoundDead,
     }
 }

@@ -188,6 +188,8 @@ pub enum joulebus_end {
     Exited = 2,
     /// Another process found it dead: where processes cannot be watched.
     FoundDead = 3,
+    /// It is on another host, from which nothing comes. The worker may run.
+    Unreachable = 4,
 }
 
 /// An event of a planner.

@@ -68,6 +68,8 @@ const CASES: &[(i32, &str)] = &[
     (2, "serve"),
     (2, "serve --token-file JUNK"),
     (2, "bridge"),
+    (2, "link"),
+    (2, "link JUNK --format csv"),
     (2, "bridge JUNK --format csv"),
     (0, "import CAPTURE -o NEW"),
     (1, "import JUNK -o NEW"),

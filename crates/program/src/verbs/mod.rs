@@ -3,6 +3,7 @@
 
 pub mod bench;
 pub mod bridge;
+pub mod link;
 pub mod mission;
 pub mod report;
 pub mod rosbag;

@@ -34,7 +34,7 @@ _POWER, _INTERVAL, _READING = 1, 2, 4
 
 @dataclass(frozen=True)
 class Gone:
-    """The worker has ended: ``how`` is ``ended``, ``exited`` or ``found dead``. Do not rely on forecasts."""
+    """The worker has ended: ``how`` is ``ended``, ``exited``, ``found dead`` or ``unreachable``. Do not rely on forecasts."""
 
     how: str
 

@@ -1,0 +1,126 @@
+//! The file of a link as it is written. Unknown keys are refused where they stand.
+
+use serde::Deserialize;
+use toml::{Spanned, Value};
+
+use crate::protocol::carried::Carried;
+
+/// A text with its place.
+pub(super) type Text = Spanned<String>;
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LinkFile {
+    /// Of this host's link, unlike all others of the fleet.
+    pub(super) name: Text,
+    pub(super) network: NetworkSection,
+    pub(super) worker: Option<WorkerSection>,
+    pub(super) samples: Option<SamplesSection>,
+    pub(super) follow: Option<FollowSection>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct NetworkSection {
+    #[serde(default)]
+    pub(super) mode: ModeWord,
+    /// Addresses of others, as zenoh writes them.
+    #[serde(default)]
+    pub(super) connect: Vec<Text>,
+    /// Addresses of this host.
+    #[serde(default)]
+    pub(super) listen: Vec<Text>,
+    /// Allows addresses of other hosts without TLS.
+    #[serde(default)]
+    pub(super) unencrypted: bool,
+    pub(super) tls: Option<TlsSection>,
+}
+
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum ModeWord {
+    /// Connects to other links, and is connected to.
+    #[default]
+    Peer,
+    /// Connects to a router.
+    Client,
+}
+
+/// Files beside the link's own, or with absolute names.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TlsSection {
+    /// Certificate of the fleet's own authority.
+    pub(super) ca: Text,
+    /// Certificate of this host.
+    pub(super) certificate: Text,
+    /// Its private key, mode 0600.
+    pub(super) key: Text,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct WorkerSection {
+    /// Hosts whose samples are taken.
+    #[serde(default)]
+    pub(super) take: Vec<TakeSection>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TakeSection {
+    /// Name of the link there.
+    pub(super) from: Text,
+    /// The robots of that host; without it all.
+    pub(super) robots: Option<Vec<Value>>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct SamplesSection {
+    /// Name of the worker's link.
+    pub(super) to: Text,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FollowSection {
+    /// Name of the worker's link.
+    pub(super) worker: Text,
+    #[serde(default = "services")]
+    pub(super) services: Vec<Carries>,
+    /// Every how many ticks.
+    #[serde(default = "one")]
+    pub(super) every: u32,
+    /// Which robots; without it all.
+    pub(super) robots: Option<Vec<Value>>,
+}
+
+fn services() -> Vec<Carries> {
+    vec![Carries::Diagnostics, Carries::Budgets, Carries::PlanStates]
+}
+
+const fn one() -> u32 {
+    1
+}
+
+/// What a planner's host may leave out; forecasts always come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Carries {
+    Diagnostics,
+    Budgets,
+    PlanStates,
+    Ticks,
+}
+
+impl Carries {
+    pub(super) const fn carried(self) -> Carried {
+        match self {
+            Self::Diagnostics => Carried::Diagnostics,
+            Self::Budgets => Carried::Budgets,
+            Self::PlanStates => Carried::PlanStates,
+            Self::Ticks => Carried::Ticks,
+        }
+    }
+}

@@ -1,0 +1,352 @@
+//! The file of a link: what this host gives and takes, and by which network. Strictly checked, every problem with its
+//! line.
+
+mod check;
+mod file;
+mod network;
+
+use std::path::Path;
+
+use joulebus_config::Config;
+use joulebus_config::error::ConfigError;
+use toml::Value;
+
+use crate::config::check::Check;
+use crate::config::file::{FollowSection, LinkFile, Text};
+use crate::protocol::carried::Carried;
+use crate::protocol::selection::{MOST_RANGES, Selection};
+
+pub(crate) use network::{Mode, NetworkSettings};
+
+/// Longest file, bytes.
+const MOST_BYTES: u64 = 1 << 20;
+/// Longest name of a link, bytes.
+const MOST_NAME: usize = 64;
+/// Hosts whose samples a worker takes.
+const MOST_HOSTS: usize = 256;
+const EVERY: (u32, u32) = (1, 3_600);
+
+/// A checked file.
+#[derive(Debug, Clone)]
+pub(crate) struct Settings {
+    pub(crate) name: String,
+    pub(crate) network: NetworkSettings,
+    pub(crate) side: Side,
+}
+
+/// What this host is.
+#[derive(Debug, Clone)]
+pub(crate) enum Side {
+    /// The host of the worker, with the hosts whose samples it takes.
+    Worker(Vec<Take>),
+    /// A host without a worker of its own.
+    Other {
+        /// The worker's link, to which the samples published here go.
+        samples: Option<String>,
+        follow: Option<Follow>,
+    },
+}
+
+/// A host whose samples are taken.
+#[derive(Debug, Clone)]
+pub(crate) struct Take {
+    pub(crate) from: String,
+    pub(crate) robots: Selection,
+}
+
+/// Outputs of a worker elsewhere.
+#[derive(Debug, Clone)]
+pub(crate) struct Follow {
+    /// Name of its link.
+    pub(crate) worker: String,
+    pub(crate) selection: Selection,
+}
+
+impl Settings {
+    /// Reads a link's file for the fleet of `config`.
+    ///
+    /// # Errors
+    /// [`ConfigError`]: it cannot be read, or is refused, with all problems.
+    pub(crate) fn load(path: &Path, config: &Config) -> Result<Self, ConfigError> {
+        let text = joulebus_files::read_to_string(path, MOST_BYTES).map_err(|source| {
+            let path = path.to_owned();
+            ConfigError::Read { path, source }
+        })?;
+        let mut check = Check {
+            file: path.display().to_string(),
+            folder: path.parent().unwrap_or(Path::new("")).to_owned(),
+            text: &text,
+            problems: Vec::new(),
+        };
+        let settings = check.settings(config);
+        match settings {
+            Some(settings) if check.problems.is_empty() => Ok(settings),
+            _ => Err(ConfigError::Refused(check.problems)),
+        }
+    }
+}
+
+impl Check<'_> {
+    fn settings(&mut self, config: &Config) -> Option<Settings> {
+        let file: LinkFile = match toml::from_str(self.text) {
+            Ok(file) => file,
+            Err(error) => {
+                let at = error.span().map(|span| span.start);
+                let what = format!("cannot be read: {}", error.message().replace('\n', "; "));
+                self.problem(at, "", what, "docs/scale.md has all keys");
+                return None;
+            }
+        };
+        let name = self.name(&file.name, "name");
+        let network = self.network(&file.network);
+        let side = match (file.worker, file.samples, file.follow) {
+            (Some(worker), None, None) => {
+                if worker.take.len() > MOST_HOSTS {
+                    let what = format!("names {} hosts", worker.take.len());
+                    let remedy = format!("Allowed are {MOST_HOSTS}");
+                    self.problem(None, "worker.take", what, &remedy);
+                }
+                let mut takes: Vec<Take> = Vec::new();
+                for take in &worker.take {
+                    let from = self.name(&take.from, "worker.take.from");
+                    if from == name || takes.iter().any(|other| other.from == from) {
+                        let what = format!("= {from:?} is this link, or named twice");
+                        let at = Some(take.from.span().start);
+                        self.problem(at, "worker.take.from", what, "Name each host once");
+                    }
+                    let robots = self.robots(take.robots.as_deref(), "worker.take.robots", config);
+                    takes.push(Take { from, robots });
+                }
+                Side::Worker(takes)
+            }
+            (None, samples, follow) if samples.is_some() || follow.is_some() => {
+                let samples = samples.map(|section| self.other(&section.to, "samples.to", &name));
+                let follow = follow.map(|section| self.follow(&section, &name, config));
+                Side::Other { samples, follow }
+            }
+            _ => {
+                let what = "says nothing of this host, or both".to_owned();
+                let remedy =
+                    "Either [worker], beside `joulebus run`, or [samples], [follow] or both";
+                self.problem(None, "", what, remedy);
+                return None;
+            }
+        };
+        Some(Settings {
+            name,
+            network,
+            side,
+        })
+    }
+
+    fn follow(&mut self, section: &FollowSection, name: &str, config: &Config) -> Follow {
+        let worker = self.other(&section.worker, "follow.worker", name);
+        let (least, most) = EVERY;
+        if !(least..=most).contains(&section.every) {
+            let what = format!("is {}", section.every);
+            let remedy = format!("Allowed: {least} to {most}");
+            self.problem(None, "follow.every", what, &remedy);
+        }
+        let services = section.services.iter().map(|it| it.carried().bit());
+        let services = services.fold(Carried::Forecasts.bit(), |all, bit| all | bit);
+        let robots = self.robots(section.robots.as_deref(), "follow.robots", config);
+        let ranges = robots.ranges().to_vec();
+        Follow {
+            worker,
+            selection: Selection::new(services, section.every, ranges),
+        }
+    }
+
+    /// The name of a link, which becomes a part of keys.
+    fn name(&mut self, text: &Text, key: &str) -> String {
+        let name = text.get_ref();
+        let allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
+        if name.is_empty() || name.len() > MOST_NAME || !name.bytes().all(allowed) {
+            let what = format!("= {name:?}");
+            let remedy = format!("Allowed: 1 to {MOST_NAME} letters, digits, - _ and .");
+            self.problem(Some(text.span().start), key, what, &remedy);
+        }
+        name.clone()
+    }
+
+    /// The name of a link that is not this one.
+    fn other(&mut self, text: &Text, key: &str, own: &str) -> String {
+        let name = self.name(text, key);
+        if name == own {
+            let what = format!("= {name:?} is this link itself");
+            self.problem(Some(text.span().start), key, what, "Name the worker's link");
+        }
+        name
+    }
+
+    /// Robots by ids and ranges `"a-b"`; a selection of all without a list.
+    fn robots(&mut self, list: Option<&[Value]>, key: &str, config: &Config) -> Selection {
+        let mut ranges = Vec::new();
+        for entry in list.unwrap_or_default() {
+            let range = match entry {
+                Value::Integer(id) => u32::try_from(*id).ok().map(|id| (id, id)),
+                Value::String(text) => range(text),
+                _ => None,
+            };
+            match range {
+                Some(range) => ranges.push(range),
+                None => {
+                    let what = format!("has the entry {entry}");
+                    self.problem(None, key, what, "Write ids, or \"first-last\"");
+                }
+            }
+        }
+        let (found, most) = (ranges.len(), MOST_RANGES);
+        if found > most || list.is_some_and(<[Value]>::is_empty) {
+            let what = format!("has {found} entries; allowed are 1 to {most}");
+            self.problem(
+                None,
+                key,
+                what,
+                "Join neighbouring ids, or leave the key out for all",
+            );
+        }
+        let known = |(first, last): &(u32, u32)| {
+            let platforms = &config.settings().platforms;
+            let mut ids = platforms.iter().flat_map(|platform| &platform.robots);
+            ids.any(|ids| ids.start() <= last && first <= ids.end())
+        };
+        if let Some((first, last)) = ranges.iter().find(|range| !known(range)) {
+            let what = format!("names {first}-{last}, which no platform has");
+            let remedy = "Name robots of `platform.robots` in the fleet's config";
+            self.problem(None, key, what, remedy);
+        }
+        Selection::new(u32::MAX, 1, ranges)
+    }
+}
+
+fn range(text: &str) -> Option<(u32, u32)> {
+    let id = |text: &str| text.trim().parse().ok();
+    let (first, last) = text.split_once('-').unwrap_or((text, text));
+    let range: (u32, u32) = (id(first)?, id(last)?);
+    (range.0 <= range.1).then_some(range)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    const FLEET: &str = "[fleet]\nname = \"lab\"\ncapacity = 20\n\
+        [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n";
+    const WORKER: &str = "name = \"base\"\n[network]\nlisten = [\"tcp/127.0.0.1:7447\"]\n\
+        [worker]\n[[worker.take]]\nfrom = \"edge\"\nrobots = [\"0-4\", 7]\n";
+    const OTHER: &str = "name = \"edge\"\n[network]\nconnect = [\"tcp/127.0.0.1:7447\"]\n\
+        [samples]\nto = \"base\"\n[follow]\nworker = \"base\"\n";
+
+    fn load(text: &str) -> Result<Settings, ConfigError> {
+        let config = Config::parse(FLEET, Path::new(".")).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("link.toml");
+        fs::write(&path, text).unwrap();
+        Settings::load(&path, &config)
+    }
+
+    #[test]
+    fn good_files_are_taken() {
+        let settings = load(WORKER).unwrap();
+        let Side::Worker(takes) = settings.side else {
+            panic!("a worker's");
+        };
+        assert_eq!(
+            (settings.name.as_str(), takes[0].from.as_str()),
+            ("base", "edge")
+        );
+        assert_eq!(takes[0].robots.ranges(), [(0, 4), (7, 7)]);
+        let settings = load(OTHER).unwrap();
+        let Side::Other { samples, follow } = settings.side else {
+            panic!("another host's");
+        };
+        let follow = follow.unwrap();
+        assert_eq!(
+            (samples.as_deref(), follow.worker.as_str()),
+            (Some("base"), "base")
+        );
+        assert!(
+            follow.selection.wants(Carried::Forecasts) && !follow.selection.wants(Carried::Ticks)
+        );
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_line() {
+        for (base, from, to, line, says) in [
+            (WORKER, "name = \"base\"", "name = \"ba/se\"", 1, "letters"),
+            (WORKER, "name = \"base\"", "name = \"\"", 1, "1 to 64"),
+            (WORKER, "listen", "listens", 3, "unknown field"),
+            (
+                WORKER,
+                "tcp/127.0.0.1:7447",
+                "udp/127.0.0.1:7447",
+                3,
+                "tcp/",
+            ),
+            (WORKER, "tcp/127.0.0.1:7447", "tcp/127.0.0.1", 3, "port"),
+            (
+                WORKER,
+                "tcp/127.0.0.1:7447",
+                "tcp/10.0.0.1:7447",
+                3,
+                "unencrypted",
+            ),
+            (
+                WORKER,
+                "tcp/127.0.0.1:7447",
+                "tls/10.0.0.1:7447",
+                3,
+                "[network.tls]",
+            ),
+            (WORKER, "\"edge\"", "\"base\"", 6, "this link"),
+            (WORKER, "7]", "12]", 7, "no platform"),
+            (WORKER, "\"0-4\"", "\"4-0\"", 7, "4-0"),
+            (WORKER, "[\"0-4\", 7]", "[]", 7, "1 to 64"),
+            (OTHER, "to = \"base\"", "to = \"edge\"", 5, "itself"),
+            (
+                OTHER,
+                "worker = \"base\"",
+                "worker = \"base\"\nevery = 0",
+                8,
+                "1 to 3600",
+            ),
+            (
+                OTHER,
+                "worker = \"base\"",
+                "worker = \"base\"\nservices = [\"samples\"]",
+                8,
+                "unknown variant",
+            ),
+            (
+                OTHER,
+                "connect = [\"tcp/127.0.0.1:7447\"]",
+                "mode = \"client\"",
+                2,
+                "router",
+            ),
+        ] {
+            let text = base.replacen(from, to, 1);
+            assert_ne!(text, base, "{from}");
+            let refused = load(&text).expect_err(to);
+            let shown = refused.to_string();
+            assert!(shown.contains(says), "{to}: {shown}");
+            let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
+            assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
+        }
+    }
+
+    #[test]
+    fn a_file_of_no_host_or_of_two_is_refused() {
+        for text in [
+            "",
+            "name = \"a\"\n[network]\nlisten = [\"tcp/127.0.0.1:1\"]\n",
+            &format!("{OTHER}[worker]\n"),
+            &WORKER.replace("listen = [\"tcp/127.0.0.1:7447\"]\n", ""),
+        ] {
+            assert!(!load(text).unwrap_err().problems().is_empty(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,121 @@
+//! `[network]`, checked: nothing listens unless told to, and what leaves this host is encrypted unless the file says
+//! otherwise.
+
+use std::net::IpAddr;
+use std::path::PathBuf;
+
+use crate::config::check::Check;
+use crate::config::file::{ModeWord, NetworkSection, Text, TlsSection};
+
+/// How other hosts are reached.
+#[derive(Debug, Clone)]
+pub(crate) struct NetworkSettings {
+    pub(crate) mode: Mode,
+    pub(crate) connect: Vec<String>,
+    pub(crate) listen: Vec<String>,
+    pub(crate) tls: Option<TlsSettings>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Mode {
+    Peer,
+    Client,
+}
+
+impl Mode {
+    /// As zenoh names it.
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::Peer => "peer",
+            Self::Client => "client",
+        }
+    }
+}
+
+/// Files of mutual TLS.
+#[derive(Debug, Clone)]
+pub(crate) struct TlsSettings {
+    pub(crate) ca: PathBuf,
+    pub(crate) certificate: PathBuf,
+    pub(crate) key: PathBuf,
+}
+
+impl Check<'_> {
+    pub(super) fn network(&mut self, section: &NetworkSection) -> NetworkSettings {
+        let mode = match section.mode {
+            ModeWord::Peer => Mode::Peer,
+            ModeWord::Client => Mode::Client,
+        };
+        if section.connect.is_empty() && (section.listen.is_empty() || mode == Mode::Client) {
+            let what = "reaches nobody".to_owned();
+            let remedy = "Add `connect` with the addresses of other links or of a router, or, of a peer, `listen`";
+            self.problem(None, "network", what, remedy);
+        }
+        let mut addresses = |list: &[Text], key: &str| -> Vec<String> {
+            for text in list {
+                if let Err((what, remedy)) = address(text.get_ref(), section) {
+                    self.problem(Some(text.span().start), key, what, remedy);
+                }
+            }
+            list.iter().map(|text| text.get_ref().clone()).collect()
+        };
+        let connect = addresses(&section.connect, "network.connect");
+        let listen = addresses(&section.listen, "network.listen");
+        let tls = section.tls.as_ref().map(|tls| self.tls(tls));
+        NetworkSettings {
+            mode,
+            connect,
+            listen,
+            tls,
+        }
+    }
+
+    fn tls(&mut self, section: &TlsSection) -> TlsSettings {
+        let mut file = |text: &Text, key: &str, is_secret: bool| {
+            let path = self.folder.join(text.get_ref());
+            let read = if is_secret {
+                joulebus_files::read_secret(&path, 1 << 20).map(drop)
+            } else {
+                joulebus_files::read_to_string(&path, 1 << 20).map(drop)
+            };
+            if let Err(error) = read {
+                let what = format!("= {:?} cannot be read: {error}", text.get_ref());
+                let remedy = "docs/scale.md has the commands that make the fleet's certificates";
+                self.problem(Some(text.span().start), key, what, remedy);
+            }
+            path
+        };
+        TlsSettings {
+            ca: file(&section.ca, "network.tls.ca", false),
+            certificate: file(&section.certificate, "network.tls.certificate", false),
+            key: file(&section.key, "network.tls.key", true),
+        }
+    }
+}
+
+/// Checks an address `tcp/host:port` or `tls/host:port`. The error: what is wrong, and what to do.
+fn address(text: &str, section: &NetworkSection) -> Result<(), (String, &'static str)> {
+    let wrong = |remedy| (format!("= {text:?}"), remedy);
+    let form = "Write \"tls/host:port\", or \"tcp/host:port\" with a port";
+    let (protocol, place) = text.split_once('/').ok_or_else(|| wrong(form))?;
+    let (host, port) = place.rsplit_once(':').ok_or_else(|| wrong(form))?;
+    if host.is_empty() || host.contains(['#', '?', '/']) || port.parse::<u16>().is_err() {
+        return Err(wrong(form));
+    }
+    match protocol {
+        "tls" if section.tls.is_none() => Err(wrong(
+            "Add [network.tls] with the fleet's authority, and this host's certificate and key",
+        )),
+        "tls" => Ok(()),
+        "tcp" if is_loopback(host) || section.unencrypted => Ok(()),
+        "tcp" => Err(wrong(
+            "Use \"tls/…\"; `unencrypted = true` in [network] allows every host of the network to read and to forge",
+        )),
+        _ => Err(wrong(form)),
+    }
+}
+
+fn is_loopback(host: &str) -> bool {
+    let host = host.trim_start_matches('[').trim_end_matches(']');
+    host == "localhost" || host.parse::<IpAddr>().is_ok_and(|it| it.is_loopback())
+}

@@ -1,0 +1,54 @@
+//! The thread of a robots' host: reads the samples that are published here as a worker does, and gives them to the worker's
+//! host.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use bytemuck::{bytes_of, cast_slice};
+use joulebus_bus::{FrameBuf, WorkerLock, clock};
+use joulebus_config::Config;
+
+use crate::giving::{GivenRecord, Giving};
+use crate::network::{Kind, Network};
+use crate::protocol::carried::Carried;
+use crate::protocol::stream::LocalFrame;
+use crate::refusals::Refusals;
+
+/// Longest sleep: how late a request or a stop may be noticed.
+const LOOK_EVERY_NS: u64 = 20_000_000;
+
+/// Gives the samples published here to the link `to` until `stop`. Calls `ready` when the fleet is joined.
+///
+/// # Errors
+/// The fleet cannot be joined, its files were removed, or the network is refused.
+pub(crate) fn run(
+    (config, to): (&Config, &str),
+    (network, lock): (&Arc<Network>, &WorkerLock),
+    stop: &AtomicBool,
+    ready: impl FnOnce(),
+) -> anyhow::Result<(Vec<GivenRecord>, Refusals)> {
+    let limits = config.limits();
+    let mut bus = config.join("link")?;
+    bus.needs_lock(lock);
+    let mut giving = Giving::open(network, Kind::Samples, Some(to.to_owned()), config.fleet())?;
+    let mut waiter = bus.arrivals_waiter(&limits)?;
+    let mut samples = bus.sample_reader(&limits)?;
+    let mut frame = FrameBuf::new(limits.capacity);
+    ready();
+    while !stop.load(Ordering::Relaxed) {
+        bus.check()?;
+        while samples.take(&mut frame)? {
+            giving.offer(LocalFrame {
+                service: Carried::Samples,
+                source: frame.header().source_id,
+                tick: 0,
+                header: bytes_of(frame.header()),
+                elements: cast_slice(frame.samples()),
+            });
+        }
+        giving.turn()?;
+        let until_ns = clock::monotonic_ns() + LOOK_EVERY_NS;
+        waiter.wait_until(Some(until_ns), None)?;
+    }
+    Ok((giving.records(), giving.refused))
+}

@@ -1,0 +1,201 @@
+//! Frames of this host for all who ask for them.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use joulebus_bus::clock;
+use joulebus_wire::fnv1a;
+use serde::Serialize;
+
+use crate::network::{Event, Inbox, Kind, Network, NetworkError, Outlet};
+use crate::protocol::carried::Carried;
+use crate::protocol::message::{Body, Request, Worker, read};
+use crate::protocol::stream::{LocalFrame, Sent, Stream};
+use crate::refusals::Refusals;
+
+/// Links that are sent to at once.
+const MOST_RECEIVERS: usize = 64;
+
+/// What was given to one link.
+#[derive(Debug, Clone, Serialize)]
+pub(crate) struct GivenRecord {
+    pub(crate) to: String,
+    #[serde(flatten)]
+    pub(crate) sent: Sent,
+}
+
+/// The receivers of one kind of frames.
+#[derive(Debug)]
+pub(crate) struct Giving {
+    network: Arc<Network>,
+    kind: Kind,
+    /// Only this link may ask; without it all.
+    only: Option<String>,
+    fleet: u64,
+    inbox: Inbox,
+    streams: BTreeMap<Arc<str>, (Stream, Outlet)>,
+    /// Of receivers that have left.
+    past: BTreeMap<Arc<str>, Sent>,
+    pub(crate) worker: Worker,
+    pub(crate) refused: Refusals,
+}
+
+impl Giving {
+    pub(crate) fn open(
+        network: &Arc<Network>,
+        kind: Kind,
+        only: Option<String>,
+        fleet: &str,
+    ) -> Result<Self, NetworkError> {
+        let mut inbox = Inbox::new();
+        network.take_requests(kind, &mut inbox)?;
+        Ok(Self {
+            network: Arc::clone(network),
+            kind,
+            only,
+            fleet: fnv1a(fleet.bytes()),
+            inbox,
+            streams: BTreeMap::new(),
+            past: BTreeMap::new(),
+            worker: Worker::Unknown,
+            refused: Refusals::default(),
+        })
+    }
+
+    /// Takes the requests that have come, forgets receivers that are silent, and sends what waited.
+    ///
+    /// # Errors
+    /// [`NetworkError`].
+    pub(crate) fn turn(&mut self) -> Result<(), NetworkError> {
+        while let Ok(event) = self.inbox.events().try_recv() {
+            let (from, bytes, arrived_ns) = match event {
+                Event::Message {
+                    from,
+                    bytes,
+                    arrived_ns,
+                } => (from, bytes, arrived_ns),
+                Event::Lost { name } => {
+                    self.forget(&name);
+                    continue;
+                }
+            };
+            match read(&bytes.get(), self.fleet, 0) {
+                Ok(message) => {
+                    let Body::Request(request) = message.body else {
+                        continue;
+                    };
+                    self.request(&from, request, arrived_ns)?;
+                }
+                Err(error) => self.refused.count(error.name(), &from, &error),
+            }
+        }
+        let now_ns = clock::monotonic_ns();
+        let silent = |(name, (stream, _)): (&Arc<str>, &(Stream, Outlet))| {
+            stream.is_over(now_ns).then(|| Arc::clone(name))
+        };
+        let silent: Vec<Arc<str>> = self.streams.iter().filter_map(silent).collect();
+        for name in silent {
+            self.forget(&name);
+        }
+        let worker = self.worker;
+        for (stream, outlet) in self.streams.values_mut() {
+            let mut out = Vec::new();
+            while stream.due(worker, now_ns, &mut out) {
+                outlet.send(std::mem::take(&mut out));
+            }
+        }
+        Ok(())
+    }
+
+    /// Ends the stream to a link that is gone.
+    fn forget(&mut self, name: &Arc<str>) {
+        if let Some((stream, _)) = self.streams.remove(name) {
+            tracing::info!("link {name} no longer asks");
+            add(
+                self.past.entry(Arc::clone(name)).or_default(),
+                stream.sent(),
+            );
+        }
+    }
+
+    fn request(
+        &mut self,
+        from: &Arc<str>,
+        request: Request,
+        now_ns: u64,
+    ) -> Result<(), NetworkError> {
+        if let Some((stream, _)) = self.streams.get_mut(from) {
+            stream.request(request, now_ns);
+            return Ok(());
+        }
+        let is_allowed = self.only.as_deref().is_none_or(|only| only == &**from);
+        if !is_allowed || self.streams.len() == MOST_RECEIVERS {
+            let why = if is_allowed {
+                format!("{MOST_RECEIVERS} links ask already")
+            } else {
+                "the file of this link names another".to_owned()
+            };
+            self.refused.count("not a link that may ask", from, &why);
+            return Ok(());
+        }
+        tracing::info!("link {from} asks for {}", self.kind_name());
+        let outlet = self.network.frames_to(self.kind, from)?;
+        let stream = Stream::new(self.fleet, request, now_ns);
+        self.streams.insert(Arc::clone(from), (stream, outlet));
+        Ok(())
+    }
+
+    const fn kind_name(&self) -> &'static str {
+        match self.kind {
+            Kind::Outputs => "what the worker writes",
+            Kind::Samples => "the samples published here",
+        }
+    }
+
+    /// Whether anybody wants frames of the service.
+    pub(crate) fn wants(&self, service: Carried) -> bool {
+        let mut streams = self.streams.values();
+        streams.any(|(stream, _)| stream.request_of().selection.wants(service))
+    }
+
+    /// Sends a frame to all who want it, or keeps it for those that are not ready.
+    pub(crate) fn offer(&mut self, frame: LocalFrame<'_>) {
+        let (worker, now_ns) = (self.worker, clock::monotonic_ns());
+        for (stream, outlet) in self.streams.values_mut() {
+            let mut out = Vec::new();
+            if stream.offer(frame, worker, now_ns, &mut out) {
+                outlet.send(out);
+            }
+        }
+    }
+
+    /// Tells all receivers the state of the worker now.
+    pub(crate) fn tell(&mut self) {
+        let (worker, now_ns) = (self.worker, clock::monotonic_ns());
+        for (stream, outlet) in self.streams.values_mut() {
+            let mut out = Vec::new();
+            stream.tell(worker, now_ns, &mut out);
+            outlet.send(out);
+        }
+    }
+
+    /// What was given, by link.
+    pub(crate) fn records(&self) -> Vec<GivenRecord> {
+        let mut all = self.past.clone();
+        for (name, (stream, _)) in &self.streams {
+            add(all.entry(Arc::clone(name)).or_default(), stream.sent());
+        }
+        let record = |(name, sent): (Arc<str>, Sent)| GivenRecord {
+            to: name.to_string(),
+            sent,
+        };
+        all.into_iter().map(record).collect()
+    }
+}
+
+fn add(total: &mut Sent, sent: Sent) {
+    total.frames += sent.frames;
+    total.bytes += sent.bytes;
+    total.dropped += sent.dropped;
+    total.unheard += sent.unheard;
+}

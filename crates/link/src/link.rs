@@ -1,0 +1,358 @@
+//! `joulebus link`: its threads, and its report.
+
+use std::fmt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::sync_channel;
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use anyhow::{Context as _, anyhow};
+use joulebus_bus::{WorkerLock, yield_to_the_worker};
+use joulebus_config::Config;
+use joulebus_plan_server::PlanServer;
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::{Output, say};
+use joulebus_program::stop::Stop;
+use joulebus_program::verbs::link::LinkArguments;
+use serde::Serialize;
+
+use crate::config::{Settings, Side};
+use crate::giving::GivenRecord;
+use crate::network::Network;
+use crate::refusals::Refusals;
+use crate::taking::TakenRecord;
+use crate::{follow, forward, intake, outputs};
+
+/// Interval of checking whether to stop.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// Nice value of all threads: the worker and its sources run first.
+const NICE: u8 = 5;
+
+/// What was linked.
+#[derive(Debug, Serialize)]
+struct LinkReport {
+    fleet: String,
+    link: String,
+    given: Vec<GivenRecord>,
+    taken: Vec<TakenRecord>,
+    /// Requests that were refused, by reason.
+    refused: Refusals,
+}
+
+/// What `--check` says.
+#[derive(Debug, Serialize)]
+struct CheckReport {
+    fleet: String,
+    link: String,
+    mode: &'static str,
+    connect: Vec<String>,
+    listen: Vec<String>,
+    encrypted: bool,
+    /// Whose samples are taken, or whose outputs are followed.
+    takes: Vec<String>,
+    /// Where samples go.
+    gives: Vec<String>,
+}
+
+pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcome> {
+    let stop = Stop::on_signals()?;
+    let config = args.config.load()?;
+    let settings = Settings::load(&args.file, &config)?;
+    if args.check {
+        output.report(&checked(&config, &settings))?;
+        return Ok(Outcome::Done);
+    }
+    yield_to_the_worker(NICE);
+    let mut link = Link::start(&config, &settings)?;
+    while !stop.is_asked() && !link.threads.iter().any(JoinHandle::is_finished) {
+        thread::sleep(LOOK_EVERY);
+    }
+    let report = link.finish(&config, &settings)?;
+    let lost = report.is_lossy();
+    output.report(&report)?;
+    Ok(Outcome::unless_lost(lost))
+}
+
+fn checked(config: &Config, settings: &Settings) -> CheckReport {
+    let network = &settings.network;
+    let (takes, gives) = match &settings.side {
+        Side::Worker(takes) => (
+            takes.iter().map(|take| take.from.clone()).collect(),
+            Vec::new(),
+        ),
+        Side::Other { samples, follow } => (
+            follow.iter().map(|follow| follow.worker.clone()).collect(),
+            samples.iter().cloned().collect(),
+        ),
+    };
+    CheckReport {
+        fleet: config.fleet().to_owned(),
+        link: settings.name.clone(),
+        mode: network.mode.name(),
+        connect: network.connect.clone(),
+        listen: network.listen.clone(),
+        encrypted: network.tls.is_some(),
+        takes,
+        gives,
+    }
+}
+
+/// What a thread has done.
+#[derive(Debug, Default)]
+struct Done {
+    given: Vec<GivenRecord>,
+    taken: Vec<TakenRecord>,
+    refused: Refusals,
+}
+
+/// The running threads.
+struct Link {
+    stop: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<anyhow::Result<Done>>>,
+    /// Answers questions on a host without a worker.
+    questions: Option<PlanServer>,
+    /// Of this host, which has no other worker: after the threads that need it.
+    lock: Option<Arc<WorkerLock>>,
+}
+
+impl Link {
+    fn start(config: &Config, settings: &Settings) -> anyhow::Result<Self> {
+        let mut link = Self {
+            stop: Arc::default(),
+            threads: Vec::new(),
+            questions: None,
+            lock: None,
+        };
+        let (fleet, name) = (config.fleet(), settings.name.as_str());
+        if let Side::Other { follow, .. } = &settings.side {
+            if follow.is_some() {
+                link.questions = Some(PlanServer::start(config)?);
+            }
+            link.lock = Some(Arc::new(WorkerLock::acquire(&config.domain()?)?));
+        }
+        let takes: Option<Vec<&str>> = match &settings.side {
+            Side::Worker(takes) => Some(takes.iter().map(|take| take.from.as_str()).collect()),
+            Side::Other { .. } => None,
+        };
+        let network = Network::open(&settings.network, (fleet, name), takes.as_deref())?;
+        let network = Arc::new(network);
+        match &settings.side {
+            Side::Worker(takes) => link.start_worker_side(config, takes, &network)?,
+            Side::Other { samples, follow } => {
+                if let Some(follow) = follow {
+                    link.start_following(config, follow, &network)?;
+                }
+                if let Some(to) = samples {
+                    link.start_forwarding(config, to, &network)?;
+                }
+            }
+        }
+        if let Some(questions) = &link.questions {
+            questions.serve();
+        }
+        say(&format!("link {name} of fleet {fleet} is open"));
+        Ok(link)
+    }
+
+    fn start_worker_side(
+        &mut self,
+        config: &Config,
+        takes: &[crate::config::Take],
+        network: &Arc<Network>,
+    ) -> anyhow::Result<()> {
+        let (of, over) = (config.clone(), Arc::clone(network));
+        self.spawn("joulebus-outputs", move |stop, ready| {
+            let (given, refused) = outputs::run(&of, &over, stop, ready)?;
+            Ok(Done {
+                given,
+                refused,
+                ..Done::default()
+            })
+        })?;
+        if takes.is_empty() {
+            return Ok(());
+        }
+        let (of, over, takes) = (config.clone(), Arc::clone(network), takes.to_vec());
+        self.spawn("joulebus-intake", move |stop, ready| {
+            let taken = intake::run((&of, &takes), &over, stop, ready)?;
+            Ok(Done {
+                taken,
+                ..Done::default()
+            })
+        })
+    }
+
+    fn start_following(
+        &mut self,
+        config: &Config,
+        follow: &crate::config::Follow,
+        network: &Arc<Network>,
+    ) -> anyhow::Result<()> {
+        let (of, over, follow) = (config.clone(), Arc::clone(network), follow.clone());
+        let lock = self.lock.clone().context("the lock is taken first")?;
+        self.spawn("joulebus-follow", move |stop, ready| {
+            let taken = follow::run((&of, &follow), (&over, &lock), stop, ready)?;
+            Ok(Done {
+                taken: vec![taken],
+                ..Done::default()
+            })
+        })
+    }
+
+    fn start_forwarding(
+        &mut self,
+        config: &Config,
+        to: &str,
+        network: &Arc<Network>,
+    ) -> anyhow::Result<()> {
+        let (of, over, to) = (config.clone(), Arc::clone(network), to.to_owned());
+        let lock = self.lock.clone().context("the lock is taken first")?;
+        self.spawn("joulebus-forward", move |stop, ready| {
+            let (given, refused) = forward::run((&of, &to), (&over, &lock), stop, ready)?;
+            Ok(Done {
+                given,
+                refused,
+                ..Done::default()
+            })
+        })
+    }
+
+    /// Starts a thread, and waits until it has joined the fleet.
+    fn spawn(
+        &mut self,
+        name: &str,
+        work: impl FnOnce(&AtomicBool, Box<dyn FnOnce()>) -> anyhow::Result<Done> + Send + 'static,
+    ) -> anyhow::Result<()> {
+        let (ready, joined) = sync_channel(1);
+        let stop = Arc::clone(&self.stop);
+        let thread = thread::Builder::new().name(name.to_owned()).spawn(move || {
+            let tell = move || {
+                // The caller waits for it.
+                let _ = ready.send(());
+            };
+            work(&stop, Box::new(tell))
+        });
+        let thread = thread.with_context(|| format!("cannot start the thread {name}"))?;
+        if joined.recv().is_err() {
+            join(thread)?;
+            return Ok(());
+        }
+        self.threads.push(thread);
+        Ok(())
+    }
+
+    fn finish(&mut self, config: &Config, settings: &Settings) -> anyhow::Result<LinkReport> {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(questions) = self.questions.take() {
+            let _ = questions.finish();
+        }
+        let mut report = LinkReport {
+            fleet: config.fleet().to_owned(),
+            link: settings.name.clone(),
+            given: Vec::new(),
+            taken: Vec::new(),
+            refused: Refusals::default(),
+        };
+        let ended: Vec<_> = self.threads.drain(..).map(join).collect();
+        for done in ended {
+            let done = done?;
+            report.given.extend(done.given);
+            report.taken.extend(done.taken);
+            report.refused.add(&done.refused);
+        }
+        Ok(report)
+    }
+}
+
+fn join(thread: JoinHandle<anyhow::Result<Done>>) -> anyhow::Result<Done> {
+    thread
+        .join()
+        .map_err(|_| anyhow!("a thread of the link panicked"))?
+}
+
+impl LinkReport {
+    /// Whether frames were lost on the way or refused. Those left out because the link is slower than the fleet count: a
+    /// planner did not get them.
+    fn is_lossy(&self) -> bool {
+        let given = self.given.iter();
+        self.refused.total() > 0
+            || given
+                .clone()
+                .any(|it| it.sent.dropped > 0 || it.sent.unheard > 0)
+            || self
+                .taken
+                .iter()
+                .any(|it| it.received.lost > 0 || it.received.dropped > 0 || it.refused.total() > 0)
+    }
+}
+
+impl fmt::Display for LinkReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(out, "link {} of fleet {}", self.link, self.fleet)?;
+        for GivenRecord { to, sent } in &self.given {
+            writeln!(
+                out,
+                "gave {to} {} frames, {} bytes; {} left out for newer ones, {} not acknowledged",
+                sent.frames, sent.bytes, sent.dropped, sent.unheard
+            )?;
+        }
+        for taken in &self.taken {
+            let it = &taken.received;
+            writeln!(
+                out,
+                "took {} frames, {} bytes from {}; {} lost, {} left out there, {} repeated, {} runs, {} silences",
+                it.frames,
+                it.bytes,
+                taken.from,
+                it.lost,
+                it.dropped,
+                it.repeated,
+                it.runs,
+                it.silences
+            )?;
+            if let Some(uncertainty_s) = taken.clock_uncertainty_s {
+                writeln!(
+                    out,
+                    "clock of {}: within {:.3} ms, {} refits, {} steps",
+                    taken.from,
+                    uncertainty_s * 1e3,
+                    taken.clock_refits,
+                    taken.clock_steps
+                )?;
+            }
+            for (reason, count) in taken.refused.iter() {
+                writeln!(out, "refused of {}: {count} ({reason})", taken.from)?;
+            }
+        }
+        self.refused
+            .iter()
+            .try_for_each(|(reason, count)| writeln!(out, "refused requests: {count} ({reason})"))
+    }
+}
+
+impl fmt::Display for CheckReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let way = if self.encrypted {
+            "encrypted"
+        } else {
+            "not encrypted"
+        };
+        writeln!(
+            out,
+            "link {} of fleet {}: {}, {way}",
+            self.link, self.fleet, self.mode
+        )?;
+        for (what, list) in [
+            ("connects to", &self.connect),
+            ("listens on", &self.listen),
+            ("takes from", &self.takes),
+            ("gives samples to", &self.gives),
+        ] {
+            if !list.is_empty() {
+                writeln!(out, "{what} {}", list.join(", "))?;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,392 @@
+//! The only file that names zenoh: keys, connections, and what arrives.
+//!
+//! Nothing is discovered: a link reaches the addresses of its file and no others, and no payload takes the way of
+//! zenoh's own shared memory.
+
+use std::borrow::Cow;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+
+use joulebus_bus::clock;
+use serde_json::json;
+use zenoh::Wait as _;
+use zenoh::bytes::ZBytes;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::pubsub::{Publisher, Subscriber};
+use zenoh::qos::CongestionControl;
+use zenoh::sample::{Sample, SampleKind};
+
+use crate::config::{Mode, NetworkSettings};
+
+/// Messages that wait for a thread; with more, the newest are lost, and counted.
+const MOST_WAITING: usize = 256;
+/// A peer that has sent nothing for so long is gone, ms. Shorter than the silence after which a link says so, longer than
+/// what a network loses at times.
+const LEASE_MS: u64 = 1_000;
+/// How long a message waits for room before it is dropped, µs; one of many batches ten times that.
+const WAIT_US: u64 = 50_000;
+/// Longest message: 100,000 robots' plan states, the longest row, are 19 MB.
+const LONGEST_BYTES: usize = 64 << 20;
+
+/// What a stream carries, as it stands in keys: rules of access tell them apart.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Kind {
+    /// What a worker writes.
+    Outputs,
+    /// What sources write.
+    Samples,
+}
+
+impl Kind {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Outputs => "outputs",
+            Self::Samples => "samples",
+        }
+    }
+}
+
+/// Something that happened.
+#[derive(Debug)]
+pub(crate) enum Event {
+    /// A message of the link `from`.
+    Message {
+        from: Arc<str>,
+        bytes: Bytes,
+        arrived_ns: u64,
+    },
+    /// The link of that name, or the way to it, is gone.
+    Lost { name: Arc<str> },
+}
+
+/// The bytes of a message.
+#[derive(Debug)]
+pub(crate) struct Bytes(ZBytes);
+
+impl Bytes {
+    /// All of them, copied only if they arrived in parts.
+    pub(crate) fn get(&self) -> Cow<'_, [u8]> {
+        self.0.to_bytes()
+    }
+}
+
+/// What arrives for one thread.
+#[derive(Debug)]
+pub(crate) struct Inbox {
+    sender: SyncSender<Event>,
+    receiver: Receiver<Event>,
+    overflowed: Arc<AtomicU64>,
+    _subscriptions: Vec<Subscriber<()>>,
+}
+
+impl Inbox {
+    pub(crate) fn new() -> Self {
+        let (sender, receiver) = sync_channel(MOST_WAITING);
+        Self {
+            sender,
+            receiver,
+            overflowed: Arc::default(),
+            _subscriptions: Vec::new(),
+        }
+    }
+
+    pub(crate) const fn events(&self) -> &Receiver<Event> {
+        &self.receiver
+    }
+
+    /// Messages that were lost here because this host was too slow.
+    pub(crate) fn overflowed(&self) -> u64 {
+        self.overflowed.load(Ordering::Relaxed)
+    }
+}
+
+/// A connection to the other hosts of a fleet.
+#[derive(Debug)]
+pub(crate) struct Network {
+    session: zenoh::Session,
+    fleet: String,
+    name: String,
+    _token: LivelinessToken,
+}
+
+/// A key that is written to.
+#[derive(Debug)]
+pub(crate) struct Outlet(Publisher<'static>);
+
+impl Outlet {
+    /// Sends a message; one that the network has no room for is lost, and missed by the other side.
+    pub(crate) fn send(&self, bytes: Vec<u8>) {
+        if let Err(error) = self.0.put(bytes).wait() {
+            tracing::debug!(%error, "a message was not sent");
+        }
+    }
+}
+
+impl Network {
+    /// Opens the addresses, and lets the others know of this link. `takes`, of a worker's host: the links whose samples are
+    /// taken, each by the name in its certificate.
+    ///
+    /// # Errors
+    /// [`NetworkError`].
+    pub(crate) fn open(
+        settings: &NetworkSettings,
+        (fleet, name): (&str, &str),
+        takes: Option<&[&str]>,
+    ) -> Result<Self, NetworkError> {
+        let mut config = configured(settings)?;
+        if let Some(takes) = takes
+            && settings.tls.is_some()
+            && settings.mode == Mode::Peer
+        {
+            let value = access(fleet, name, takes);
+            insert(&mut config, "access_control", &value)?;
+        }
+        let session = zenoh::open(config)
+            .wait()
+            .map_err(|reason| NetworkError::Open {
+                listen: settings.listen.clone(),
+                connect: settings.connect.clone(),
+                reason: reason.to_string(),
+            })?;
+        let key = format!("joulebus/{fleet}/links/{name}");
+        let token = session.liveliness().declare_token(key).wait()?;
+        Ok(Self {
+            session,
+            fleet: fleet.to_owned(),
+            name: name.to_owned(),
+            _token: token,
+        })
+    }
+
+    /// Where frames go to the link `to`.
+    ///
+    /// # Errors
+    /// [`NetworkError`].
+    pub(crate) fn frames_to(&self, kind: Kind, to: &str) -> Result<Outlet, NetworkError> {
+        let Self { fleet, name, .. } = self;
+        let key = format!("joulebus/{fleet}/{}/{name}/{to}", kind.name());
+        self.outlet(key)
+    }
+
+    /// Where the link `from` is asked for frames.
+    ///
+    /// # Errors
+    /// [`NetworkError`].
+    pub(crate) fn requests_to(&self, kind: Kind, from: &str) -> Result<Outlet, NetworkError> {
+        let Self { fleet, name, .. } = self;
+        let key = format!("joulebus/{fleet}/ask/{}/{from}/{name}", kind.name());
+        self.outlet(key)
+    }
+
+    /// Has the frames that the link `from` sends to this one put into the inbox, and its end.
+    ///
+    /// # Errors
+    /// [`NetworkError`].
+    pub(crate) fn take_frames(
+        &self,
+        kind: Kind,
+        from: &str,
+        inbox: &mut Inbox,
+    ) -> Result<(), NetworkError> {
+        let Self { fleet, name, .. } = self;
+        let key = format!("joulebus/{fleet}/{}/{from}/{name}", kind.name());
+        let named: Arc<str> = from.into();
+        self.subscribe(key, inbox, move |_| Some(Arc::clone(&named)))?;
+        self.watch(from, inbox)
+    }
+
+    /// Has the end of links put into the inbox: of one, or of all with `*`.
+    fn watch(&self, name: &str, inbox: &mut Inbox) -> Result<(), NetworkError> {
+        let (sender, overflowed) = (inbox.sender.clone(), Arc::clone(&inbox.overflowed));
+        let key = format!("joulebus/{}/links/{name}", self.fleet);
+        let liveliness = self.session.liveliness();
+        let subscription = liveliness
+            .declare_subscriber(key)
+            .callback(move |sample| {
+                if let (SampleKind::Delete, Some(name)) = (sample.kind(), last_part(&sample)) {
+                    put(&sender, &overflowed, Event::Lost { name });
+                }
+            })
+            .wait()?;
+        inbox._subscriptions.push(subscription);
+        Ok(())
+    }
+
+    /// Has the requests for frames of this link put into the inbox.
+    ///
+    /// # Errors
+    /// [`NetworkError`].
+    pub(crate) fn take_requests(&self, kind: Kind, inbox: &mut Inbox) -> Result<(), NetworkError> {
+        let Self { fleet, name, .. } = self;
+        let key = format!("joulebus/{fleet}/ask/{}/{name}/*", kind.name());
+        self.subscribe(key, inbox, last_part)?;
+        self.watch("*", inbox)
+    }
+
+    fn subscribe(
+        &self,
+        key: String,
+        inbox: &mut Inbox,
+        from: impl Fn(&Sample) -> Option<Arc<str>> + Send + Sync + 'static,
+    ) -> Result<(), NetworkError> {
+        let (sender, overflowed) = (inbox.sender.clone(), Arc::clone(&inbox.overflowed));
+        let subscriber = self.session.declare_subscriber(key);
+        let subscription = subscriber
+            .callback(move |sample| {
+                let arrived_ns = clock::monotonic_ns();
+                let Some(from) = from(&sample) else {
+                    return;
+                };
+                let event = Event::Message {
+                    from,
+                    bytes: Bytes(sample.payload().clone()),
+                    arrived_ns,
+                };
+                put(&sender, &overflowed, event);
+            })
+            .wait()?;
+        inbox._subscriptions.push(subscription);
+        Ok(())
+    }
+
+    fn outlet(&self, key: String) -> Result<Outlet, NetworkError> {
+        let publisher = self
+            .session
+            .declare_publisher(key)
+            .congestion_control(CongestionControl::Drop)
+            .express(true)
+            .wait()?;
+        Ok(Outlet(publisher))
+    }
+}
+
+/// The name of a link, with which its key ends.
+fn last_part(sample: &Sample) -> Option<Arc<str>> {
+    let key = sample.key_expr().as_str();
+    key.rsplit_once('/').map(|(_, name)| name.into())
+}
+
+/// Never waits: this is a thread of the network.
+fn put(sender: &SyncSender<Event>, overflowed: &AtomicU64, event: Event) {
+    if let Err(TrySendError::Full(_)) = sender.try_send(event) {
+        overflowed.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// The whole configuration of zenoh: what is not named here is its default, and no file or environment changes it.
+fn configured(settings: &NetworkSettings) -> Result<zenoh::Config, NetworkError> {
+    let mut config = zenoh::Config::default();
+    let mut set = |key: &str, value: serde_json::Value| insert(&mut config, key, &value);
+    set("mode", json!(settings.mode.name()))?;
+    set("connect/endpoints", json!(settings.connect))?;
+    set("listen/endpoints", json!(settings.listen))?;
+    // Others may start later: it connects when they are there.
+    set(
+        "connect/timeout_ms",
+        json!(if settings.mode.name() == "client" {
+            -1
+        } else {
+            0
+        }),
+    )?;
+    set("connect/exit_on_failure", json!(false))?;
+    set(
+        "connect/retry",
+        json!({"period_init_ms": 200, "period_max_ms": 1_000, "period_increase_factor": 1.5}),
+    )?;
+    set("listen/exit_on_failure", json!(true))?;
+    set("scouting/multicast/enabled", json!(false))?;
+    // Tells nobody of others, and connects to nobody for it.
+    let nobody = json!({"peer": [], "router": [], "client": []});
+    set("scouting/gossip/target", nobody.clone())?;
+    set("scouting/gossip/autoconnect", nobody)?;
+    set("transport/link/tx/lease", json!(LEASE_MS))?;
+    set("transport/link/rx/max_message_size", json!(LONGEST_BYTES))?;
+    // A link keeps few frames on their way; those must find room although a thread of the network gets no processor for a
+    // while, and although a long frame is many batches.
+    set("transport/link/tx/queue/size/data", json!(16))?;
+    let drop = "transport/link/tx/queue/congestion_control/drop";
+    set(&format!("{drop}/wait_before_drop"), json!(WAIT_US))?;
+    set(
+        &format!("{drop}/max_wait_before_drop_fragments"),
+        json!(10 * WAIT_US),
+    )?;
+    if let Some(tls) = &settings.tls {
+        set("transport/link/tls/root_ca_certificate", json!(tls.ca))?;
+        set(
+            "transport/link/tls/listen_certificate",
+            json!(tls.certificate),
+        )?;
+        set(
+            "transport/link/tls/connect_certificate",
+            json!(tls.certificate),
+        )?;
+        set("transport/link/tls/listen_private_key", json!(tls.key))?;
+        set("transport/link/tls/connect_private_key", json!(tls.key))?;
+        set("transport/link/tls/enable_mtls", json!(true))?;
+        set("transport/link/tls/verify_name_on_connect", json!(true))?;
+        set("transport/link/tls/close_link_on_expiration", json!(true))?;
+    }
+    Ok(config)
+}
+
+fn insert(
+    config: &mut zenoh::Config,
+    key: &str,
+    value: &serde_json::Value,
+) -> Result<(), NetworkError> {
+    let reason = |reason: zenoh::Error| NetworkError::Config {
+        key: key.to_owned(),
+        reason: reason.to_string(),
+    };
+    config.insert_json5(key, &value.to_string()).map_err(reason)
+}
+
+/// Who may do what at the worker's link: all whose certificate is the fleet's may ask for its outputs; samples come from the
+/// links that the file names, each under its own name.
+fn access(fleet: &str, name: &str, takes: &[&str]) -> serde_json::Value {
+    let key = |rest: &str| format!("joulebus/{fleet}/{rest}");
+    let both = ["ingress", "egress"];
+    let mut rules = vec![
+        json!({"id": "links", "permission": "allow", "flows": both, "key_exprs": [key("links/*")],
+            "messages": ["liveliness_token", "declare_liveliness_subscriber", "liveliness_query"]}),
+        json!({"id": "ask", "permission": "allow", "flows": both, "messages": ["put", "declare_subscriber"],
+            "key_exprs": [key(&format!("ask/outputs/{name}/*")), key("ask/samples/*/*")]}),
+        json!({"id": "outputs", "permission": "allow", "flows": both, "messages": ["put", "declare_subscriber"],
+            "key_exprs": [key(&format!("outputs/{name}/*"))]}),
+        json!({"id": "take", "permission": "allow", "flows": ["egress"], "messages": ["declare_subscriber"],
+            "key_exprs": [key(&format!("samples/*/{name}"))]}),
+    ];
+    let mut subjects = vec![json!({"id": "all"})];
+    let mut policies =
+        vec![json!({"subjects": ["all"], "rules": ["links", "ask", "outputs", "take"]})];
+    for from in takes {
+        let id = format!("samples of {from}");
+        rules.push(
+            json!({"id": id, "permission": "allow", "flows": ["ingress"], "messages": ["put"],
+            "key_exprs": [key(&format!("samples/{from}/{name}"))]}),
+        );
+        subjects.push(json!({"id": id, "cert_common_names": [from]}));
+        policies.push(json!({"subjects": [id], "rules": [id]}));
+    }
+    json!({"enabled": true, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies})
+}
+
+/// Errors of the network.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum NetworkError {
+    #[error(
+        "cannot open the network (listen {listen:?}, connect {connect:?}): {reason}; are the addresses this host's, and \
+         free?"
+    )]
+    Open {
+        listen: Vec<String>,
+        connect: Vec<String>,
+        reason: String,
+    },
+    #[error("zenoh refuses {key}: {reason}")]
+    Config { key: String, reason: String },
+    #[error("zenoh refuses a key: {0}")]
+    Key(#[from] zenoh::Error),
+}

@@ -1,0 +1,465 @@
+//! Messages of a link as bytes: little-endian, checked once where they come in.
+//!
+//! One side of a stream has frames, the other asks for them. Requests tell what is wanted, what has come, and
+//! measure the clocks; they are repeated, so nothing depends on a single one.
+
+use bytemuck::{Pod, Zeroable, bytes_of, pod_read_unaligned};
+use joulebus_wire::SCHEMA_VERSION;
+
+use crate::protocol::carried::{Carried, FrameError, RawFrame};
+use crate::protocol::selection::{MOST_RANGES, Selection};
+
+/// Version of these messages.
+const PROTOCOL: u32 = 1;
+const MAGIC: [u8; 8] = *b"joulelnk";
+const RELEASE_BYTES: usize = 16;
+const FRAME: u32 = 1;
+const REQUEST: u32 = 2;
+
+/// What begins every message.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+struct Prelude {
+    magic: [u8; 8],
+    protocol: u32,
+    kind: u32,
+    /// Release of the sender, padded with zeros.
+    release: [u8; RELEASE_BYTES],
+    schema: u32,
+    reserved: u32,
+    /// FNV-1a hash of the fleet's name.
+    fleet: u64,
+    /// Run of the link that sends: greater after a restart.
+    run: u64,
+    /// Number of the message in its stream and run, from 1.
+    number: u64,
+}
+
+/// What precedes a frame.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+struct FrameHead {
+    service: u32,
+    elements: u32,
+    worker: u32,
+    reserved: u32,
+    asked_ns: u64,
+    heard_ns: u64,
+    sent_ns: u64,
+    dropped: u64,
+}
+
+/// A request without its ranges.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, Pod, Zeroable)]
+struct RequestHead {
+    run: u64,
+    number: u64,
+    asked_ns: u64,
+    services: u32,
+    every: u32,
+    ranges: u32,
+    reserved: u32,
+}
+
+const _: () = assert!(size_of::<Prelude>() == 64 && size_of::<FrameHead>() == 48);
+
+/// Whom messages are of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Sender {
+    /// FNV-1a hash of the fleet's name.
+    pub(crate) fleet: u64,
+    /// When the link began, monotonic ns of its host.
+    pub(crate) run: u64,
+}
+
+/// State of a worker, as its link sees it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) enum Worker {
+    /// Nothing has been heard of it; also of a host that sends samples.
+    #[default]
+    Unknown,
+    /// It sends.
+    Alive,
+    /// It is silent.
+    Stale,
+    /// It has ended.
+    Gone,
+}
+
+impl Worker {
+    fn decode(code: u32) -> Self {
+        match code {
+            1 => Self::Alive,
+            2 => Self::Stale,
+            3 => Self::Gone,
+            _ => Self::Unknown,
+        }
+    }
+}
+
+/// Times and counts that travel with each frame, and alone where there is none.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct Status {
+    /// [`Request::asked_ns`] of the newest request that the sender has taken; 0 before the first.
+    pub(crate) asked_ns: u64,
+    /// When it took it, monotonic ns of the sender.
+    pub(crate) heard_ns: u64,
+    /// When this message was made, monotonic ns of the sender.
+    pub(crate) sent_ns: u64,
+    /// Frames that were not sent to this receiver, because newer ones were there before the link was free.
+    pub(crate) dropped: u64,
+    /// The sender's worker.
+    pub(crate) worker: Worker,
+}
+
+/// What a receiver asks for.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Request {
+    /// The sender's run and the number of its newest message that came; 0 before the first.
+    pub(crate) heard: (u64, u64),
+    /// When it was asked, monotonic ns of the receiver.
+    pub(crate) asked_ns: u64,
+    pub(crate) selection: Selection,
+}
+
+/// A message that came in.
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) struct Message<'a> {
+    pub(crate) run: u64,
+    pub(crate) number: u64,
+    pub(crate) body: Body<'a>,
+}
+
+#[derive(Debug, PartialEq, Eq)]
+pub(crate) enum Body<'a> {
+    Frame(Status, Option<RawFrame<'a>>),
+    Request(Request),
+}
+
+/// A frame to be sent: its header, and runs of its elements that were selected.
+pub(crate) struct Outgoing<'f, 'e> {
+    pub(crate) service: Carried,
+    pub(crate) header: &'f [u8],
+    pub(crate) elements: &'f mut dyn Iterator<Item = &'e [u8]>,
+}
+
+/// Writes a frame's message; `None` tells the status only.
+pub(crate) fn write_frame(
+    out: &mut Vec<u8>,
+    (sender, number): (Sender, u64),
+    status: Status,
+    frame: Option<Outgoing<'_, '_>>,
+) {
+    out.clear();
+    out.extend_from_slice(bytes_of(&prelude(FRAME, sender, number)));
+    let mut head = FrameHead {
+        service: frame.as_ref().map_or(0, |frame| frame.service.code()),
+        elements: 0,
+        worker: status.worker as u32,
+        reserved: 0,
+        asked_ns: status.asked_ns,
+        heard_ns: status.heard_ns,
+        sent_ns: status.sent_ns,
+        dropped: status.dropped,
+    };
+    let at = out.len();
+    out.extend_from_slice(bytes_of(&head));
+    let Some(Outgoing {
+        service,
+        header,
+        elements,
+    }) = frame
+    else {
+        return;
+    };
+    out.extend_from_slice(header);
+    let begun = out.len();
+    for run in elements {
+        out.extend_from_slice(run);
+    }
+    let count = (out.len() - begun) / service.sizes().1;
+    // A frame has at most as many as the capacity of a fleet, which is a u32.
+    head.elements = u32::try_from(count).unwrap_or(u32::MAX);
+    out[at..at + size_of::<FrameHead>()].copy_from_slice(bytes_of(&head));
+}
+
+/// The bytes of a request.
+pub(crate) fn write_request(sender: Sender, number: u64, request: &Request) -> Vec<u8> {
+    let ranges = request.selection.ranges();
+    let head = RequestHead {
+        run: request.heard.0,
+        number: request.heard.1,
+        asked_ns: request.asked_ns,
+        services: request.selection.services,
+        every: request.selection.every,
+        // Bounded by MOST_RANGES.
+        ranges: ranges.len() as u32,
+        reserved: 0,
+    };
+    let mut out = bytes_of(&prelude(REQUEST, sender, number)).to_vec();
+    out.extend_from_slice(bytes_of(&head));
+    for (first, last) in ranges {
+        out.extend_from_slice(bytes_of(&[*first, *last]));
+    }
+    out
+}
+
+/// Reads a message of a host that is not trusted. `most`: elements that a frame may have.
+///
+/// # Errors
+/// [`MessageError`].
+pub(crate) fn read(bytes: &[u8], fleet: u64, most: usize) -> Result<Message<'_>, MessageError> {
+    let (prelude, rest) = split::<Prelude>(bytes)?;
+    if prelude.magic != MAGIC {
+        return Err(MessageError::Foreign);
+    }
+    let release = release_of(&prelude.release);
+    if (prelude.protocol, prelude.schema) != (PROTOCOL, SCHEMA_VERSION)
+        || release != env!("CARGO_PKG_VERSION")
+    {
+        return Err(MessageError::Release {
+            release: release.to_owned(),
+            protocol: prelude.protocol,
+            schema: prelude.schema,
+        });
+    }
+    if prelude.fleet != fleet {
+        return Err(MessageError::Fleet {
+            found: prelude.fleet,
+            allowed: fleet,
+        });
+    }
+    let body = match prelude.kind {
+        FRAME => read_frame(rest, most)?,
+        REQUEST => Body::Request(read_request(rest)?),
+        found => return Err(MessageError::Kind { found }),
+    };
+    Ok(Message {
+        run: prelude.run,
+        number: prelude.number,
+        body,
+    })
+}
+
+fn read_frame(bytes: &[u8], most: usize) -> Result<Body<'_>, MessageError> {
+    let (head, rest) = split::<FrameHead>(bytes)?;
+    let status = Status {
+        asked_ns: head.asked_ns,
+        heard_ns: head.heard_ns,
+        sent_ns: head.sent_ns,
+        dropped: head.dropped,
+        worker: Worker::decode(head.worker),
+    };
+    if head.service == 0 {
+        return Ok(Body::Frame(status, None));
+    }
+    let found = head.service;
+    let service = Carried::decode(found).ok_or(MessageError::Kind { found })?;
+    let frame = RawFrame::new(service, head.elements, most, rest)?;
+    Ok(Body::Frame(status, Some(frame)))
+}
+
+fn read_request(bytes: &[u8]) -> Result<Request, MessageError> {
+    let (head, rest) = split::<RequestHead>(bytes)?;
+    let (found, allowed) = (head.ranges as usize, MOST_RANGES);
+    if found > allowed {
+        return Err(MessageError::Ranges { found, allowed });
+    }
+    let (found, allowed) = (rest.len(), found * size_of::<[u32; 2]>());
+    if found != allowed {
+        return Err(MessageError::Length { found, allowed });
+    }
+    let ranges = rest
+        .chunks_exact(size_of::<[u32; 2]>())
+        .map(pod_read_unaligned::<[u32; 2]>)
+        .map(|[first, last]| (first, last));
+    Ok(Request {
+        heard: (head.run, head.number),
+        asked_ns: head.asked_ns,
+        selection: Selection::new(head.services, head.every, ranges.collect()),
+    })
+}
+
+fn prelude(kind: u32, sender: Sender, number: u64) -> Prelude {
+    let mut release = [0; RELEASE_BYTES];
+    let name = env!("CARGO_PKG_VERSION").as_bytes();
+    let length = name.len().min(RELEASE_BYTES);
+    release[..length].copy_from_slice(&name[..length]);
+    Prelude {
+        magic: MAGIC,
+        protocol: PROTOCOL,
+        kind,
+        release,
+        schema: SCHEMA_VERSION,
+        reserved: 0,
+        fleet: sender.fleet,
+        run: sender.run,
+        number,
+    }
+}
+
+fn release_of(bytes: &[u8; RELEASE_BYTES]) -> &str {
+    let length = bytes.iter().position(|byte| *byte == 0);
+    let name = &bytes[..length.unwrap_or(RELEASE_BYTES)];
+    str::from_utf8(name).unwrap_or("unknown")
+}
+
+fn split<T: Pod>(bytes: &[u8]) -> Result<(T, &[u8]), MessageError> {
+    let allowed = size_of::<T>();
+    let (head, rest) = bytes
+        .split_at_checked(allowed)
+        .ok_or(MessageError::Length {
+            found: bytes.len(),
+            allowed,
+        })?;
+    Ok((pod_read_unaligned(head), rest))
+}
+
+/// Reason that a message was refused.
+#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+pub(crate) enum MessageError {
+    #[error("it is not a message of a link")]
+    Foreign,
+    #[error(
+        "the other side is release {release} (messages {protocol}, schema {schema}), this one {own} (messages \
+         {PROTOCOL}, schema {SCHEMA_VERSION}); use one release on all hosts",
+        own = env!("CARGO_PKG_VERSION")
+    )]
+    Release {
+        release: String,
+        protocol: u32,
+        schema: u32,
+    },
+    #[error("it is of another fleet ({found:016x}, this one is {allowed:016x})")]
+    Fleet { found: u64, allowed: u64 },
+    #[error("it has {found} bytes where {allowed} are needed")]
+    Length { found: usize, allowed: usize },
+    #[error("it is of the unknown kind {found}")]
+    Kind { found: u32 },
+    #[error("it asks for {found} ranges of robots, allowed are {allowed}")]
+    Ranges { found: usize, allowed: usize },
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+}
+
+impl MessageError {
+    /// The reason in reports.
+    pub(crate) const fn name(&self) -> &'static str {
+        match self {
+            Self::Foreign => "not a message of a link",
+            Self::Release { .. } => "another release",
+            Self::Fleet { .. } => "another fleet",
+            Self::Length { .. } | Self::Frame(FrameError::Length { .. }) => "wrong length",
+            Self::Kind { .. } => "unknown kind",
+            Self::Ranges { .. } => "too many ranges",
+            Self::Frame(FrameError::TooLong { .. }) => "too many elements",
+            Self::Frame(FrameError::Schema { .. }) => "another schema",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use joulebus_wire::{Forecast, ForecastHeader};
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const FLEET: u64 = 77;
+    const SENDER: Sender = Sender {
+        fleet: FLEET,
+        run: 5,
+    };
+
+    fn status() -> Status {
+        Status {
+            asked_ns: 1,
+            heard_ns: 2,
+            sent_ns: 3,
+            dropped: 4,
+            worker: Worker::Alive,
+        }
+    }
+
+    fn frame() -> Vec<u8> {
+        let header = ForecastHeader {
+            schema: SCHEMA_VERSION,
+            ..ForecastHeader::default()
+        };
+        let rows = [Forecast::default(); 3];
+        let mut out = Vec::new();
+        let rows: &[u8] = bytemuck::cast_slice(&rows);
+        let frame = Some(Outgoing {
+            service: Carried::Forecasts,
+            header: bytes_of(&header),
+            elements: &mut [rows].into_iter(),
+        });
+        write_frame(&mut out, (SENDER, 9), status(), frame);
+        out
+    }
+
+    fn request() -> Request {
+        Request {
+            heard: (8, 1_000),
+            asked_ns: 55,
+            selection: Selection::new(Carried::Budgets.bit(), 3, vec![(1, 4), (9, 9)]),
+        }
+    }
+
+    #[test]
+    fn messages_are_read_as_they_were_written() {
+        let bytes = frame();
+        let message = read(&bytes, FLEET, 3).unwrap();
+        assert_eq!((message.run, message.number), (5, 9));
+        let Body::Frame(found, Some(frame)) = message.body else {
+            panic!("no frame");
+        };
+        assert_eq!((found, frame.len()), (status(), 3));
+        let mut bytes = Vec::new();
+        write_frame(&mut bytes, (SENDER, 10), status(), None);
+        let message = read(&bytes, FLEET, 3).unwrap();
+        assert_eq!(message.body, Body::Frame(status(), None));
+        let bytes = write_request(SENDER, 11, &request());
+        let message = read(&bytes, FLEET, 3).unwrap();
+        assert_eq!(message.number, 11);
+        assert_eq!(message.body, Body::Request(request()));
+    }
+
+    #[test]
+    fn every_truncated_message_is_refused() {
+        for bytes in [frame(), write_request(SENDER, 1, &request())] {
+            for length in 0..bytes.len() {
+                assert!(read(&bytes[..length], FLEET, 3).is_err(), "{length}");
+            }
+            let mut longer = bytes.clone();
+            longer.push(0);
+            assert!(read(&longer, FLEET, 3).is_err());
+        }
+    }
+
+    #[test]
+    fn another_release_is_refused_with_both_versions_and_another_fleet_too() {
+        let mut bytes = frame();
+        bytes[16] = b'9';
+        let refused = read(&bytes, FLEET, 3).unwrap_err();
+        assert_eq!(refused.name(), "another release");
+        let (own, shown) = (env!("CARGO_PKG_VERSION"), refused.to_string());
+        assert!(shown.contains(own), "{shown}");
+        assert!(shown.contains(&own.replacen('0', "9", 1)), "{shown}");
+        let refused = read(&frame(), FLEET + 1, 3).unwrap_err();
+        assert_eq!(refused.name(), "another fleet");
+    }
+
+    proptest! {
+        #[test]
+        fn no_bytes_panic(bytes in prop::collection::vec(any::<u8>(), 0..400), at in 0_usize..300, by: u8) {
+            let _ = read(&bytes, FLEET, 3);
+            for mut damaged in [frame(), write_request(SENDER, 1, &request())] {
+                let at = at % damaged.len();
+                damaged[at] ^= by;
+                let _ = read(&damaged, FLEET, 3);
+            }
+        }
+    }
+}

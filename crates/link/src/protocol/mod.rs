@@ -1,0 +1,11 @@
+//! What two links tell each other: pure, without clock, network, thread and shared memory.
+
+pub(crate) mod carried;
+pub(crate) mod message;
+pub(crate) mod offset;
+pub(crate) mod receiver;
+pub(crate) mod selection;
+pub(crate) mod shift;
+pub(crate) mod stream;
+#[cfg(test)]
+mod weather;

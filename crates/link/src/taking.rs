@@ -1,0 +1,129 @@
+//! Frames of another host: what came, and the requests for more.
+
+use std::sync::Arc;
+
+use joulebus_bus::clock;
+use joulebus_wire::fnv1a;
+use serde::Serialize;
+
+use crate::network::{Bytes, Inbox, Kind, Network, NetworkError, Outlet};
+use crate::protocol::message::{Sender, read};
+use crate::protocol::receiver::{Accepted, Received, Receiver, Unused};
+use crate::protocol::selection::Selection;
+use crate::refusals::Refusals;
+
+/// What was taken from one link.
+#[derive(Debug, Clone, Serialize)]
+pub(crate) struct TakenRecord {
+    pub(crate) from: String,
+    #[serde(flatten)]
+    pub(crate) received: Received,
+    /// Frames that came before the clocks were compared.
+    pub(crate) before_clock: u64,
+    /// The most by which stamps may look older than they are, s; null before the clocks were compared.
+    pub(crate) clock_uncertainty_s: Option<f64>,
+    /// Times that stamps were moved by another offset than before.
+    pub(crate) clock_refits: u64,
+    /// Steps of a clock.
+    pub(crate) clock_steps: u64,
+    pub(crate) refused: Refusals,
+}
+
+/// The stream from one link.
+#[derive(Debug)]
+pub(crate) struct Taking {
+    from: String,
+    fleet: u64,
+    /// Elements that a frame may have.
+    most: usize,
+    receiver: Receiver,
+    outlet: Outlet,
+    before_clock: u64,
+    pub(crate) refused: Refusals,
+}
+
+impl Taking {
+    /// Takes frames of the link `from` into the inbox.
+    pub(crate) fn open(
+        network: &Arc<Network>,
+        (kind, from): (Kind, &str),
+        (fleet, most): (&str, usize),
+        selection: Selection,
+        inbox: &mut Inbox,
+    ) -> Result<Self, NetworkError> {
+        network.take_frames(kind, from, inbox)?;
+        let fleet = fnv1a(fleet.bytes());
+        let run = clock::monotonic_ns();
+        Ok(Self {
+            from: from.to_owned(),
+            fleet,
+            most,
+            receiver: Receiver::new(Sender { fleet, run }, selection),
+            outlet: network.requests_to(kind, from)?,
+            before_clock: 0,
+            refused: Refusals::default(),
+        })
+    }
+
+    /// The link that it takes from.
+    pub(crate) fn from(&self) -> &str {
+        &self.from
+    }
+
+    /// Takes a message, and has `each` pass its frame on, if it has one. `each` returns why it does not.
+    pub(crate) fn message(
+        &mut self,
+        bytes: &Bytes,
+        arrived_ns: u64,
+        each: impl FnOnce(Accepted<'_>) -> Result<(), (&'static str, String)>,
+    ) {
+        let bytes = bytes.get();
+        let message = match read(&bytes, self.fleet, self.most) {
+            Ok(message) => message,
+            Err(error) => {
+                self.refused.count(error.name(), &self.from, &error);
+                return;
+            }
+        };
+        let (number, before) = (message.number, self.receiver.received().lost);
+        let taken = self.receiver.take(&message, bytes.len(), arrived_ns);
+        let lost = self.receiver.received().lost - before;
+        if lost > 0 {
+            tracing::debug!(from = self.from, number, lost, "messages are missing");
+        }
+        match taken {
+            Ok(accepted) => {
+                if let Err((reason, error)) = each(accepted) {
+                    self.refused.count(reason, &self.from, &error);
+                }
+            }
+            Err(Unused::NoClock) => self.before_clock += 1,
+            Err(_) => {}
+        }
+    }
+
+    /// Asks if it is due.
+    pub(crate) fn ask(&mut self) {
+        if let Some(request) = self.receiver.ask(clock::monotonic_ns()) {
+            self.outlet.send(request);
+        }
+    }
+
+    pub(crate) const fn receiver(&mut self) -> &mut Receiver {
+        &mut self.receiver
+    }
+
+    pub(crate) fn record(&self) -> TakenRecord {
+        let offset = self.receiver.offset();
+        let uncertainty_ns = offset.uncertainty_ns(clock::monotonic_ns());
+        TakenRecord {
+            from: self.from.clone(),
+            received: self.receiver.received(),
+            before_clock: self.before_clock,
+            clock_uncertainty_s: uncertainty_ns.map(|ns| ns as f64 * 1e-9),
+            clock_refits: offset.refits,
+            clock_steps: offset.steps,
+            refused: self.refused.clone(),
+        }
+    }
+}

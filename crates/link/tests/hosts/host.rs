@@ -1,0 +1,138 @@
+//! A host: shared memory of its own, in a network namespace of its own where the test makes one.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use joulebus_config::Config;
+use joulebus_test_processes::{Child, joulebus_beside, left_behind};
+
+use crate::planner::Reader;
+
+/// The `joulebus` program of the same build.
+pub(crate) fn joulebus() -> &'static Path {
+    joulebus_beside(env!("CARGO_BIN_EXE_joulebus-link"))
+}
+
+pub(crate) struct Host {
+    directory: tempfile::TempDir,
+    /// Network namespace.
+    namespace: Option<String>,
+}
+
+impl Host {
+    pub(crate) fn new() -> Self {
+        Self::within(None)
+    }
+
+    pub(crate) fn within(namespace: Option<String>) -> Self {
+        static NUMBER: AtomicU32 = AtomicU32::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let root = format!("/dev/shm/jblink-{}-{number}", std::process::id());
+        let text = format!(
+            "[fleet]\nname = \"lab\"\ncapacity = 20\n\
+             [domain]\nroot = \"{root}\"\nprefix = \"jbl{number}_\"\n\
+             [intake]\nmax_sources = 6\nleave_after_s = 4\n[readers]\nmax_planners = 10\n\
+             [ledger]\ncheckpoint = \"\"\n\
+             [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n\
+             [platform.battery]\ncapacity_wh = 10\ninitial_soc = 1\ninitial_soc_lo = 0.9\n"
+        );
+        let directory = tempfile::tempdir().unwrap();
+        fs::write(directory.path().join("fleet.toml"), text).unwrap();
+        Self {
+            directory,
+            namespace,
+        }
+    }
+
+    pub(crate) fn config(&self) -> PathBuf {
+        self.directory.path().join("fleet.toml")
+    }
+
+    fn command(&self, program: &Path) -> Command {
+        let mut command = match &self.namespace {
+            Some(namespace) => {
+                let mut command = Command::new("ip");
+                command.args(["netns", "exec", namespace]).arg(program);
+                command
+            }
+            None => Command::new(program),
+        };
+        command.env_remove("JOULEBUS_LOG");
+        command
+    }
+
+    /// `joulebus` with these words and this host's config.
+    pub(crate) fn joulebus(&self, words: &[&str]) -> Command {
+        let mut command = self.command(joulebus());
+        command.args(words).arg("--config").arg(self.config());
+        command
+    }
+
+    pub(crate) fn worker(&self) -> Child {
+        let mut worker = Child::spawn("run", self.joulebus(&["run", "--format", "json"]));
+        worker.wait_for_line("ready:");
+        worker
+    }
+
+    /// Starts simulated robots.
+    pub(crate) fn robots(&self, words: &[&str]) -> Child {
+        let words = [&["publish", "sim", "--seed", "3"], words].concat();
+        Child::spawn("sim", self.joulebus(&words))
+    }
+
+    /// A link of this file, not started.
+    pub(crate) fn link_command(&self, text: &str) -> Command {
+        let path = self.directory.path().join("link.toml");
+        fs::write(&path, text).unwrap();
+        let mut command = self.command(Path::new(env!("CARGO_BIN_EXE_joulebus-link")));
+        command.args(["--format", "json"]).arg(path);
+        command.arg("--config").arg(self.config());
+        command
+    }
+
+    /// Starts a link, and waits until it is open.
+    pub(crate) fn link(&self, text: &str) -> Child {
+        let mut command = self.link_command(text);
+        command.env("JOULEBUS_LOG", "joulebus_link=debug");
+        let mut link = Child::spawn("link", command);
+        link.wait_for_line("is open");
+        link
+    }
+
+    pub(crate) fn planner(&self) -> Reader {
+        Reader::join(&self.config())
+    }
+
+    /// Files left behind by the fleet.
+    pub(crate) fn stale_files(&self) -> Vec<PathBuf> {
+        let domain = Config::load(self.config()).unwrap().domain().unwrap();
+        left_behind(domain.shm_prefix(), domain.root())
+    }
+}
+
+/// An address of this host that nobody listens on.
+pub(crate) fn free_address() -> String {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    format!("tcp/{}", listener.local_addr().unwrap())
+}
+
+/// The file of the worker's link.
+pub(crate) fn of_worker(address: &str, takes: &[&str]) -> String {
+    let takes: String = takes
+        .iter()
+        .map(|from| format!("[[worker.take]]\nfrom = \"{from}\"\n"))
+        .collect();
+    format!("name = \"base\"\n[network]\nlisten = [\"{address}\"]\n{TLS_OR_NOT}[worker]\n{takes}")
+}
+
+/// The file of another host's link.
+pub(crate) fn of_other(name: &str, address: &str, sides: &str) -> String {
+    format!("name = \"{name}\"\n[network]\nconnect = [\"{address}\"]\n{TLS_OR_NOT}{sides}")
+}
+
+const TLS_OR_NOT: &str = "unencrypted = true\n";
+
+pub(crate) const SAMPLES: &str = "[samples]\nto = \"base\"\n";
+pub(crate) const FOLLOW: &str = "[follow]\nworker = \"base\"\n";

@@ -1,0 +1,16 @@
+//! Real links between hosts with shared memory of their own: real workers, robots and planners.
+#![forbid(unsafe_code)]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
+
+mod certificates;
+mod host;
+mod local;
+mod namespaces;
+mod planner;
+mod strangers;
+
+/// Not a test: the entry point of the planners that the tests start.
+#[test]
+fn member() {
+    planner::run();
+}
