@@ -23,7 +23,8 @@ import os
 import pathlib
 import subprocess
 import sys
-import venv
+
+from pinned_environment import python_of
 
 PINNED = ["mcap==1.6.0", "mcap-protobuf-support==0.6.0"]
 
@@ -49,17 +50,7 @@ def arguments():
 
 def inside(place):
     """Runs this script again in an environment that has the packages."""
-    python = place / "bin" / "python"
-    installed = place / "installed.txt"
-    wanted = "\n".join(PINNED)
-    if not installed.exists() or installed.read_text() != wanted:
-        venv.create(place, with_pip=True, clear=True)
-        subprocess.run(
-            [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *PINNED],
-            check=True,
-            stdout=sys.stderr,
-        )
-        installed.write_text(wanted)
+    python = python_of(place, PINNED)
     environment = dict(os.environ, JOULEBUS_READ_CAPTURE="1")
     return subprocess.run([python, __file__, *sys.argv[1:]], env=environment, check=False).returncode
 

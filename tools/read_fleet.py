@@ -24,10 +24,10 @@ import pathlib
 import re
 import select
 import struct
-import subprocess
 import sys
 import time
-import venv
+
+from pinned_environment import python_of
 
 PINNED = ["iceoryx2==0.10.0"]
 PAGE = pathlib.Path(__file__).resolve().parent.parent / "docs" / "layout.md"
@@ -48,18 +48,6 @@ def arguments():
         help="where the package is installed",
     )
     return words.parse_args()
-
-
-def environment(place):
-    """The interpreter of an environment that has the package."""
-    python, installed = place / "bin" / "python", place / "installed.txt"
-    wanted = "\n".join(PINNED)
-    if not installed.exists() or installed.read_text() != wanted:
-        venv.create(place, with_pip=True, clear=True)
-        pip = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *PINNED]
-        subprocess.run(pip, check=True, stdout=sys.stderr)
-        installed.write_text(wanted)
-    return str(python)
 
 
 class Layout:
@@ -176,7 +164,7 @@ def main():
     words = arguments()
     if os.environ.get("JOULEBUS_READ_FLEET"):
         return follow(words.config, words.fleet)
-    python = environment(words.venv)
+    python = python_of(words.venv, PINNED)
     # In place of this process: who stops it stops the reader.
     os.execve(python, [python, __file__, *sys.argv[1:]], dict(os.environ, JOULEBUS_READ_FLEET="1"))
 
