@@ -1,57 +1,215 @@
 //! Signals that end a subcommand: each ends it cleanly and leaves no files.
 
-use std::path::PathBuf;
+use std::fs;
+use std::os::unix::process::ExitStatusExt as _;
+use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::time::Duration;
 
 use joulebus_test_processes::{end_signals, eventually, ignores_hangup};
 use rustix::process::Signal;
 
 use crate::captures::capture;
-use crate::fleet::{Fleet, Program, code, joulebus, json, stderr};
+use crate::exits::{below, subcommands};
+use crate::fleet::{Fleet, Program, code, joulebus, json, output, stderr, stdout};
 
-/// Subcommands that run until stopped, and the text they print once running.
-const VERBS: [(&str, &str); 10] = [
-    ("run", "ready:"),
-    ("run --record FILE", "ready:"),
-    ("record -o FILE", "recording cli into"),
-    ("record --snapshot 5 -o FILE", "recording cli into"),
-    ("publish sim --robots 3", "no worker runs"),
+/// Subcommands that go on until a signal, their exit code then, and what they say once they run. Words in capitals are
+/// files.
+const RUNS: &[(i32, &str, &str)] = &[
     (
-        "publish trial TRIAL --loop --no-wait --first-robot 0",
+        0,
+        "demo --robots 2 --no-capture --format json",
+        "  samples ",
+    ),
+    (0, "run --config FLEET", "ready:"),
+    (0, "run --record FILE --config FLEET", "ready:"),
+    (0, "record -o FILE --config FLEET", "recording cli into"),
+    (
+        0,
+        "record --snapshot 5 -o FILE --config FLEET",
+        "recording cli into",
+    ),
+    (0, "publish sim --robots 3 --config FLEET", "no worker runs"),
+    (
+        0,
+        "publish trial TRIAL --loop --no-wait --first-robot 0 --config FLEET",
         "no worker runs",
     ),
-    ("publish trial TRIAL --first-robot 0", "waiting for one"),
-    ("watch --plain", "waiting for a worker"),
-    ("watch --format json", "waiting for a worker"),
-    ("replay CAPTURE", "waiting for one"),
+    (
+        0,
+        "publish trial TRIAL --first-robot 0 --config FLEET",
+        "waiting for one",
+    ),
+    (0, "watch --plain --config FLEET", "waiting for a worker"),
+    (
+        0,
+        "watch --format json --config FLEET",
+        "waiting for a worker",
+    ),
+    (0, "alarms --config FLEET", "alarms of fleet cli"),
+    (0, "replay CAPTURE --config FLEET", "waiting for one"),
+    (
+        0,
+        "serve --http 127.0.0.1:0 --config FLEET",
+        "serving fleet cli",
+    ),
+    (
+        0,
+        "serve --foxglove --port 0 --config FLEET",
+        "serving fleet cli",
+    ),
+    (0, "bridge BRIDGE --config FLEET", "bridging 1 robots"),
+    // The model is not made; the checkpoint is.
+    (1, "train trials LONG --split time -o NEW", "epoch   1"),
+    (1, "train sim --seed 1 -o NEW", "epoch   1"),
 ];
 
-/// The command of a subcommand, with its input files created.
-fn command(fleet: &Fleet, verb: &str) -> Command {
+/// Subcommands that compute for a while, and leave nothing but whole files: a signal ends them at once, as it ends any
+/// program.
+const COMPUTES: &[&str] = &[
+    "data simulate NEW --steps 4000000",
+    "mission --hours 24",
+    "report --simulated -o NEW",
+    "bench kernel",
+];
+
+/// Subcommands that end by themselves within moments, or as soon as they have read their files: [`crate::exits`] has
+/// their codes.
+const ENDS: &[&str] = &[
+    "ask",
+    "info",
+    "cat",
+    "recover",
+    "import",
+    "data info",
+    "data check",
+    "data convert",
+    "doctor",
+    "config init",
+    "config check",
+    "config show",
+    "config explain",
+    "analyze",
+    "eval",
+    "calibrate",
+    "model info",
+    "model import",
+    "model export",
+    "model compare",
+    "completions",
+    "man",
+];
+
+/// The command of a row, with its input files created.
+fn command(fleet: &Fleet, row: &str) -> Command {
     let file = |name: &str| -> PathBuf {
         match name {
+            "FLEET" => fleet.config(),
             "FILE" => fleet.path("run.mcap"),
+            "NEW" => fleet.path("new"),
             "TRIAL" => fleet.recording("a.csv", 30),
+            "LONG" => fleet.recording("long.csv", 20_000),
             "CAPTURE" => capture(fleet, 300).0,
+            "BRIDGE" => bridge(fleet),
             word => PathBuf::from(word),
         }
     };
-    let mut command = joulebus(verb.split_whitespace().map(file));
-    command.arg("--config").arg(fleet.config());
-    command
+    joulebus(row.split_whitespace().map(file))
+}
+
+/// The file of a bridge to a broker that does not answer.
+fn bridge(fleet: &Fleet) -> PathBuf {
+    let path = fleet.path("bridge.toml");
+    let text = "[robots]\nagv = 1\n[mqtt]\nbroker = \"127.0.0.1:1\"\n\
+                [[mqtt.read]]\ntopic = \"{robot}/power\"\nfields = { power = { at = \"\" } }\n";
+    fs::write(&path, text).unwrap();
+    path
+}
+
+/// Whether the program of a row is there: some verbs are programs of their own, which are built with the workspace.
+fn is_built(row: &str) -> bool {
+    let verb = row.split(' ').next().unwrap_or_default();
+    if !["serve", "bridge", "mission", "report", "bench"].contains(&verb) {
+        return true;
+    }
+    let program =
+        Path::new(env!("CARGO_BIN_EXE_joulebus")).with_file_name(format!("joulebus-{verb}"));
+    let is_there = program.exists();
+    if !is_there {
+        println!("skipped: {verb}: {} is not built", program.display());
+        assert_ne!(
+            std::env::var("CI").as_deref(),
+            Ok("true"),
+            "{verb} is missing"
+        );
+    }
+    is_there
 }
 
 #[test]
-fn every_verb_ends_cleanly_at_a_signal_and_when_its_terminal_is_closed() {
-    for (verb, says) in VERBS {
+fn every_verb_that_runs_until_stopped_ends_cleanly_at_each_signal_with_its_code() {
+    for (expected, row, says) in RUNS.iter().filter(|(_, row, _)| is_built(row)) {
         for signal in end_signals() {
             let fleet = Fleet::new();
-            let mut program = Program::start(command(&fleet, verb));
+            let mut program = Program::start(command(&fleet, row));
             program.wait_for_stderr(says);
             let ended = program.end(signal);
-            assert_eq!(code(&ended), 0, "{verb}, {signal:?}: {}", stderr(&ended));
-            assert!(fleet.stale_files().is_empty(), "{verb}, {signal:?}");
+            let said = stderr(&ended);
+            assert_eq!(code(&ended), *expected, "{row}, {signal:?}: {said}");
+            assert!(fleet.stale_files().is_empty(), "{row}, {signal:?}");
+            assert!(!fleet.path("new").exists(), "{row}, {signal:?}");
         }
+    }
+}
+
+#[test]
+fn a_signal_ends_what_computes_at_once_and_leaves_only_whole_files() {
+    for row in COMPUTES.iter().filter(|row| is_built(row)) {
+        for signal in end_signals() {
+            let fleet = Fleet::new();
+            let program = Program::start(command(&fleet, row));
+            std::thread::sleep(Duration::from_millis(300));
+            let ended = program.end(signal);
+            let by = ended.status.signal();
+            assert_eq!(by, Some(signal.as_raw()), "{row}: {}", stderr(&ended));
+            for file in files_below(&fleet.path("new")) {
+                // Written by rename, once it is whole.
+                let checked = output([Path::new("data"), Path::new("check"), &file]);
+                assert_eq!(code(&checked), 0, "{row}: {}", stdout(&checked));
+            }
+        }
+    }
+}
+
+/// The files of a folder, if there is one.
+fn files_below(folder: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).into_iter().flatten();
+    let paths = entries.map(|entry| entry.unwrap().path());
+    paths.filter(|path| path.is_file()).collect()
+}
+
+#[test]
+fn each_verb_is_in_one_of_the_tables_of_what_signals_do() {
+    let all = subcommands();
+    let leaves = all.iter().filter(|words| below(words).is_empty());
+    let leaves: Vec<String> = leaves.map(|words| words.join(" ")).collect();
+    assert!(leaves.len() > 25, "{leaves:?}");
+    let is_of = |verb: &str, row: &str| row == verb || row.starts_with(&format!("{verb} "));
+    for verb in &leaves {
+        let runs = RUNS.iter().any(|(_, row, _)| is_of(verb, row));
+        let computes = COMPUTES.iter().any(|row| is_of(verb, row));
+        let ends = ENDS.contains(&verb.as_str());
+        let tables = [runs, computes, ends].into_iter().filter(|is| *is).count();
+        assert_eq!(tables, 1, "{verb}: {runs} {computes} {ends}");
+    }
+    let rows = RUNS
+        .iter()
+        .map(|(_, row, _)| row)
+        .chain(COMPUTES)
+        .chain(ENDS);
+    for row in rows {
+        let is_listed = leaves.iter().any(|verb| is_of(verb, row));
+        assert!(is_listed, "{row} is no verb");
     }
 }
 
