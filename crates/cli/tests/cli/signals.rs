@@ -59,6 +59,7 @@ const RUNS: &[(i32, &str, &str)] = &[
         "serving fleet cli",
     ),
     (0, "bridge BRIDGE --config FLEET", "bridging 1 robots"),
+    (0, "link LINK --config FLEET", "is open"),
     // The model is not made; the checkpoint is.
     (1, "train trials LONG --split time -o NEW", "epoch   1"),
     (1, "train sim --seed 1 -o NEW", "epoch   1"),
@@ -111,6 +112,7 @@ fn command(fleet: &Fleet, row: &str) -> Command {
             "LONG" => fleet.recording("long.csv", 20_000),
             "CAPTURE" => capture(fleet, 300).0,
             "BRIDGE" => bridge(fleet),
+            "LINK" => link(fleet),
             word => PathBuf::from(word),
         }
     };
@@ -126,10 +128,18 @@ fn bridge(fleet: &Fleet) -> PathBuf {
     path
 }
 
+/// The file of a planners' host whose worker's host does not answer.
+fn link(fleet: &Fleet) -> PathBuf {
+    let path = fleet.path("link.toml");
+    let text = "name = \"desk\"\n[network]\nconnect = [\"tcp/127.0.0.1:1\"]\n[follow]\nworker = \"base\"\n";
+    fs::write(&path, text).unwrap();
+    path
+}
+
 /// Whether the program of a row is there: some verbs are programs of their own, which are built with the workspace.
 fn is_built(row: &str) -> bool {
     let verb = row.split(' ').next().unwrap_or_default();
-    if !["serve", "bridge", "mission", "report", "bench"].contains(&verb) {
+    if !["serve", "bridge", "link", "mission", "report", "bench"].contains(&verb) {
         return true;
     }
     let program =
