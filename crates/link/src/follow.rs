@@ -15,7 +15,7 @@ use joulebus_wire::{
 };
 
 use crate::config::Follow;
-use crate::network::{Event, Inbox, Kind, Network};
+use crate::network::{Event, Inbox, Kind, Network, longest_bytes};
 use crate::protocol::carried::{Carried, RawFrame};
 use crate::protocol::message::Worker;
 use crate::protocol::receiver::Accepted;
@@ -38,7 +38,7 @@ pub(crate) fn run(
     let limits = config.limits();
     let mut bus = config.join("link")?;
     bus.needs_lock(lock);
-    let mut inbox = Inbox::new();
+    let mut inbox = Inbox::new(longest_bytes(limits.capacity));
     let taking = Taking::open(
         network,
         (Kind::Outputs, &follow.worker),
@@ -84,7 +84,7 @@ impl Following {
         };
         self.taking.receiver().select(services);
         self.taking.ask();
-        match inbox.events().recv_timeout(LOOK_EVERY) {
+        match inbox.next(LOOK_EVERY) {
             Ok(Event::Message {
                 bytes, arrived_ns, ..
             }) => {

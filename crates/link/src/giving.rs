@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::Duration;
 
 use joulebus_bus::clock;
 use joulebus_wire::fnv1a;
@@ -15,6 +16,9 @@ use crate::refusals::Refusals;
 
 /// Links that are sent to at once.
 const MOST_RECEIVERS: usize = 64;
+
+/// Longest request, bytes.
+const LONGEST_REQUEST: usize = 4 << 10;
 
 /// What was given to one link.
 #[derive(Debug, Clone, Serialize)]
@@ -47,7 +51,7 @@ impl Giving {
         only: Option<String>,
         fleet: &str,
     ) -> Result<Self, NetworkError> {
-        let mut inbox = Inbox::new();
+        let mut inbox = Inbox::new(LONGEST_REQUEST);
         network.take_requests(kind, &mut inbox)?;
         Ok(Self {
             network: Arc::clone(network),
@@ -67,7 +71,7 @@ impl Giving {
     /// # Errors
     /// [`NetworkError`].
     pub(crate) fn turn(&mut self) -> Result<(), NetworkError> {
-        while let Ok(event) = self.inbox.events().try_recv() {
+        while let Ok(event) = self.inbox.next(Duration::ZERO) {
             let (from, bytes, arrived_ns) = match event {
                 Event::Message {
                     from,

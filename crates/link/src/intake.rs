@@ -11,7 +11,7 @@ use joulebus_config::Config;
 use joulebus_wire::{Sample, SampleHeader};
 
 use crate::config::Take;
-use crate::network::{Event, Inbox, Kind, Network};
+use crate::network::{Event, Inbox, Kind, Network, longest_bytes};
 use crate::protocol::carried::Carried;
 use crate::protocol::receiver::Accepted;
 use crate::protocol::selection::Selection;
@@ -34,7 +34,7 @@ pub(crate) fn run(
     let limits = config.limits();
     let bus = config.join("link")?;
     let mut writer = bus.sample_writer(&limits, limits.capacity)?;
-    let mut inbox = Inbox::new();
+    let mut inbox = Inbox::new(longest_bytes(limits.capacity));
     let mut hosts = BTreeMap::new();
     for take in takes {
         let selection = Selection::new(Carried::Samples.bit(), 1, take.robots.ranges().to_vec());
@@ -52,7 +52,7 @@ pub(crate) fn run(
                 tracing::warn!("no samples come from {}", taking.from());
             }
         }
-        match inbox.events().recv_timeout(LOOK_EVERY) {
+        match inbox.next(LOOK_EVERY) {
             Ok(Event::Message {
                 from,
                 bytes,

@@ -8,7 +8,7 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use anyhow::{Context as _, anyhow};
-use joulebus_bus::{WorkerLock, yield_to_the_worker};
+use joulebus_bus::{WorkerLock, clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_plan_server::PlanServer;
 use joulebus_program::exit::Outcome;
@@ -17,15 +17,17 @@ use joulebus_program::stop::Stop;
 use joulebus_program::verbs::link::LinkArguments;
 use serde::Serialize;
 
-use crate::config::{Settings, Side};
+use crate::config::{Mode, Settings, Side};
 use crate::giving::GivenRecord;
-use crate::network::Network;
+use crate::network::{Network, NetworkError, longest_bytes};
 use crate::refusals::Refusals;
 use crate::taking::TakenRecord;
 use crate::{follow, forward, intake, outputs};
 
 /// Interval of checking whether to stop.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// Pause before a router is looked for again.
+const ROUTER_AGAIN_NS: u64 = 500_000_000;
 /// Nice value of all threads: the worker and its sources run first.
 const NICE: u8 = 5;
 
@@ -64,7 +66,9 @@ pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcom
         return Ok(Outcome::Done);
     }
     yield_to_the_worker(NICE);
-    let mut link = Link::start(&config, &settings)?;
+    let Some(mut link) = Link::start(&config, &settings, &stop)? else {
+        return Ok(Outcome::Done);
+    };
     while !stop.is_asked() && !link.threads.iter().any(JoinHandle::is_finished) {
         thread::sleep(LOOK_EVERY);
     }
@@ -98,6 +102,32 @@ fn checked(config: &Config, settings: &Settings) -> CheckReport {
     }
 }
 
+/// Opens the network; a client waits for its router, until it is asked to stop.
+fn open(
+    config: &Config,
+    settings: &Settings,
+    takes: Option<&[&str]>,
+    stop: &Stop,
+) -> anyhow::Result<Option<Network>> {
+    let of = (config.fleet(), settings.name.as_str());
+    let longest_bytes = longest_bytes(config.limits().capacity);
+    let mut is_told = false;
+    while !stop.is_asked() {
+        match Network::open(&settings.network, of, takes, longest_bytes) {
+            Err(NetworkError::Open { .. }) if settings.network.mode == Mode::Client => {
+                if !is_told {
+                    let router = settings.network.connect.join(", ");
+                    tracing::warn!("no router answers at {router}: waiting for one");
+                }
+                is_told = true;
+                stop.sleep_until(clock::monotonic_ns() + ROUTER_AGAIN_NS);
+            }
+            opened => return Ok(Some(opened?)),
+        }
+    }
+    Ok(None)
+}
+
 /// What a thread has done.
 #[derive(Debug, Default)]
 struct Done {
@@ -117,7 +147,8 @@ struct Link {
 }
 
 impl Link {
-    fn start(config: &Config, settings: &Settings) -> anyhow::Result<Self> {
+    /// `None` if it is asked to stop before its router answers.
+    fn start(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::Result<Option<Self>> {
         let mut link = Self {
             stop: Arc::default(),
             threads: Vec::new(),
@@ -135,7 +166,9 @@ impl Link {
             Side::Worker(takes) => Some(takes.iter().map(|take| take.from.as_str()).collect()),
             Side::Other { .. } => None,
         };
-        let network = Network::open(&settings.network, (fleet, name), takes.as_deref())?;
+        let Some(network) = open(config, settings, takes.as_deref(), stop)? else {
+            return Ok(None);
+        };
         let network = Arc::new(network);
         match &settings.side {
             Side::Worker(takes) => link.start_worker_side(config, takes, &network)?,
@@ -152,7 +185,7 @@ impl Link {
             questions.serve();
         }
         say(&format!("link {name} of fleet {fleet} is open"));
-        Ok(link)
+        Ok(Some(link))
     }
 
     fn start_worker_side(

@@ -5,8 +5,9 @@
 
 use std::borrow::Cow;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::time::Duration;
 
 use joulebus_bus::clock;
 use serde_json::json;
@@ -18,16 +19,28 @@ use zenoh::qos::CongestionControl;
 use zenoh::sample::{Sample, SampleKind};
 
 use crate::config::{Mode, NetworkSettings};
+use crate::protocol::carried::Carried;
 
 /// Messages that wait for a thread; with more, the newest are lost, and counted.
 const MOST_WAITING: usize = 256;
+/// As many of the longest messages may wait.
+const MOST_LONGEST: usize = 4;
 /// A peer that has sent nothing for so long is gone, ms. Shorter than the silence after which a link says so, longer than
 /// what a network loses at times.
 const LEASE_MS: u64 = 1_000;
 /// How long a message waits for room before it is dropped, µs; one of many batches ten times that.
 const WAIT_US: u64 = 50_000;
-/// Longest message: 100,000 robots' plan states, the longest row, are 19 MB.
-const LONGEST_BYTES: usize = 64 << 20;
+/// Time after which a client gives up for now where no router answers, ms.
+const ROUTER_WITHIN_MS: u32 = 1_000;
+/// Longest header of a message and its frame, bytes.
+const LONGEST_HEADER: usize = 4_096;
+
+/// The longest message of a fleet with that capacity, bytes.
+pub(crate) fn longest_bytes(capacity: usize) -> usize {
+    let rows = Carried::ALL.map(|service| service.sizes().1);
+    let longest = rows.into_iter().max().unwrap_or_default();
+    LONGEST_HEADER + capacity.saturating_mul(longest)
+}
 
 /// What a stream carries, as it stands in keys: rules of access tell them apart.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -71,33 +84,82 @@ impl Bytes {
     }
 }
 
-/// What arrives for one thread.
+/// What arrives for one thread: a bounded number of messages and of bytes.
 #[derive(Debug)]
 pub(crate) struct Inbox {
-    sender: SyncSender<Event>,
+    entry: Entry,
     receiver: Receiver<Event>,
-    overflowed: Arc<AtomicU64>,
     _subscriptions: Vec<Subscriber<()>>,
 }
 
+/// Where threads of the network put what arrives.
+#[derive(Debug, Clone)]
+struct Entry {
+    sender: SyncSender<Event>,
+    counts: Arc<Counts>,
+    most_bytes: usize,
+}
+
+#[derive(Debug, Default)]
+struct Counts {
+    /// Bytes of the messages that wait.
+    waiting_bytes: AtomicUsize,
+    /// Messages that were lost here.
+    overflowed: AtomicU64,
+}
+
 impl Inbox {
-    pub(crate) fn new() -> Self {
+    /// `longest_bytes`: of a message that may arrive.
+    pub(crate) fn new(longest_bytes: usize) -> Self {
         let (sender, receiver) = sync_channel(MOST_WAITING);
-        Self {
+        let entry = Entry {
             sender,
+            counts: Arc::default(),
+            most_bytes: longest_bytes.saturating_mul(MOST_LONGEST),
+        };
+        Self {
+            entry,
             receiver,
-            overflowed: Arc::default(),
             _subscriptions: Vec::new(),
         }
     }
 
-    pub(crate) const fn events(&self) -> &Receiver<Event> {
-        &self.receiver
+    /// The next event, within `wait`.
+    ///
+    /// # Errors
+    /// There is none, or the network has ended.
+    pub(crate) fn next(&self, wait: Duration) -> Result<Event, RecvTimeoutError> {
+        let event = self.receiver.recv_timeout(wait)?;
+        let waiting = &self.entry.counts.waiting_bytes;
+        waiting.fetch_sub(event.bytes(), Ordering::Relaxed);
+        Ok(event)
     }
 
     /// Messages that were lost here because this host was too slow.
     pub(crate) fn overflowed(&self) -> u64 {
-        self.overflowed.load(Ordering::Relaxed)
+        self.entry.counts.overflowed.load(Ordering::Relaxed)
+    }
+}
+
+impl Entry {
+    /// Never waits: the caller is a thread of the network.
+    fn put(&self, event: Event) {
+        let (bytes, counts) = (event.bytes(), &self.counts);
+        let before = counts.waiting_bytes.fetch_add(bytes, Ordering::Relaxed);
+        let has_room = before.saturating_add(bytes) <= self.most_bytes;
+        if !has_room || self.sender.try_send(event).is_err() {
+            counts.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
+            counts.overflowed.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+impl Event {
+    fn bytes(&self) -> usize {
+        match self {
+            Self::Message { bytes, .. } => bytes.0.len(),
+            Self::Lost { .. } => 0,
+        }
     }
 }
 
@@ -133,8 +195,9 @@ impl Network {
         settings: &NetworkSettings,
         (fleet, name): (&str, &str),
         takes: Option<&[&str]>,
+        longest_bytes: usize,
     ) -> Result<Self, NetworkError> {
-        let mut config = configured(settings)?;
+        let mut config = configured(settings, longest_bytes)?;
         if let Some(takes) = takes
             && settings.tls.is_some()
             && settings.mode == Mode::Peer
@@ -198,14 +261,14 @@ impl Network {
 
     /// Has the end of links put into the inbox: of one, or of all with `*`.
     fn watch(&self, name: &str, inbox: &mut Inbox) -> Result<(), NetworkError> {
-        let (sender, overflowed) = (inbox.sender.clone(), Arc::clone(&inbox.overflowed));
+        let entry = inbox.entry.clone();
         let key = format!("joulebus/{}/links/{name}", self.fleet);
         let liveliness = self.session.liveliness();
         let subscription = liveliness
             .declare_subscriber(key)
             .callback(move |sample| {
                 if let (SampleKind::Delete, Some(name)) = (sample.kind(), last_part(&sample)) {
-                    put(&sender, &overflowed, Event::Lost { name });
+                    entry.put(Event::Lost { name });
                 }
             })
             .wait()?;
@@ -230,7 +293,7 @@ impl Network {
         inbox: &mut Inbox,
         from: impl Fn(&Sample) -> Option<Arc<str>> + Send + Sync + 'static,
     ) -> Result<(), NetworkError> {
-        let (sender, overflowed) = (inbox.sender.clone(), Arc::clone(&inbox.overflowed));
+        let entry = inbox.entry.clone();
         let subscriber = self.session.declare_subscriber(key);
         let subscription = subscriber
             .callback(move |sample| {
@@ -243,7 +306,7 @@ impl Network {
                     bytes: Bytes(sample.payload().clone()),
                     arrived_ns,
                 };
-                put(&sender, &overflowed, event);
+                entry.put(event);
             })
             .wait()?;
         inbox._subscriptions.push(subscription);
@@ -267,30 +330,21 @@ fn last_part(sample: &Sample) -> Option<Arc<str>> {
     key.rsplit_once('/').map(|(_, name)| name.into())
 }
 
-/// Never waits: this is a thread of the network.
-fn put(sender: &SyncSender<Event>, overflowed: &AtomicU64, event: Event) {
-    if let Err(TrySendError::Full(_)) = sender.try_send(event) {
-        overflowed.fetch_add(1, Ordering::Relaxed);
-    }
-}
-
 /// The whole configuration of zenoh: what is not named here is its default, and no file or environment changes it.
-fn configured(settings: &NetworkSettings) -> Result<zenoh::Config, NetworkError> {
+fn configured(
+    settings: &NetworkSettings,
+    longest_bytes: usize,
+) -> Result<zenoh::Config, NetworkError> {
     let mut config = zenoh::Config::default();
     let mut set = |key: &str, value: serde_json::Value| insert(&mut config, key, &value);
     set("mode", json!(settings.mode.name()))?;
     set("connect/endpoints", json!(settings.connect))?;
     set("listen/endpoints", json!(settings.listen))?;
-    // Others may start later: it connects when they are there.
-    set(
-        "connect/timeout_ms",
-        json!(if settings.mode.name() == "client" {
-            -1
-        } else {
-            0
-        }),
-    )?;
-    set("connect/exit_on_failure", json!(false))?;
+    // Other peers may start later: a link connects when they are there. A client needs its router.
+    let is_client = settings.mode == Mode::Client;
+    let within_ms = if is_client { ROUTER_WITHIN_MS } else { 0 };
+    set("connect/timeout_ms", json!(within_ms))?;
+    set("connect/exit_on_failure", json!(is_client))?;
     set(
         "connect/retry",
         json!({"period_init_ms": 200, "period_max_ms": 1_000, "period_increase_factor": 1.5}),
@@ -302,7 +356,7 @@ fn configured(settings: &NetworkSettings) -> Result<zenoh::Config, NetworkError>
     set("scouting/gossip/target", nobody.clone())?;
     set("scouting/gossip/autoconnect", nobody)?;
     set("transport/link/tx/lease", json!(LEASE_MS))?;
-    set("transport/link/rx/max_message_size", json!(LONGEST_BYTES))?;
+    set("transport/link/rx/max_message_size", json!(longest_bytes))?;
     // A link keeps few frames on their way; those must find room although a thread of the network gets no processor for a
     // while, and although a long frame is many batches.
     set("transport/link/tx/queue/size/data", json!(16))?;

@@ -7,6 +7,7 @@ mod host;
 mod local;
 mod namespaces;
 mod planner;
+mod router;
 mod strangers;
 
 /// Not a test: the entry point of the planners that the tests start.
