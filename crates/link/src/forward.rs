@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use bytemuck::{bytes_of, cast_slice};
-use joulebus_bus::{FrameBuf, WorkerLock, clock};
+use joulebus_bus::{FrameBuf, ReceiveError, SampleReader, WorkerLock, clock};
 use joulebus_config::Config;
 
 use crate::giving::{GivenRecord, Giving};
@@ -37,7 +37,7 @@ pub(crate) fn run(
     ready();
     while !stop.load(Ordering::Relaxed) {
         bus.check()?;
-        while samples.take(&mut frame)? {
+        while is_taken(&mut samples, &mut frame)? {
             giving.offer(LocalFrame {
                 service: Carried::Samples,
                 source: frame.header().source_id,
@@ -51,4 +51,16 @@ pub(crate) fn run(
         waiter.wait_until(Some(until_ns), None)?;
     }
     Ok((giving.records(), giving.refused))
+}
+
+/// Takes the next frame, if there is one. A connection to a source that failed is made again.
+fn is_taken(samples: &mut SampleReader, frame: &mut FrameBuf) -> Result<bool, ReceiveError> {
+    match samples.take(frame) {
+        Err(ReceiveError::Removed(removed)) => Err(removed.into()),
+        Err(error) => {
+            tracing::debug!(%error, "samples cannot be read");
+            Ok(false)
+        }
+        taken => taken,
+    }
 }
