@@ -26,16 +26,26 @@ impl Host {
         Self::within(None)
     }
 
+    /// A host of a fleet with so many robots.
+    pub(crate) fn of(robots: usize) -> Self {
+        Self::with(None, robots)
+    }
+
     pub(crate) fn within(namespace: Option<String>) -> Self {
+        Self::with(namespace, 10)
+    }
+
+    fn with(namespace: Option<String>, robots: usize) -> Self {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
         let root = format!("/dev/shm/jblink-{}-{number}", std::process::id());
+        let (capacity, last) = (robots.max(20), robots - 1);
         let text = format!(
-            "[fleet]\nname = \"lab\"\ncapacity = 20\n\
+            "[fleet]\nname = \"lab\"\ncapacity = {capacity}\n\
              [domain]\nroot = \"{root}\"\nprefix = \"jbl{number}_\"\n\
              [intake]\nmax_sources = 6\nleave_after_s = 4\n[readers]\nmax_planners = 10\n\
              [ledger]\ncheckpoint = \"\"\n\
-             [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n\
+             [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-{last}\"]\n\
              [platform.battery]\ncapacity_wh = 10\ninitial_soc = 1\ninitial_soc_lo = 0.9\n"
         );
         let directory = tempfile::tempdir().unwrap();

@@ -8,10 +8,12 @@ mod local;
 mod namespaces;
 mod planner;
 mod router;
+mod speed;
 mod strangers;
 
 /// Not a test: the entry point of the planners that the tests start.
 #[test]
 fn member() {
     planner::run();
+    speed::run();
 }

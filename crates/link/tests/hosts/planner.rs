@@ -11,6 +11,9 @@ use serde::{Deserialize, Serialize};
 
 const CONFIG: &str = "JOULEBUS_LINK_PLANNER";
 
+/// Rows of a frame that the test is told.
+const ROWS: usize = 10;
+
 /// A forecast: its times, and all else as it lies in memory.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Row {
@@ -55,7 +58,7 @@ pub(crate) fn run() {
                 sent_ns: frame.header().sent_ns,
                 read_ns: clock::monotonic_ns(),
                 runs,
-                rows: frame.robots().iter().map(row).collect(),
+                rows: frame.robots().iter().take(ROWS).map(row).collect(),
             }),
             Event::Gone(end) => Seen::Gone(format!("{end:?}")),
             _ => continue,
@@ -106,6 +109,17 @@ impl Reader {
         loop {
             let frame = self.frame();
             if frame.sent_ns > now_ns {
+                return frame;
+            }
+        }
+    }
+
+    /// A frame with a sample that was taken after this call.
+    pub(crate) fn fresh_sample(&mut self) -> Frame {
+        let now_ns = clock::monotonic_ns();
+        loop {
+            let frame = self.frame();
+            if frame.rows.iter().any(|row| row.stamp_ns > now_ns) {
                 return frame;
             }
         }

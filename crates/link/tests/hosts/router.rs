@@ -39,12 +39,12 @@ fn through_a_router_that_starts_late_and_again_robots_and_planners_elsewhere_wor
     edge.wait_for_line("is open");
     let _robots = there.robots(&["--robots", "3"]);
     let mut planner = there.planner();
-    planner.fresh();
+    planner.fresh_sample();
     first.close().wait().unwrap();
     drop(first);
     assert_eq!(planner.gone(), "Unreachable");
     let _second = router(&address);
-    planner.fresh();
+    planner.fresh_sample();
 }
 
 #[test]
