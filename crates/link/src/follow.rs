@@ -1,54 +1,50 @@
-//! The thread of a planners' host: puts a worker's outputs into this host's shared memory, in the worker's place.
+//! The thread of a planners' host: puts what workers elsewhere write into this host's shared memory, in a worker's place.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::Duration;
 
-use joulebus_bus::{
-    BudgetWriter, Bus, DiagnosticWriter, ForecastWriter, PlanStateWriter, SendError, TickWriter,
-    Waker, WorkerLock, Writer, clock, process_id,
-};
+use joulebus_bus::{SendError, WorkerLock, clock};
 use joulebus_config::Config;
-use joulebus_wire::{
-    BudgetHeader, DiagnosticHeader, ForecastHeader, Payload, PlanStateHeader, TickHeader, WakeEvent,
-};
+use joulebus_wire::WakeEvent;
 
-use crate::config::Follow;
-use crate::network::{Event, Inbox, Kind, Network, longest_bytes};
-use crate::protocol::carried::{Carried, RawFrame};
+use crate::config::{Follow, Settings};
+use crate::gathered::Gathered;
+use crate::network::{Bytes, Event, Inbox, Kind, Network, longest_bytes};
+use crate::outlets::{Outlets, PassError};
+use crate::protocol::carried::Carried;
 use crate::protocol::message::Worker;
 use crate::protocol::receiver::Accepted;
-use crate::protocol::shift::Instants;
 use crate::taking::{TakenRecord, Taking};
 
 /// Longest sleep: how late a stop, a silence or a new reader of plan states may be noticed.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// The same while frames of several shards are gathered: a shard that is late holds the others up by as much.
+const GATHER_EVERY: Duration = Duration::from_millis(5);
 
 /// Follows until `stop`. Calls `ready` when the outputs can be read.
 ///
 /// # Errors
 /// The fleet cannot be joined, its files were removed, or the network is refused.
 pub(crate) fn run(
-    (config, follow): (&Config, &Follow),
+    (config, settings, follow): (&Config, &Settings, &Follow),
     (network, lock): (&Arc<Network>, &WorkerLock),
     stop: &AtomicBool,
     ready: impl FnOnce(),
-) -> anyhow::Result<TakenRecord> {
-    let limits = config.limits();
+) -> anyhow::Result<Vec<TakenRecord>> {
     let mut bus = config.join("link")?;
     bus.needs_lock(lock);
-    let mut inbox = Inbox::new(longest_bytes(limits.capacity));
-    let taking = Taking::open(
-        network,
-        (Kind::Outputs, &follow.worker),
-        (config.fleet(), limits.capacity.max(limits.listed_frames())),
-        follow.selection.clone(),
-        &mut inbox,
-    )?;
+    let mut inbox = Inbox::new(longest_bytes(config.limits().capacity));
+    let shards = open(config, settings, follow, network, &mut inbox)?;
+    let gathered = match &settings.shards {
+        Some(map) if shards.len() > 1 => Some(Gathered::new(map, config)),
+        _ => None,
+    };
     let mut following = Following {
         outlets: Outlets::open(&bus, config)?,
-        taking,
+        shards,
+        gathered,
         asks: follow.selection.services,
         told: Worker::Unknown,
     };
@@ -58,17 +54,104 @@ pub(crate) fn run(
         following.turn(&inbox)?;
     }
     following.outlets.planners.wake(WakeEvent::Ended)?;
-    let mut record = following.taking.record();
-    record.received.lost += inbox.overflowed();
-    Ok(record)
+    let takings = following.shards.iter().flat_map(|shard| &shard.takings);
+    let mut records: Vec<TakenRecord> = takings.map(Taking::record).collect();
+    if let Some(first) = records.first_mut() {
+        first.received.lost += inbox.overflowed();
+    }
+    Ok(records)
+}
+
+/// Asks every link that may speak for a shard.
+fn open(
+    config: &Config,
+    settings: &Settings,
+    follow: &Follow,
+    network: &Arc<Network>,
+    inbox: &mut Inbox,
+) -> anyhow::Result<Vec<ShardFeed>> {
+    let limits = config.limits();
+    let most = limits.capacity.max(limits.listed_frames());
+    let mut shards = Vec::new();
+    for workers in &follow.workers {
+        let mut takings = Vec::new();
+        for worker in workers {
+            takings.push(Taking::open(
+                network,
+                (Kind::Outputs, worker),
+                (settings.fleet(config), most),
+                follow.selection.clone(),
+                inbox,
+            )?);
+        }
+        shards.push(ShardFeed {
+            takings,
+            speaker: 0,
+            told: Worker::Unknown,
+        });
+    }
+    Ok(shards)
+}
+
+/// What comes from those that may speak for a shard, or for a fleet that is not split.
+struct ShardFeed {
+    takings: Vec<Taking>,
+    /// The one whose frames are passed on.
+    speaker: usize,
+    /// State of the worker that was told last.
+    told: Worker,
+}
+
+impl ShardFeed {
+    /// The state of its worker; unknown while nothing comes.
+    fn worker(&mut self) -> Worker {
+        let receiver = self.takings[self.speaker].receiver();
+        if receiver.is_heard() {
+            receiver.worker()
+        } else {
+            Worker::Unknown
+        }
+    }
+
+    /// Another speaks where the one that spoke has ended or is not heard.
+    fn choose(&mut self) {
+        if self.worker() == Worker::Alive {
+            return;
+        }
+        let is_alive = |taking: &mut Taking| {
+            let receiver = taking.receiver();
+            receiver.is_heard() && receiver.worker() == Worker::Alive
+        };
+        if let Some(alive) = self.takings.iter_mut().position(is_alive) {
+            self.speaker = alive;
+        }
+    }
+
+    /// Says once what its worker does now.
+    fn tell(&mut self) {
+        let worker = self.worker();
+        if worker == self.told {
+            return;
+        }
+        let from = self.takings[self.speaker].from();
+        match worker {
+            Worker::Alive => tracing::info!("the worker of {from} sends"),
+            Worker::Gone => tracing::warn!("the worker of {from} has ended"),
+            Worker::Stale => tracing::warn!("the worker of {from} is silent"),
+            Worker::Unknown => tracing::warn!("nothing comes from {from}"),
+        }
+        self.told = worker;
+    }
 }
 
 struct Following {
     outlets: Outlets,
-    taking: Taking,
+    shards: Vec<ShardFeed>,
+    /// Where frames of several workers become one.
+    gathered: Option<Gathered>,
     /// Services that the file names.
     asks: u32,
-    /// State of the worker that planners here have been told last.
+    /// State of the fleet's workers that planners here have been told last.
     told: Worker,
 }
 
@@ -82,193 +165,123 @@ impl Following {
         } else {
             self.asks & !plans
         };
-        self.taking.receiver().select(services);
-        self.taking.ask();
-        match inbox.next(LOOK_EVERY) {
+        for taking in self.takings() {
+            taking.receiver().select(services);
+            taking.ask();
+        }
+        let wait = match self.gathered {
+            Some(_) => GATHER_EVERY,
+            None => LOOK_EVERY,
+        };
+        match inbox.next(wait) {
             Ok(Event::Message {
-                bytes, arrived_ns, ..
-            }) => {
-                let outlets = &mut self.outlets;
-                let mut ended = Ok(());
-                self.taking.message(&bytes, arrived_ns, |accepted| {
-                    outlets.pass_on(&accepted).map_err(|error| {
-                        let shown = error.to_string();
-                        if let PassError::Send(error) = error
-                            && error.is_final()
-                        {
-                            ended = Err(error);
-                        }
-                        ("not passed on", shown)
-                    })
-                });
-                ended?;
-            }
-            Ok(Event::Lost { .. }) => {
-                self.taking.receiver().lost();
+                from,
+                bytes,
+                arrived_ns,
+            }) => self.message(&from, &bytes, arrived_ns)?,
+            Ok(Event::Lost { name }) => {
+                for taking in self.takings().filter(|taking| *taking.from() == *name) {
+                    taking.receiver().lost();
+                }
             }
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => anyhow::bail!("the network has ended"),
         }
-        self.taking.receiver().falls_silent(clock::monotonic_ns());
+        let now_ns = clock::monotonic_ns();
+        for shard in &mut self.shards {
+            for taking in &mut shard.takings {
+                taking.receiver().falls_silent(now_ns);
+            }
+            shard.choose();
+            shard.tell();
+        }
+        if let Some(gathered) = &mut self.gathered {
+            let speaks = self
+                .shards
+                .iter_mut()
+                .map(|it| it.worker() == Worker::Alive);
+            let speaks: Vec<bool> = speaks.collect();
+            let written = gathered.write(&mut self.outlets, &speaks);
+            is_final(written)?;
+        }
         self.tell()
     }
 
-    /// Planners are told once that nothing is to be expected, and why.
+    fn takings(&mut self) -> impl Iterator<Item = &mut Taking> {
+        self.shards.iter_mut().flat_map(|shard| &mut shard.takings)
+    }
+
+    /// Takes a message of the link `from`.
+    fn message(&mut self, from: &str, bytes: &Bytes, arrived_ns: u64) -> Result<(), SendError> {
+        let Self {
+            outlets,
+            shards,
+            gathered,
+            ..
+        } = self;
+        let mut ended = Ok(());
+        for (at, shard) in shards.iter_mut().enumerate() {
+            let ShardFeed {
+                takings, speaker, ..
+            } = shard;
+            let Some(place) = takings.iter().position(|taking| taking.from() == from) else {
+                continue;
+            };
+            let speaks = place == *speaker;
+            takings[place].message(bytes, arrived_ns, |accepted: Accepted<'_>| {
+                let passed = match gathered {
+                    _ if !speaks => Ok(()),
+                    Some(gathered) => gathered.put(at, &accepted),
+                    None => outlets.pass_on(&accepted),
+                };
+                passed.map_err(|error| {
+                    let shown = error.to_string();
+                    if let PassError::Send(error) = error
+                        && error.is_final()
+                    {
+                        ended = Err(error);
+                    }
+                    ("not passed on", shown)
+                })
+            });
+        }
+        ended
+    }
+
+    /// Planners are told once that nothing is to be expected of any worker, and why.
     fn tell(&mut self) -> anyhow::Result<()> {
-        let is_heard = self.taking.receiver().is_heard();
-        let worker = match self.taking.receiver().worker() {
-            worker if is_heard => worker,
-            _ => Worker::Unknown,
-        };
+        let mut states = self.shards.iter_mut().map(ShardFeed::worker);
+        let worker = states
+            .by_ref()
+            .fold(Worker::Unknown, |all, state| match (all, state) {
+                (Worker::Alive, _) | (_, Worker::Alive) => Worker::Alive,
+                (Worker::Unknown, state) => state,
+                (all, _) => all,
+            });
         if worker == self.told {
             return Ok(());
         }
-        let from = self.taking.from();
-        match (is_heard, worker) {
-            (true, Worker::Alive) => tracing::info!("the worker of {from} sends"),
-            (true, Worker::Gone) => {
-                tracing::warn!("the worker of {from} has ended");
-                self.outlets.planners.wake(WakeEvent::Ended)?;
-            }
-            (true, _) => {}
-            (false, _) => {
-                tracing::warn!("nothing comes from {from}");
-                self.outlets.planners.wake(WakeEvent::Unreachable)?;
-            }
+        let event = match worker {
+            Worker::Alive | Worker::Stale => None,
+            Worker::Gone => Some(WakeEvent::Ended),
+            Worker::Unknown => Some(WakeEvent::Unreachable),
+        };
+        if let Some(event) = event {
+            self.outlets.planners.wake(event)?;
         }
         self.told = worker;
         Ok(())
     }
 }
 
-/// The ports of a worker.
-struct Outlets {
-    forecasts: ForecastWriter,
-    diagnostics: DiagnosticWriter,
-    budgets: BudgetWriter,
-    plan_states: PlanStateWriter,
-    ticks: TickWriter,
-    planners: Waker,
-    runs: Runs,
-}
-
-impl Outlets {
-    fn open(bus: &Bus, config: &Config) -> anyhow::Result<Self> {
-        let limits = config.limits();
-        Ok(Self {
-            forecasts: bus.forecast_writer(&limits)?,
-            diagnostics: bus.diagnostic_writer(&limits)?,
-            budgets: bus.budget_writer(&limits)?,
-            plan_states: bus.plan_state_writer(&limits)?,
-            ticks: bus.tick_writer(&limits)?,
-            planners: bus.planner_waker(&limits)?,
-            runs: Runs::default(),
-        })
-    }
-
-    /// Writes a frame where the worker of this host would.
-    fn pass_on(&mut self, accepted: &Accepted<'_>) -> Result<(), PassError> {
-        let (frame, offset_ns) = (&accepted.frame, accepted.offset_ns);
-        let pid = process_id();
-        let runs = &mut self.runs;
-        match frame.service {
-            Carried::Forecasts => {
-                let mut header: ForecastHeader = frame.header();
-                header.shift(offset_ns);
-                (header.pid, header.worker_epoch) = (pid, runs.of(header.worker_epoch));
-                let now_ns = clock::monotonic_ns();
-                if header.sent_ns > now_ns {
-                    let ahead_ns = header.sent_ns - now_ns;
-                    return Err(PassError::Future { ahead_ns });
-                }
-                write(&mut self.forecasts, header, frame, offset_ns)?;
-                self.planners
-                    .wake(WakeEvent::Frame)
-                    .map_err(SendError::Wake)?;
-            }
-            Carried::Diagnostics => {
-                let mut header: DiagnosticHeader = frame.header();
-                (header.pid, header.worker_epoch) = (pid, runs.of(header.worker_epoch));
-                write(&mut self.diagnostics, header, frame, offset_ns)?;
-            }
-            Carried::Budgets => {
-                let mut header: BudgetHeader = frame.header();
-                header.shift(offset_ns);
-                (header.pid, header.worker_epoch) = (pid, runs.of(header.worker_epoch));
-                write(&mut self.budgets, header, frame, offset_ns)?;
-            }
-            Carried::PlanStates => {
-                let mut header: PlanStateHeader = frame.header();
-                header.shift(offset_ns);
-                (header.pid, header.worker_epoch) = (pid, runs.of(header.worker_epoch));
-                write(&mut self.plan_states, header, frame, offset_ns)?;
-            }
-            Carried::Ticks => {
-                let mut header: TickHeader = frame.header();
-                header.shift(offset_ns);
-                (header.pid, header.worker_epoch) = (pid, runs.of(header.worker_epoch));
-                write(&mut self.ticks, header, frame, offset_ns)?;
-            }
-            // Not asked for, and therefore not accepted.
-            Carried::Samples => {}
+/// Errors that end the link; others were of one frame.
+fn is_final(sent: Result<(), SendError>) -> Result<(), SendError> {
+    match sent {
+        Err(error) if error.is_final() => Err(error),
+        Err(error) => {
+            tracing::debug!(%error, "a frame was not passed on");
+            Ok(())
         }
-        Ok(())
-    }
-}
-
-fn write<H: Payload, T: Payload + Instants>(
-    writer: &mut Writer<H, T>,
-    header: H,
-    frame: &RawFrame<'_>,
-    offset_ns: i128,
-) -> Result<(), SendError> {
-    let mut loan = writer.loan_to_fill(frame.len())?;
-    *loan.header_mut() = header;
-    frame.copy_to(loan.payload_mut());
-    for element in loan.payload_mut() {
-        element.shift(offset_ns);
-    }
-    loan.send()?;
-    Ok(())
-}
-
-/// Runs of the worker. Planners take a later run for one with a greater number, and a host that has booted counts from
-/// the beginning.
-#[derive(Debug, Default)]
-struct Runs {
-    /// The worker's own number, and that under which it is known here.
-    now: Option<(u64, u64)>,
-}
-
-impl Runs {
-    fn of(&mut self, run: u64) -> u64 {
-        let (_, here) = match self.now {
-            Some(known) if known.0 == run => known,
-            Some((_, last)) => (run, run.max(last.saturating_add(1))),
-            None => (run, run),
-        };
-        self.now = Some((run, here));
-        here
-    }
-}
-
-/// Why a frame was not passed on.
-#[derive(Debug, thiserror::Error)]
-enum PassError {
-    #[error("it was sent {ahead_ns} ns from now")]
-    Future { ahead_ns: u64 },
-    #[error(transparent)]
-    Send(#[from] SendError),
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_worker_that_starts_again_is_a_later_run_also_after_its_host_has_booted() {
-        let mut runs = Runs::default();
-        let found = [70, 70, 90, 90, 5, 5, 6, 200].map(|run| runs.of(run));
-        assert_eq!(found, [70, 70, 90, 90, 91, 91, 92, 200]);
+        Ok(()) => Ok(()),
     }
 }

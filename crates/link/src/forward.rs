@@ -7,22 +7,25 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use bytemuck::{bytes_of, cast_slice};
 use joulebus_bus::{FrameBuf, ReceiveError, SampleReader, WorkerLock, clock};
 use joulebus_config::Config;
+use joulebus_wire::{Sample, SampleHeader};
 
+use crate::config::Settings;
 use crate::giving::{GivenRecord, Giving};
 use crate::network::{Kind, Network};
 use crate::protocol::carried::Carried;
+use crate::protocol::split::Split;
 use crate::protocol::stream::LocalFrame;
 use crate::refusals::Refusals;
 
 /// Longest sleep: how late a request or a stop may be noticed.
 const LOOK_EVERY_NS: u64 = 20_000_000;
 
-/// Gives the samples published here to the link `to` until `stop`. Calls `ready` when the fleet is joined.
+/// Gives the samples published here to the links `to`, each those of its shard, until `stop`. Calls `ready` when the fleet is joined.
 ///
 /// # Errors
 /// The fleet cannot be joined, its files were removed, or the network is refused.
 pub(crate) fn run(
-    (config, to): (&Config, &str),
+    (config, settings, to): (&Config, &Settings, &[String]),
     (network, lock): (&Arc<Network>, &WorkerLock),
     stop: &AtomicBool,
     ready: impl FnOnce(),
@@ -30,7 +33,9 @@ pub(crate) fn run(
     let limits = config.limits();
     let mut bus = config.join("link")?;
     bus.needs_lock(lock);
-    let mut giving = Giving::open(network, Kind::Samples, Some(to.to_owned()), config.fleet())?;
+    let (kind, fleet) = (Kind::Samples, settings.fleet(config));
+    let mut giving = Giving::open(network, kind, Some(to.to_vec()), fleet)?;
+    let mut split = settings.shards.as_deref().cloned().map(Split::new);
     let mut waiter = bus.arrivals_waiter(&limits)?;
     let mut samples = bus.sample_reader(&limits)?;
     let mut frame = FrameBuf::new(limits.capacity);
@@ -38,19 +43,37 @@ pub(crate) fn run(
     while !stop.load(Ordering::Relaxed) {
         bus.check()?;
         while is_taken(&mut samples, &mut frame)? {
-            giving.offer(LocalFrame {
-                service: Carried::Samples,
-                source: frame.header().source_id,
-                tick: 0,
-                header: bytes_of(frame.header()),
-                elements: cast_slice(frame.samples()),
-            });
+            let (header, samples) = (frame.header(), frame.samples());
+            match (&mut split, settings.shards.as_deref()) {
+                (Some(split), Some(shards)) => {
+                    split.split(header, samples, |shard, header, samples| {
+                        let workers = &shards.all()[shard].workers;
+                        let meant = |name: &str| workers.iter().any(|worker| worker == name);
+                        giving.offer_to(meant, local(header, samples));
+                    });
+                }
+                _ => giving.offer(local(header, samples)),
+            }
         }
         giving.turn()?;
         let until_ns = clock::monotonic_ns() + LOOK_EVERY_NS;
         waiter.wait_until(Some(until_ns), None)?;
     }
+    let unassigned = split.map_or(0, |split| split.unassigned);
+    if unassigned > 0 {
+        tracing::warn!("{unassigned} samples were of robots that no shard has");
+    }
     Ok((giving.records(), giving.refused))
+}
+
+fn local<'a>(header: &'a SampleHeader, samples: &'a [Sample]) -> LocalFrame<'a> {
+    LocalFrame {
+        service: Carried::Samples,
+        source: header.source_id,
+        tick: 0,
+        header: bytes_of(header),
+        elements: cast_slice(samples),
+    }
 }
 
 /// Takes the next frame, if there is one. A connection to a source that failed is made again.

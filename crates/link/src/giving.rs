@@ -5,12 +5,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use joulebus_bus::clock;
-use joulebus_wire::fnv1a;
 use serde::Serialize;
 
 use crate::network::{Event, Inbox, Kind, Network, NetworkError, Outlet};
 use crate::protocol::carried::Carried;
-use crate::protocol::message::{Body, Request, Worker, read};
+use crate::protocol::message::{Body, FleetId, Request, Worker, read};
 use crate::protocol::stream::{LocalFrame, Sent, Stream};
 use crate::refusals::Refusals;
 
@@ -33,9 +32,9 @@ pub(crate) struct GivenRecord {
 pub(crate) struct Giving {
     network: Arc<Network>,
     kind: Kind,
-    /// Only this link may ask; without it all.
-    only: Option<String>,
-    fleet: u64,
+    /// Only these links may ask; without it all.
+    only: Option<Vec<String>>,
+    fleet: FleetId,
     inbox: Inbox,
     streams: BTreeMap<Arc<str>, (Stream, Outlet)>,
     /// Of receivers that have left.
@@ -48,8 +47,8 @@ impl Giving {
     pub(crate) fn open(
         network: &Arc<Network>,
         kind: Kind,
-        only: Option<String>,
-        fleet: &str,
+        only: Option<Vec<String>>,
+        fleet: FleetId,
     ) -> Result<Self, NetworkError> {
         let mut inbox = Inbox::new(LONGEST_REQUEST);
         network.take_requests(kind, &mut inbox)?;
@@ -57,7 +56,7 @@ impl Giving {
             network: Arc::clone(network),
             kind,
             only,
-            fleet: fnv1a(fleet.bytes()),
+            fleet,
             inbox,
             streams: BTreeMap::new(),
             past: BTreeMap::new(),
@@ -132,7 +131,8 @@ impl Giving {
             stream.request(request, now_ns);
             return Ok(());
         }
-        let is_allowed = self.only.as_deref().is_none_or(|only| only == &**from);
+        let only = self.only.as_deref();
+        let is_allowed = only.is_none_or(|only| only.iter().any(|name| **name == **from));
         if !is_allowed || self.streams.len() == MOST_RECEIVERS {
             let why = if is_allowed {
                 format!("{MOST_RECEIVERS} links ask already")
@@ -164,8 +164,14 @@ impl Giving {
 
     /// Sends a frame to all who want it, or keeps it for those that are not ready.
     pub(crate) fn offer(&mut self, frame: LocalFrame<'_>) {
+        self.offer_to(|_| true, frame);
+    }
+
+    /// As [`Giving::offer`], to the links that are `meant`.
+    pub(crate) fn offer_to(&mut self, meant: impl Fn(&str) -> bool, frame: LocalFrame<'_>) {
         let (worker, now_ns) = (self.worker, clock::monotonic_ns());
-        for (stream, outlet) in self.streams.values_mut() {
+        let streams = self.streams.iter_mut();
+        for (_, (stream, outlet)) in streams.filter(|(name, _)| meant(name)) {
             let mut out = Vec::new();
             if stream.offer(frame, worker, now_ns, &mut out) {
                 outlet.send(out);

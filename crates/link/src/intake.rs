@@ -10,7 +10,7 @@ use joulebus_bus::{SampleWriter, SendError, clock, process_id};
 use joulebus_config::Config;
 use joulebus_wire::{Sample, SampleHeader};
 
-use crate::config::Take;
+use crate::config::{Settings, Take};
 use crate::network::{Event, Inbox, Kind, Network, longest_bytes};
 use crate::protocol::carried::Carried;
 use crate::protocol::receiver::Accepted;
@@ -26,7 +26,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(20);
 /// # Errors
 /// The fleet cannot be joined, its files were removed, or the network is refused.
 pub(crate) fn run(
-    (config, takes): (&Config, &[Take]),
+    (config, settings, takes): (&Config, &Settings, &[Take]),
     network: &Arc<Network>,
     stop: &AtomicBool,
     ready: impl FnOnce(),
@@ -38,7 +38,7 @@ pub(crate) fn run(
     let mut hosts = BTreeMap::new();
     for take in takes {
         let selection = Selection::new(Carried::Samples.bit(), 1, take.robots.ranges().to_vec());
-        let of_fleet = (config.fleet(), limits.capacity);
+        let of_fleet = (settings.fleet(config), limits.capacity);
         let from = (Kind::Samples, take.from.as_str());
         let taking = Taking::open(network, from, of_fleet, selection, &mut inbox)?;
         hosts.insert(take.from.as_str(), (taking, &take.robots));
@@ -63,7 +63,8 @@ pub(crate) fn run(
                 };
                 let mut ended = Ok(());
                 taking.message(&bytes, arrived_ns, |accepted| {
-                    publish(&mut writer, &accepted, robots).map_err(|error| {
+                    let has = |robot| robots.has_robot(robot) && settings.has_robot(robot);
+                    publish(&mut writer, &accepted, has).map_err(|error| {
                         let shown = error.to_string();
                         if error.is_final() {
                             ended = Err(error);
@@ -91,21 +92,19 @@ pub(crate) fn run(
     Ok(records)
 }
 
-/// Publishes a frame as its source did, with the times of this host. Robots that are not that host's are left out: a host
-/// speaks for its own.
+/// Publishes a frame as its source did, with the times of this host. Robots that are not that host's, or not of this shard, are
+/// left out: a host speaks for its own.
 fn publish(
     writer: &mut SampleWriter,
     accepted: &Accepted<'_>,
-    robots: &Selection,
+    has: impl Fn(u32) -> bool,
 ) -> Result<(), SendError> {
     let (frame, offset_ns) = (&accepted.frame, accepted.offset_ns);
     let mut header: SampleHeader = frame.header();
     header.shift(offset_ns);
     header.pid = process_id();
     let samples = (0..frame.len()).map(|at| frame.element::<Sample>(at));
-    let mut kept: Vec<Sample> = samples
-        .filter(|sample| robots.has_robot(sample.robot))
-        .collect();
+    let mut kept: Vec<Sample> = samples.filter(|sample| has(sample.robot)).collect();
     for sample in &mut kept {
         sample.shift(offset_ns);
     }

@@ -86,8 +86,8 @@ fn checked(config: &Config, settings: &Settings) -> CheckReport {
             Vec::new(),
         ),
         Side::Other { samples, follow } => (
-            follow.iter().map(|follow| follow.worker.clone()).collect(),
-            samples.iter().cloned().collect(),
+            follow.iter().flat_map(|it| it.workers.concat()).collect(),
+            samples.clone().unwrap_or_default(),
         ),
     };
     CheckReport {
@@ -171,13 +171,13 @@ impl Link {
         };
         let network = Arc::new(network);
         match &settings.side {
-            Side::Worker(takes) => link.start_worker_side(config, takes, &network)?,
+            Side::Worker(takes) => link.start_worker_side((config, settings), takes, &network)?,
             Side::Other { samples, follow } => {
                 if let Some(follow) = follow {
-                    link.start_following(config, follow, &network)?;
+                    link.start_following((config, settings), follow, &network)?;
                 }
                 if let Some(to) = samples {
-                    link.start_forwarding(config, to, &network)?;
+                    link.start_forwarding((config, settings), to, &network)?;
                 }
             }
         }
@@ -190,13 +190,14 @@ impl Link {
 
     fn start_worker_side(
         &mut self,
-        config: &Config,
+        (config, settings): (&Config, &Settings),
         takes: &[crate::config::Take],
         network: &Arc<Network>,
     ) -> anyhow::Result<()> {
         let (of, over) = (config.clone(), Arc::clone(network));
+        let fleet = settings.fleet(config);
         self.spawn("joulebus-outputs", move |stop, ready| {
-            let (given, refused) = outputs::run(&of, &over, stop, ready)?;
+            let (given, refused) = outputs::run((&of, fleet), &over, stop, ready)?;
             Ok(Done {
                 given,
                 refused,
@@ -207,8 +208,9 @@ impl Link {
             return Ok(());
         }
         let (of, over, takes) = (config.clone(), Arc::clone(network), takes.to_vec());
+        let with = settings.clone();
         self.spawn("joulebus-intake", move |stop, ready| {
-            let taken = intake::run((&of, &takes), &over, stop, ready)?;
+            let taken = intake::run((&of, &with, &takes), &over, stop, ready)?;
             Ok(Done {
                 taken,
                 ..Done::default()
@@ -218,16 +220,17 @@ impl Link {
 
     fn start_following(
         &mut self,
-        config: &Config,
+        (config, settings): (&Config, &Settings),
         follow: &crate::config::Follow,
         network: &Arc<Network>,
     ) -> anyhow::Result<()> {
         let (of, over, follow) = (config.clone(), Arc::clone(network), follow.clone());
+        let with = settings.clone();
         let lock = self.lock.clone().context("the lock is taken first")?;
         self.spawn("joulebus-follow", move |stop, ready| {
-            let taken = follow::run((&of, &follow), (&over, &lock), stop, ready)?;
+            let taken = follow::run((&of, &with, &follow), (&over, &lock), stop, ready)?;
             Ok(Done {
-                taken: vec![taken],
+                taken,
                 ..Done::default()
             })
         })
@@ -235,14 +238,15 @@ impl Link {
 
     fn start_forwarding(
         &mut self,
-        config: &Config,
-        to: &str,
+        (config, settings): (&Config, &Settings),
+        to: &[String],
         network: &Arc<Network>,
     ) -> anyhow::Result<()> {
-        let (of, over, to) = (config.clone(), Arc::clone(network), to.to_owned());
+        let (of, over, to) = (config.clone(), Arc::clone(network), to.to_vec());
+        let with = settings.clone();
         let lock = self.lock.clone().context("the lock is taken first")?;
         self.spawn("joulebus-forward", move |stop, ready| {
-            let (given, refused) = forward::run((&of, &to), (&over, &lock), stop, ready)?;
+            let (given, refused) = forward::run((&of, &with, &to), (&over, &lock), stop, ready)?;
             Ok(Done {
                 given,
                 refused,

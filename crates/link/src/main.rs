@@ -4,10 +4,12 @@
 mod config;
 mod follow;
 mod forward;
+mod gathered;
 mod giving;
 mod intake;
 mod link;
 mod network;
+mod outlets;
 mod outputs;
 mod protocol;
 mod refusals;

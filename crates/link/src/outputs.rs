@@ -16,7 +16,7 @@ use joulebus_wire::Payload;
 use crate::giving::{GivenRecord, Giving};
 use crate::network::{Kind, Network};
 use crate::protocol::carried::Carried;
-use crate::protocol::message::Worker;
+use crate::protocol::message::{FleetId, Worker};
 use crate::protocol::stream::LocalFrame;
 use crate::refusals::Refusals;
 
@@ -32,13 +32,13 @@ const BEHIND: Duration = Duration::from_millis(1);
 /// # Errors
 /// The fleet cannot be joined, its files were removed, or the network is refused.
 pub(crate) fn run(
-    config: &Config,
+    (config, fleet): (&Config, FleetId),
     network: &Arc<Network>,
     stop: &AtomicBool,
     ready: impl FnOnce(),
 ) -> anyhow::Result<(Vec<GivenRecord>, Refusals)> {
     let mut planner = Planner::with_config(config, "link")?;
-    let mut giving = Giving::open(network, Kind::Outputs, None, config.fleet())?;
+    let mut giving = Giving::open(network, Kind::Outputs, None, fleet)?;
     let mut feeds = Feeds::new(config);
     ready();
     let mut wait = LOOK_EVERY;

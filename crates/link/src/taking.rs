@@ -3,11 +3,10 @@
 use std::sync::Arc;
 
 use joulebus_bus::clock;
-use joulebus_wire::fnv1a;
 use serde::Serialize;
 
 use crate::network::{Bytes, Inbox, Kind, Network, NetworkError, Outlet};
-use crate::protocol::message::{Sender, read};
+use crate::protocol::message::{FleetId, Sender, read};
 use crate::protocol::receiver::{Accepted, Received, Receiver, Unused};
 use crate::protocol::selection::Selection;
 use crate::refusals::Refusals;
@@ -33,7 +32,7 @@ pub(crate) struct TakenRecord {
 #[derive(Debug)]
 pub(crate) struct Taking {
     from: String,
-    fleet: u64,
+    fleet: FleetId,
     /// Elements that a frame may have.
     most: usize,
     receiver: Receiver,
@@ -47,12 +46,11 @@ impl Taking {
     pub(crate) fn open(
         network: &Arc<Network>,
         (kind, from): (Kind, &str),
-        (fleet, most): (&str, usize),
+        (fleet, most): (FleetId, usize),
         selection: Selection,
         inbox: &mut Inbox,
     ) -> Result<Self, NetworkError> {
         network.take_frames(kind, from, inbox)?;
-        let fleet = fnv1a(fleet.bytes());
         let run = clock::monotonic_ns();
         Ok(Self {
             from: from.to_owned(),

@@ -13,6 +13,8 @@ pub(super) type Text = Spanned<String>;
 pub(super) struct LinkFile {
     /// Of this host's link, unlike all others of the fleet.
     pub(super) name: Text,
+    /// File of the fleet's shards, the same on all hosts; without it one worker has all robots.
+    pub(super) shards: Option<Text>,
     pub(super) network: NetworkSection,
     pub(super) worker: Option<WorkerSection>,
     pub(super) samples: Option<SamplesSection>,
@@ -78,15 +80,15 @@ pub(super) struct TakeSection {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SamplesSection {
-    /// Name of the worker's link.
-    pub(super) to: Text,
+    /// Name of the worker's link; of a fleet with shards each robot has its own.
+    pub(super) to: Option<Text>,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FollowSection {
-    /// Name of the worker's link.
-    pub(super) worker: Text,
+    /// Name of the worker's link; of a fleet with shards all are followed.
+    pub(super) worker: Option<Text>,
     #[serde(default = "services")]
     pub(super) services: Vec<Carries>,
     /// Every how many ticks.
@@ -123,4 +125,21 @@ impl Carries {
             Self::Ticks => Carried::Ticks,
         }
     }
+}
+
+/// The file of the shards.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ShardsFile {
+    pub(super) shard: Vec<ShardSection>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ShardSection {
+    pub(super) name: Text,
+    /// Names of the links of its worker, and of those that stand by.
+    pub(super) workers: Vec<Text>,
+    /// Which robots; in no shard, or in all.
+    pub(super) robots: Option<Vec<Value>>,
 }

@@ -4,17 +4,22 @@
 mod check;
 mod file;
 mod network;
+mod shards;
 
 use std::path::Path;
+use std::sync::Arc;
 
 use joulebus_config::Config;
 use joulebus_config::error::ConfigError;
+use joulebus_wire::fnv1a;
 use toml::Value;
 
 use crate::config::check::Check;
-use crate::config::file::{FollowSection, LinkFile, Text};
+use crate::config::file::{FollowSection, LinkFile, Text, WorkerSection};
 use crate::protocol::carried::Carried;
+use crate::protocol::message::FleetId;
 use crate::protocol::selection::{MOST_RANGES, Selection};
+use crate::protocol::shards::Shards;
 
 pub(crate) use network::{Mode, NetworkSettings};
 
@@ -31,6 +36,8 @@ const EVERY: (u32, u32) = (1, 3_600);
 pub(crate) struct Settings {
     pub(crate) name: String,
     pub(crate) network: NetworkSettings,
+    /// Who speaks for which robots, where the fleet is split.
+    pub(crate) shards: Option<Arc<Shards>>,
     pub(crate) side: Side,
 }
 
@@ -41,8 +48,8 @@ pub(crate) enum Side {
     Worker(Vec<Take>),
     /// A host without a worker of its own.
     Other {
-        /// The worker's link, to which the samples published here go.
-        samples: Option<String>,
+        /// The links of workers to which the samples published here go.
+        samples: Option<Vec<String>>,
         follow: Option<Follow>,
     },
 }
@@ -54,11 +61,11 @@ pub(crate) struct Take {
     pub(crate) robots: Selection,
 }
 
-/// Outputs of a worker elsewhere.
+/// Outputs of workers elsewhere.
 #[derive(Debug, Clone)]
 pub(crate) struct Follow {
-    /// Name of its link.
-    pub(crate) worker: String,
+    /// Of each shard the names of its links; of a fleet that is not split one name.
+    pub(crate) workers: Vec<Vec<String>>,
     pub(crate) selection: Selection,
 }
 
@@ -86,6 +93,22 @@ impl Settings {
     }
 }
 
+impl Settings {
+    /// The fleet, as messages name it.
+    pub(crate) fn fleet(&self, config: &Config) -> FleetId {
+        FleetId {
+            name: fnv1a(config.fleet().bytes()),
+            shards: self.shards.as_deref().map_or(0, Shards::digest),
+        }
+    }
+
+    /// Whether the worker of this link has the robot.
+    pub(crate) fn has_robot(&self, robot: u32) -> bool {
+        let shards = self.shards.as_deref();
+        shards.is_none_or(|shards| shards.of_robot(robot) == shards.of_worker(&self.name))
+    }
+}
+
 impl Check<'_> {
     fn settings(&mut self, config: &Config) -> Option<Settings> {
         let file: LinkFile = match toml::from_str(self.text) {
@@ -99,30 +122,29 @@ impl Check<'_> {
         };
         let name = self.name(&file.name, "name");
         let network = self.network(&file.network);
+        let shards = file.shards.as_ref().map(|path| self.shards(path, config));
+        let shards = shards.flatten().map(Arc::new);
+        let has_shards = file.shards.is_some();
         let side = match (file.worker, file.samples, file.follow) {
             (Some(worker), None, None) => {
-                if worker.take.len() > MOST_HOSTS {
-                    let what = format!("names {} hosts", worker.take.len());
-                    let remedy = format!("Allowed are {MOST_HOSTS}");
-                    self.problem(None, "worker.take", what, &remedy);
+                if let Some(shards) = &shards
+                    && shards.of_worker(&name).is_none()
+                {
+                    let what = format!("= {name:?} speaks for no shard");
+                    let at = Some(file.name.span().start);
+                    self.problem(at, "name", what, "Name it in `shard.workers`");
                 }
-                let mut takes: Vec<Take> = Vec::new();
-                for take in &worker.take {
-                    let from = self.name(&take.from, "worker.take.from");
-                    if from == name || takes.iter().any(|other| other.from == from) {
-                        let what = format!("= {from:?} is this link, or named twice");
-                        let at = Some(take.from.span().start);
-                        self.problem(at, "worker.take.from", what, "Name each host once");
-                    }
-                    let robots = self.robots(take.robots.as_deref(), "worker.take.robots", config);
-                    takes.push(Take { from, robots });
-                }
-                Side::Worker(takes)
+                Side::Worker(self.takes(&worker, &name, config))
             }
             (None, samples, follow) if samples.is_some() || follow.is_some() => {
-                let samples = samples.map(|section| self.other(&section.to, "samples.to", &name));
-                let follow = follow.map(|section| self.follow(&section, &name, config));
-                Side::Other { samples, follow }
+                let of = (name.as_str(), shards.as_deref(), has_shards);
+                let samples =
+                    samples.map(|section| self.workers(section.to.as_ref(), "samples.to", of));
+                let follow = follow.map(|section| self.follow(&section, of, config));
+                Side::Other {
+                    samples: samples.map(|shards| shards.concat()),
+                    follow,
+                }
             }
             _ => {
                 let what = "says nothing of this host, or both".to_owned();
@@ -135,12 +157,74 @@ impl Check<'_> {
         Some(Settings {
             name,
             network,
+            shards,
             side,
         })
     }
 
-    fn follow(&mut self, section: &FollowSection, name: &str, config: &Config) -> Follow {
-        let worker = self.other(&section.worker, "follow.worker", name);
+    /// Hosts whose samples the worker of link `name` takes.
+    fn takes(&mut self, worker: &WorkerSection, name: &str, config: &Config) -> Vec<Take> {
+        if worker.take.len() > MOST_HOSTS {
+            let what = format!("names {} hosts", worker.take.len());
+            let remedy = format!("Allowed are {MOST_HOSTS}");
+            self.problem(None, "worker.take", what, &remedy);
+        }
+        let mut takes: Vec<Take> = Vec::new();
+        for take in &worker.take {
+            let from = self.name(&take.from, "worker.take.from");
+            if from == name || takes.iter().any(|other| other.from == from) {
+                let what = format!("= {from:?} is this link, or named twice");
+                let at = Some(take.from.span().start);
+                self.problem(at, "worker.take.from", what, "Name each host once");
+            }
+            let robots = self.robots(take.robots.as_deref(), "worker.take.robots", config);
+            takes.push(Take { from, robots });
+        }
+        takes
+    }
+
+    /// The links of each shard's workers, or the one that `key` names where the fleet is not split.
+    fn workers(
+        &mut self,
+        named: Option<&Text>,
+        key: &str,
+        (name, shards, has_shards): (&str, Option<&Shards>, bool),
+    ) -> Vec<Vec<String>> {
+        match named {
+            Some(text) if !has_shards => vec![vec![self.other(text, key, name)]],
+            Some(text) => {
+                let what = format!("= {:?} beside a file of shards", text.get_ref());
+                let remedy = "Leave it out: the shards have their workers";
+                self.problem(Some(text.span().start), key, what, remedy);
+                Vec::new()
+            }
+            None if !has_shards => {
+                let remedy = "Name the worker's link, or the fleet's file of `shards`";
+                self.problem(None, key, "is missing".to_owned(), remedy);
+                Vec::new()
+            }
+            None => {
+                let all = shards.map(Shards::all).unwrap_or_default();
+                if let Some(shard) = all
+                    .iter()
+                    .find(|shard| shard.workers.iter().any(|it| it == name))
+                {
+                    let what = format!("= {name:?} speaks for the shard {}", shard.name);
+                    let remedy = "A worker's host has [worker]; give this link another name";
+                    self.problem(None, "name", what, remedy);
+                }
+                all.iter().map(|shard| shard.workers.clone()).collect()
+            }
+        }
+    }
+
+    fn follow(
+        &mut self,
+        section: &FollowSection,
+        of: (&str, Option<&Shards>, bool),
+        config: &Config,
+    ) -> Follow {
+        let workers = self.workers(section.worker.as_ref(), "follow.worker", of);
         let (least, most) = EVERY;
         if !(least..=most).contains(&section.every) {
             let what = format!("is {}", section.every);
@@ -149,10 +233,16 @@ impl Check<'_> {
         }
         let services = section.services.iter().map(|it| it.carried().bit());
         let services = services.fold(Carried::Forecasts.bit(), |all, bit| all | bit);
+        let wants_ticks = services & Carried::Ticks.bit() != 0;
+        if workers.len() > 1 && wants_ticks {
+            let what = format!("has \"ticks\" of {} workers", workers.len());
+            let remedy = "Leave it out: a journal is of one worker";
+            self.problem(None, "follow.services", what, remedy);
+        }
         let robots = self.robots(section.robots.as_deref(), "follow.robots", config);
         let ranges = robots.ranges().to_vec();
         Follow {
-            worker,
+            workers,
             selection: Selection::new(services, section.every, ranges),
         }
     }
@@ -264,10 +354,8 @@ mod tests {
             panic!("another host's");
         };
         let follow = follow.unwrap();
-        assert_eq!(
-            (samples.as_deref(), follow.worker.as_str()),
-            (Some("base"), "base")
-        );
+        assert_eq!(samples.unwrap(), ["base"]);
+        assert_eq!(follow.workers, [["base"]]);
         assert!(
             follow.selection.wants(Carried::Forecasts) && !follow.selection.wants(Carried::Ticks)
         );
@@ -335,6 +423,83 @@ mod tests {
             assert!(shown.contains(says), "{to}: {shown}");
             let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
             assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
+        }
+    }
+
+    const SHARDS: &str = "[[shard]]\nname = \"a\"\nworkers = [\"base\", \"spare\"]\nrobots = [\"0-4\"]\n\
+        [[shard]]\nname = \"b\"\nworkers = [\"south\"]\nrobots = [\"5-9\"]\n";
+    const DESK: &str = "name = \"desk\"\nshards = \"shards.toml\"\n[network]\n\
+        connect = [\"tcp/127.0.0.1:7447\"]\n[samples]\n[follow]\n";
+
+    /// A link's file beside one of shards.
+    fn load_with(shards: &str, text: &str) -> Result<Settings, ConfigError> {
+        let config = Config::parse(FLEET, Path::new(".")).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("shards.toml"), shards).unwrap();
+        let path = folder.path().join("link.toml");
+        fs::write(&path, text).unwrap();
+        Settings::load(&path, &config)
+    }
+
+    #[test]
+    fn links_of_a_fleet_with_shards_follow_all_workers_and_give_samples_to_all() {
+        let settings = load_with(SHARDS, DESK).unwrap();
+        let Side::Other { samples, follow } = &settings.side else {
+            panic!("another host's");
+        };
+        let links = ["base", "spare", "south"];
+        assert_eq!(samples.as_deref().unwrap(), links);
+        let follow = follow.as_ref().unwrap();
+        assert_eq!(follow.workers.concat(), links);
+        assert_eq!(follow.workers.len(), 2);
+        let worker = WORKER.replacen('\n', "\nshards = \"shards.toml\"\n", 1);
+        let settings = load_with(SHARDS, &worker).unwrap();
+        assert!(settings.has_robot(4) && !settings.has_robot(5));
+        let hashed = SHARDS.replace("robots", "# robots");
+        let (one, other) = (
+            load_with(&hashed, &worker).unwrap(),
+            load_with(&hashed, &worker.replacen("base", "south", 1)).unwrap(),
+        );
+        assert!((0..10).all(|robot| one.has_robot(robot) != other.has_robot(robot)));
+    }
+
+    #[test]
+    fn what_is_wrong_with_shards_is_named_with_its_line() {
+        let worker = WORKER.replacen('\n', "\nshards = \"shards.toml\"\n", 1);
+        for (text, from, to, line, says) in [
+            (DESK, "\"a\"", "\"b\"", 6, "twice"),
+            (DESK, "\"south\"", "\"spare\"", 7, "twice"),
+            (DESK, "\"5-9\"", "\"4-9\"", 4, "robot 4 in two"),
+            (DESK, "\"5-9\"", "\"6-9\"", 4, "not have robot 5"),
+            (DESK, "robots = [\"5-9\"]", "", 4, "1 of 2"),
+            (DESK, "[\"base\", \"spare\"]", "[]", 2, "0 links"),
+            (DESK, "\"5-9\"", "\"9-5\"", 4, "9-5"),
+            (DESK, "name = \"b\"", "names = \"b\"", 6, "unknown field"),
+            (DESK, "\"south\"", "\"desk\"", 1, "speaks for the shard b"),
+            (&worker, "\"base\"", "\"west\"", 1, "no shard"),
+        ] {
+            let shards = SHARDS.replacen(from, to, 1);
+            assert_ne!(shards, SHARDS, "{from}");
+            let refused = load_with(&shards, text).expect_err(to);
+            let shown = refused.to_string();
+            assert!(shown.contains(says), "{to}: {shown}");
+            let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
+            assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
+        }
+        for (text, says) in [
+            (
+                DESK.replace("[follow]", "[follow]\nworker = \"base\""),
+                "Leave it out",
+            ),
+            (
+                DESK.replace("[follow]", "[follow]\nservices = [\"ticks\"]"),
+                "of one worker",
+            ),
+            (DESK.replace("shards = ", "# shards = "), "file of `shards`"),
+            (DESK.replace("shards.toml", "none.toml"), "cannot be read"),
+        ] {
+            let shown = load_with(SHARDS, &text).expect_err(says).to_string();
+            assert!(shown.contains(says), "{says}: {shown}");
         }
     }
 

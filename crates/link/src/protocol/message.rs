@@ -10,7 +10,7 @@ use crate::protocol::carried::{Carried, FrameError, RawFrame};
 use crate::protocol::selection::{MOST_RANGES, Selection};
 
 /// Version of these messages.
-const PROTOCOL: u32 = 1;
+const PROTOCOL: u32 = 2;
 const MAGIC: [u8; 8] = *b"joulelnk";
 const RELEASE_BYTES: usize = 16;
 const FRAME: u32 = 1;
@@ -26,7 +26,8 @@ struct Prelude {
     /// Release of the sender, padded with zeros.
     release: [u8; RELEASE_BYTES],
     schema: u32,
-    reserved: u32,
+    /// Digest of the fleet's shards; 0 without any.
+    shards: u32,
     /// FNV-1a hash of the fleet's name.
     fleet: u64,
     /// Run of the link that sends: greater after a restart.
@@ -64,11 +65,19 @@ struct RequestHead {
 
 const _: () = assert!(size_of::<Prelude>() == 64 && size_of::<FrameHead>() == 48);
 
+/// Which fleet messages are of: hosts that do not agree refuse each other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct FleetId {
+    /// FNV-1a hash of its name.
+    pub(crate) name: u64,
+    /// Digest of its shards; 0 without any.
+    pub(crate) shards: u32,
+}
+
 /// Whom messages are of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Sender {
-    /// FNV-1a hash of the fleet's name.
-    pub(crate) fleet: u64,
+    pub(crate) fleet: FleetId,
     /// When the link began, monotonic ns of its host.
     pub(crate) run: u64,
 }
@@ -209,7 +218,7 @@ pub(crate) fn write_request(sender: Sender, number: u64, request: &Request) -> V
 ///
 /// # Errors
 /// [`MessageError`].
-pub(crate) fn read(bytes: &[u8], fleet: u64, most: usize) -> Result<Message<'_>, MessageError> {
+pub(crate) fn read(bytes: &[u8], fleet: FleetId, most: usize) -> Result<Message<'_>, MessageError> {
     let (prelude, rest) = split::<Prelude>(bytes)?;
     if prelude.magic != MAGIC {
         return Err(MessageError::Foreign);
@@ -224,10 +233,16 @@ pub(crate) fn read(bytes: &[u8], fleet: u64, most: usize) -> Result<Message<'_>,
             schema: prelude.schema,
         });
     }
-    if prelude.fleet != fleet {
+    if prelude.fleet != fleet.name {
         return Err(MessageError::Fleet {
             found: prelude.fleet,
-            allowed: fleet,
+            allowed: fleet.name,
+        });
+    }
+    if prelude.shards != fleet.shards {
+        return Err(MessageError::Shards {
+            found: prelude.shards,
+            allowed: fleet.shards,
         });
     }
     let body = match prelude.kind {
@@ -292,8 +307,8 @@ fn prelude(kind: u32, sender: Sender, number: u64) -> Prelude {
         kind,
         release,
         schema: SCHEMA_VERSION,
-        reserved: 0,
-        fleet: sender.fleet,
+        shards: sender.fleet.shards,
+        fleet: sender.fleet.name,
         run: sender.run,
         number,
     }
@@ -333,6 +348,10 @@ pub(crate) enum MessageError {
     },
     #[error("it is of another fleet ({found:016x}, this one is {allowed:016x})")]
     Fleet { found: u64, allowed: u64 },
+    #[error(
+        "its file of shards is another one ({found:08x}, this one is {allowed:08x}, 0 is none); copy one to all hosts"
+    )]
+    Shards { found: u32, allowed: u32 },
     #[error("it has {found} bytes where {allowed} are needed")]
     Length { found: usize, allowed: usize },
     #[error("it is of the unknown kind {found}")]
@@ -350,6 +369,7 @@ impl MessageError {
             Self::Foreign => "not a message of a link",
             Self::Release { .. } => "another release",
             Self::Fleet { .. } => "another fleet",
+            Self::Shards { .. } => "other shards",
             Self::Length { .. } | Self::Frame(FrameError::Length { .. }) => "wrong length",
             Self::Kind { .. } => "unknown kind",
             Self::Ranges { .. } => "too many ranges",
@@ -366,7 +386,10 @@ mod tests {
 
     use super::*;
 
-    const FLEET: u64 = 77;
+    const FLEET: FleetId = FleetId {
+        name: 77,
+        shards: 6,
+    };
     const SENDER: Sender = Sender {
         fleet: FLEET,
         run: 5,
@@ -447,8 +470,12 @@ mod tests {
         let (own, shown) = (env!("CARGO_PKG_VERSION"), refused.to_string());
         assert!(shown.contains(own), "{shown}");
         assert!(shown.contains(&own.replacen('0', "9", 1)), "{shown}");
-        let refused = read(&frame(), FLEET + 1, 3).unwrap_err();
+        let other = FleetId { name: 78, ..FLEET };
+        let refused = read(&frame(), other, 3).unwrap_err();
         assert_eq!(refused.name(), "another fleet");
+        let other = FleetId { shards: 0, ..FLEET };
+        let refused = read(&frame(), other, 3).unwrap_err();
+        assert_eq!(refused.name(), "other shards");
     }
 
     proptest! {

@@ -1,11 +1,14 @@
 //! What two links tell each other: pure, without clock, network, thread and shared memory.
 
 pub(crate) mod carried;
+pub(crate) mod merge;
 pub(crate) mod message;
 pub(crate) mod offset;
 pub(crate) mod receiver;
 pub(crate) mod selection;
+pub(crate) mod shards;
 pub(crate) mod shift;
+pub(crate) mod split;
 pub(crate) mod stream;
 #[cfg(test)]
 mod weather;

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use crate::protocol::carried::Carried;
-use crate::protocol::message::{Outgoing, Request, Sender, Status, Worker, write_frame};
+use crate::protocol::message::{FleetId, Outgoing, Request, Sender, Status, Worker, write_frame};
 
 /// A receiver that has not asked for so long is no longer sent anything.
 pub(crate) const SILENT_AFTER_NS: u64 = 1_500_000_000;
@@ -84,7 +84,7 @@ type Place = (Carried, u64);
 
 impl Stream {
     /// The stream that a request begins.
-    pub(crate) fn new(fleet: u64, request: Request, now_ns: u64) -> Self {
+    pub(crate) fn new(fleet: FleetId, request: Request, now_ns: u64) -> Self {
         Self {
             sender: Sender { fleet, run: now_ns },
             request,

@@ -6,13 +6,13 @@ use joulebus_wire::{Forecast, ForecastHeader, SCHEMA_VERSION};
 use proptest::prelude::*;
 
 use crate::protocol::carried::Carried;
-use crate::protocol::message::{Body, Sender, Worker, read};
+use crate::protocol::message::{Body, FleetId, Sender, Worker, read};
 use crate::protocol::offset::shifted;
 use crate::protocol::receiver::Receiver;
 use crate::protocol::selection::Selection;
 use crate::protocol::stream::{LocalFrame, Stream};
 
-const FLEET: u64 = 3;
+const FLEET: FleetId = FleetId { name: 3, shards: 0 };
 const STEP_NS: u64 = 1_000_000;
 const TICK_NS: u64 = 33_000_000;
 const ROWS: usize = 4;

@@ -60,6 +60,11 @@ impl Host {
         self.directory.path().join("fleet.toml")
     }
 
+    /// Puts a file beside this host's others.
+    pub(crate) fn write(&self, name: &str, text: &str) {
+        fs::write(self.directory.path().join(name), text).unwrap();
+    }
+
     fn command(&self, program: &Path) -> Command {
         let mut command = match &self.namespace {
             Some(namespace) => {

@@ -8,6 +8,7 @@ mod local;
 mod namespaces;
 mod planner;
 mod router;
+mod shards;
 mod speed;
 mod strangers;
 

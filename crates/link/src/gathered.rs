@@ -1,0 +1,233 @@
+//! What the workers of all shards write, as one fleet's on this host.
+
+use std::sync::Arc;
+
+use joulebus_bus::{SendError, Writer, clock, process_id};
+use joulebus_config::Config;
+use joulebus_wire::{
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Payload,
+    PlanState, PlanStateHeader, WakeEvent,
+};
+
+use crate::outlets::{Outlets, PassError, not_ahead};
+use crate::protocol::carried::{Carried, RawFrame};
+use crate::protocol::merge::{Continued, Header, Merge, Own, Row};
+use crate::protocol::receiver::Accepted;
+use crate::protocol::shards::Shards;
+use crate::protocol::shift::Instants;
+
+/// Periods after which a worker's forecasts are stale.
+const STALE_PERIODS: u64 = 2;
+
+/// The newest frames of the shards.
+pub(crate) struct Gathered {
+    shards: Arc<Shards>,
+    /// Rows of a frame at most.
+    capacity: usize,
+    run: u64,
+    tick: u64,
+    counters: Vec<Continued>,
+    forecasts: Merge<ForecastHeader, Forecast>,
+    diagnostics: Merge<DiagnosticHeader, Diagnostic>,
+    budgets: Merge<BudgetHeader, Budget>,
+    plan_states: Merge<PlanStateHeader, PlanState>,
+    /// Shards whose plans are made with other settings or models, as told last.
+    differ: Vec<bool>,
+}
+
+impl Gathered {
+    pub(crate) fn new(shards: &Arc<Shards>, config: &Config) -> Self {
+        let count = shards.all().len();
+        Self {
+            shards: Arc::clone(shards),
+            capacity: config.limits().capacity,
+            run: clock::monotonic_ns(),
+            tick: 0,
+            counters: (0..count).map(|_| Continued::default()).collect(),
+            forecasts: Merge::new(count),
+            diagnostics: Merge::new(count),
+            budgets: Merge::new(count),
+            plan_states: Merge::new(count),
+            differ: vec![false; count],
+        }
+    }
+
+    /// Takes a frame of a shard's worker. Rows of robots that are not the shard's are left out.
+    pub(crate) fn put(&mut self, shard: usize, accepted: &Accepted<'_>) -> Result<(), PassError> {
+        let (frame, offset_ns) = (&accepted.frame, accepted.offset_ns);
+        let shards = &self.shards;
+        let is_own = |robot| shards.of_robot(robot) == Some(shard);
+        let now_ns = clock::monotonic_ns();
+        match frame.service {
+            Carried::Forecasts => {
+                let mut header: ForecastHeader = frame.header();
+                header.shift(offset_ns);
+                not_ahead(&header)?;
+                self.counters[shard].add(&mut header);
+                let rows = rows(frame, offset_ns, is_own);
+                self.forecasts.put(shard, header, rows, now_ns);
+            }
+            Carried::Diagnostics => {
+                let rows = rows(frame, offset_ns, is_own);
+                self.diagnostics.put(shard, frame.header(), rows, now_ns);
+            }
+            Carried::Budgets => {
+                let mut header: BudgetHeader = frame.header();
+                header.shift(offset_ns);
+                let rows = rows(frame, offset_ns, is_own);
+                self.budgets.put(shard, header, rows, now_ns);
+            }
+            Carried::PlanStates => {
+                let mut header: PlanStateHeader = frame.header();
+                header.shift(offset_ns);
+                let rows = rows(frame, offset_ns, is_own);
+                self.plan_states.put(shard, header, rows, now_ns);
+            }
+            // Of one worker: not asked for.
+            Carried::Ticks | Carried::Samples => {}
+        }
+        Ok(())
+    }
+
+    /// Writes what is due. `speaks`: the shards whose worker is heard.
+    pub(crate) fn write(
+        &mut self,
+        outlets: &mut Outlets,
+        speaks: &[bool],
+    ) -> Result<(), SendError> {
+        let now_ns = clock::monotonic_ns();
+        let is_heard = self.is_heard(speaks, now_ns);
+        let at = (now_ns, self.period_ns());
+        if self.forecasts.is_due((speaks, &is_heard), at) {
+            let own = self.own(self.tick + 1);
+            let merge = &mut self.forecasts;
+            if send(
+                merge,
+                &mut outlets.forecasts,
+                (&is_heard, own),
+                (now_ns, self.capacity),
+            )? {
+                self.tick += 1;
+                outlets
+                    .planners
+                    .wake(WakeEvent::Frame)
+                    .map_err(SendError::Wake)?;
+            }
+        }
+        if self.tick == 0 {
+            return Ok(());
+        }
+        let (own, with) = (self.own(self.tick), (now_ns, self.capacity));
+        if self.diagnostics.is_due((speaks, &is_heard), at) {
+            let heard = (is_heard.as_slice(), own);
+            send(&mut self.diagnostics, &mut outlets.diagnostics, heard, with)?;
+        }
+        if self.budgets.is_due((speaks, &is_heard), at) {
+            let heard = (is_heard.as_slice(), own);
+            send(&mut self.budgets, &mut outlets.budgets, heard, with)?;
+        }
+        if self.plan_states.is_due((speaks, &is_heard), at) {
+            let agree = self.agree(&is_heard, now_ns);
+            let heard = (agree.as_slice(), own);
+            send(&mut self.plan_states, &mut outlets.plan_states, heard, with)?;
+        }
+        Ok(())
+    }
+
+    fn own(&self, tick: u64) -> Own {
+        Own {
+            pid: process_id(),
+            worker_epoch: self.run,
+            tick,
+        }
+    }
+
+    /// That of the slowest worker.
+    fn period_ns(&self) -> u64 {
+        let shards = 0..self.differ.len();
+        let of = |shard| self.forecasts.header(shard).map(|header| header.period_ns);
+        shards.filter_map(of).max().unwrap_or_default()
+    }
+
+    /// The shards whose forecasts are not stale.
+    fn is_heard(&self, speaks: &[bool], now_ns: u64) -> Vec<bool> {
+        let header = |shard: usize| self.forecasts.header(shard);
+        let is_new =
+            |shard| header(shard).is_some_and(|it| is_fresh(it.sent_ns, it.period_ns, now_ns));
+        let shards = speaks.iter().enumerate();
+        shards
+            .map(|(shard, speaks)| *speaks && is_new(shard))
+            .collect()
+    }
+
+    /// Of these, the shards with new plan states, computed with the settings and models of the first: a planner computes with
+    /// one set.
+    fn agree(&mut self, is_heard: &[bool], now_ns: u64) -> Vec<bool> {
+        let header = |shard: usize| self.plan_states.header(shard);
+        let is_new =
+            |shard| header(shard).is_some_and(|it| is_fresh(it.sent_ns, it.period_ns, now_ns));
+        let heard = is_heard.iter().enumerate();
+        let is_heard: Vec<bool> = heard
+            .map(|(shard, heard)| *heard && is_new(shard))
+            .collect();
+        let by =
+            |header: &PlanStateHeader| (header.settings_hash, header.model_hash, header.models);
+        let of = |shard: usize| self.plan_states.header(shard).map(by);
+        let first = (0..is_heard.len()).find(|shard| is_heard[*shard] && of(*shard).is_some());
+        let first = first.and_then(of);
+        let agree = |shard: usize| is_heard[shard] && of(shard) == first;
+        let agree: Vec<bool> = (0..is_heard.len()).map(agree).collect();
+        for (shard, differed) in self.differ.iter_mut().enumerate() {
+            let differs = is_heard[shard] && !agree[shard];
+            if differs && !*differed {
+                let name = &self.shards.all()[shard].name;
+                tracing::warn!(
+                    "shard {name} computes with other settings or models: nobody plans for its robots; use one config"
+                );
+            }
+            *differed = differs;
+        }
+        agree
+    }
+}
+
+const fn is_fresh(sent_ns: u64, period_ns: u64, now_ns: u64) -> bool {
+    now_ns.saturating_sub(sent_ns) <= period_ns.saturating_mul(STALE_PERIODS)
+}
+
+/// The rows that a shard speaks for, with the times of this host.
+fn rows<T: Payload + Instants + Row>(
+    frame: &RawFrame<'_>,
+    offset_ns: i128,
+    is_own: impl Fn(u32) -> bool,
+) -> impl Iterator<Item = T> {
+    let rows = (0..frame.len()).map(|at| frame.element::<T>(at));
+    rows.filter(move |row| is_own(row.robot()))
+        .map(move |mut row| {
+            row.shift(offset_ns);
+            row
+        })
+}
+
+/// Writes a frame; false if there is none.
+fn send<H: Header + Payload, T: Row + Payload>(
+    merge: &mut Merge<H, T>,
+    writer: &mut Writer<H, T>,
+    (is_heard, own): (&[bool], Own),
+    (now_ns, capacity): (u64, usize),
+) -> Result<bool, SendError> {
+    let mut loan = writer.loan_to_fill(merge.len().min(capacity))?;
+    let mut to = loan.payload_mut().iter_mut();
+    let header = merge.write(is_heard, own, now_ns, |row| {
+        // Shards have more robots than this host has room for: those of the last ones are left out.
+        if let Some(to) = to.next() {
+            *to = row;
+        }
+    });
+    let Some(header) = header else {
+        return Ok(false);
+    };
+    *loan.header_mut() = header;
+    loan.send()?;
+    Ok(true)
+}
