@@ -1,6 +1,8 @@
 //! What two links tell each other: pure, without clock, network, thread and shared memory.
 
 pub(crate) mod carried;
+#[cfg(test)]
+mod hostile;
 pub(crate) mod merge;
 pub(crate) mod message;
 pub(crate) mod offset;

@@ -7,6 +7,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use joulebus_test_processes::Child;
+use zenoh::Wait as _;
 
 use crate::host::{FOLLOW, Host, SAMPLES, free_address};
 
@@ -92,6 +93,53 @@ fn only_certificates_of_the_fleets_authority_are_let_in_and_samples_come_under_t
         before = now;
     }
     assert!(frames(&mut link) > 10);
+}
+
+/// Whether a stranger gets a connection, with this certificate and key or with none.
+fn connects(address: &str, authority: &Path, certificate: Option<&str>) -> bool {
+    let mut config = zenoh::Config::default();
+    let mut set = |key: &str, value: String| config.insert_json5(key, &value).unwrap();
+    set("mode", "\"client\"".to_owned());
+    set("connect/endpoints", format!("[\"{address}\"]"));
+    set("connect/timeout_ms", "3000".to_owned());
+    set("connect/exit_on_failure", "true".to_owned());
+    set("scouting/multicast/enabled", "false".to_owned());
+    let file = |name: &str| format!("{:?}", authority.join(name).display().to_string());
+    set(
+        "transport/link/tls/root_ca_certificate",
+        file("fleet-ca.pem"),
+    );
+    if let Some(name) = certificate {
+        set(
+            "transport/link/tls/connect_certificate",
+            file(&format!("{name}.pem")),
+        );
+        set(
+            "transport/link/tls/connect_private_key",
+            file(&format!("{name}.key")),
+        );
+        set("transport/link/tls/enable_mtls", "true".to_owned());
+    }
+    zenoh::open(config).wait().is_ok_and(|session| {
+        let mut peers = session.info().peers_zid().wait();
+        let mut routers = session.info().routers_zid().wait();
+        peers.next().is_some() || routers.next().is_some()
+    })
+}
+
+#[test]
+fn who_shows_no_certificate_gets_no_connection() {
+    let folder = tempfile::tempdir().unwrap();
+    if !certificates(folder.path(), 30, &["base", "desk"]) {
+        return;
+    }
+    let address = free_address().replacen("tcp", "tls", 1);
+    let base = Host::new();
+    let _worker = base.worker();
+    let listen = format!("listen = [\"{address}\"]");
+    let _link = base.link(&file("base", "base", folder.path(), &listen, "[worker]\n"));
+    assert!(connects(&address, folder.path(), Some("desk")));
+    assert!(!connects(&address, folder.path(), None));
 }
 
 /// Samples that the worker has accepted.

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod certificates;
+mod chaos;
 mod host;
 mod local;
 mod namespaces;
@@ -12,9 +13,10 @@ mod shards;
 mod speed;
 mod strangers;
 
-/// Not a test: the entry point of the planners that the tests start.
+/// Not a test: the entry point of the processes that the tests start.
 #[test]
 fn member() {
     planner::run();
+    router::run();
     speed::run();
 }

@@ -1,14 +1,15 @@
 //! Hosts in network namespaces, joined by virtual cables that are cut and have delay. Needs root and `ip`: without them these
 //! tests say so and pass, and with `CI=true` they fail.
 
-use std::process::Command;
+use std::io::{BufRead as _, BufReader};
+use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::host::{FOLLOW, Host, SAMPLES, of_other, of_worker};
 
 /// Some hosts with an address each, on one switch.
-struct Wires {
+pub(crate) struct Wires {
     names: Vec<String>,
     switch: String,
 }
@@ -23,7 +24,7 @@ fn ip(words: &str) -> bool {
 
 impl Wires {
     /// `None` where namespaces cannot be made.
-    fn new(hosts: usize) -> Option<Self> {
+    pub(crate) fn new(hosts: usize) -> Option<Self> {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let prefix = format!(
             "jb{}n{}",
@@ -68,18 +69,50 @@ impl Wires {
         made
     }
 
-    fn address(host: usize) -> String {
+    pub(crate) fn address(host: usize) -> String {
         format!("10.77.0.{}", host + 1)
     }
 
-    fn host(&self, at: usize) -> Host {
+    pub(crate) fn host(&self, at: usize) -> Host {
         Host::within(Some(self.names[at].clone()))
     }
 
+    /// A command on a host.
+    pub(crate) fn within(&self, at: usize, command: Command) -> Command {
+        let mut within = Command::new("ip");
+        within.args(["netns", "exec", &self.names[at]]);
+        within.arg(command.get_program()).args(command.get_args());
+        within
+    }
+
+    /// A further way between the first two hosts: 40 to 60 ms each way, one packet of a hundred lost, the others out of order.
+    fn long_way(&self) -> Way {
+        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/hosts/wan.py");
+        let mut command = Command::new("python3");
+        command.arg(script).args(&self.names[..2]);
+        command.args(["40", "20", "1"]).stdout(Stdio::piped());
+        let mut way = Way(command.spawn().unwrap());
+        let mut line = String::new();
+        let output = way.0.stdout.take().unwrap();
+        BufReader::new(output).read_line(&mut line).unwrap();
+        assert_eq!(line, "open\n");
+        way
+    }
+
     /// Cuts or mends the cable of a host; packets are lost in silence.
-    fn set(&self, host: usize, is_whole: bool) {
+    pub(crate) fn set(&self, host: usize, is_whole: bool) {
         let state = if is_whole { "up" } else { "down" };
         assert!(ip(&format!("-n {} link set p{host} {state}", self.switch)));
+    }
+}
+
+/// The process that passes packets on.
+struct Way(std::process::Child);
+
+impl Drop for Way {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
     }
 }
 
@@ -91,7 +124,7 @@ impl Drop for Wires {
     }
 }
 
-fn listening() -> String {
+pub(crate) fn listening() -> String {
     format!("tcp/{}:7447", Wires::address(0))
 }
 
@@ -140,4 +173,39 @@ fn a_partition_is_told_within_its_bound_and_after_it_all_goes_on_by_itself() {
     assert!(known <= sent, "{known} of {sent}: {report}");
     assert!(dropped > 0, "the cut's samples are counted: {report}");
     assert_eq!((here.stale_files(), there.stale_files()), (vec![], vec![]));
+}
+
+#[test]
+fn over_a_long_way_that_loses_and_reorders_packets_each_frame_comes_once_and_none_looks_fresher() {
+    let Some(wires) = Wires::new(2) else { return };
+    let _way = wires.long_way();
+    let (here, there) = (wires.host(0), wires.host(1));
+    let _worker = here.worker();
+    let address = "tcp/10.78.0.1:7447";
+    let base = here.link(&of_worker(address, &["edge"]));
+    let sides = format!("{SAMPLES}{FOLLOW}");
+    let mut edge = there.link(&of_other("edge", address, &sides));
+    let _robots = there.robots(&["--robots", "3"]);
+    let mut planner = there.planner();
+    planner.fresh_sample();
+    let mut last = (0, 0);
+    for _ in 0..60 {
+        let frame = planner.frame();
+        assert!((frame.epoch, frame.tick) > last, "{last:?} {frame:?}");
+        last = (frame.epoch, frame.tick);
+        // All clocks are this machine's: what was sent over there was sent at least the shortest way ago.
+        let age_ns = frame.read_ns.checked_sub(frame.sent_ns);
+        assert!(
+            age_ns.is_some_and(|age_ns| age_ns >= 40_000_000),
+            "{frame:?}"
+        );
+    }
+    planner.leave();
+    let report = edge.end().json();
+    let taken = &report["taken"][0];
+    assert!(taken["lost"] == 0 && taken["repeated"] == 0, "{report}");
+    // Half the round trip at most, and what the clocks may drift.
+    let uncertainty_s = taken["clock_uncertainty_s"].as_f64().unwrap();
+    assert!((0.0..0.5).contains(&uncertainty_s), "{report}");
+    drop(base);
 }

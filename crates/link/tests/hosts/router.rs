@@ -1,9 +1,12 @@
 //! Links that are clients of a stock zenoh router.
 
-use joulebus_test_processes::Child;
+use joulebus_test_processes::{Child, Member, send_to_test};
 use zenoh::Wait as _;
 
 use crate::host::{FOLLOW, Host, SAMPLES, free_address, of_other};
+use crate::namespaces::Wires;
+
+const ROUTER: &str = "JOULEBUS_LINK_ROUTER";
 
 /// A router of zenoh's own, in this process.
 fn router(address: &str) -> zenoh::Session {
@@ -16,6 +19,17 @@ fn router(address: &str) -> zenoh::Session {
         config.insert_json5(key, &value).unwrap();
     }
     zenoh::open(config).wait().unwrap()
+}
+
+/// The process of a router, until it is killed: the variable has its address.
+pub(crate) fn run() {
+    if let Ok(address) = std::env::var(ROUTER) {
+        let _session = router(&address);
+        send_to_test("open");
+        loop {
+            std::thread::park();
+        }
+    }
 }
 
 fn client(name: &str, address: &str, sides: &str) -> String {
@@ -55,4 +69,35 @@ fn a_client_without_a_router_ends_when_it_is_asked_to() {
     link.wait_for_line("no router answers");
     assert_eq!(link.end().code(), Some(0));
     assert!(host.stale_files().is_empty());
+}
+
+#[test]
+fn three_hosts_with_a_router_on_a_fourth_go_on_after_it_was_killed_and_cut_off() {
+    let Some(wires) = Wires::new(4) else { return };
+    let address = format!("tcp/{}:7447", Wires::address(3));
+    let route = || {
+        let mut command = wires.within(3, Member::command());
+        command.env(ROUTER, &address);
+        let mut router = Member::spawn("router", command);
+        assert_eq!(router.next_line(), "open");
+        router
+    };
+    let first = route();
+    let (here, robots, desk) = (wires.host(0), wires.host(1), wires.host(2));
+    let _worker = here.worker();
+    let take = "[worker]\n[[worker.take]]\nfrom = \"edge\"\n";
+    let _base = here.link(&client("base", &address, take));
+    let _edge = robots.link(&client("edge", &address, SAMPLES));
+    let _desk = desk.link(&client("desk", &address, FOLLOW));
+    let _robots = robots.robots(&["--robots", "3"]);
+    let mut planner = desk.planner();
+    planner.fresh_sample();
+    first.kill();
+    assert_eq!(planner.gone(), "Unreachable");
+    let _second = route();
+    planner.fresh_sample();
+    wires.set(3, false);
+    assert_eq!(planner.gone(), "Unreachable");
+    wires.set(3, true);
+    planner.fresh_sample();
 }
