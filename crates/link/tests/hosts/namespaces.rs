@@ -78,7 +78,7 @@ impl Wires {
     }
 
     /// A command on a host.
-    pub(crate) fn within(&self, at: usize, command: Command) -> Command {
+    pub(crate) fn within(&self, at: usize, command: &Command) -> Command {
         let mut within = Command::new("ip");
         within.args(["netns", "exec", &self.names[at]]);
         within.arg(command.get_program()).args(command.get_args());

@@ -76,7 +76,7 @@ fn three_hosts_with_a_router_on_a_fourth_go_on_after_it_was_killed_and_cut_off()
     let Some(wires) = Wires::new(4) else { return };
     let address = format!("tcp/{}:7447", Wires::address(3));
     let route = || {
-        let mut command = wires.within(3, Member::command());
+        let mut command = wires.within(3, &Member::command());
         command.env(ROUTER, &address);
         let mut router = Member::spawn("router", command);
         assert_eq!(router.next_line(), "open");
