@@ -8,10 +8,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use serde::Serialize;
 
-use crate::Failure;
 use crate::scenario::Scenario;
 use crate::shrink::shrink;
 use crate::world::{Outcome, run};
+use crate::{Failure, Grown};
 
 const HOUR_NS: f64 = 3_600e9;
 
@@ -55,6 +55,8 @@ pub struct Totals {
     pub questions: u64,
     /// Answers and ledgers compared with undisturbed runs.
     pub answers: u64,
+    /// By how much processes of each kind have grown at most, bytes.
+    pub grown_bytes: Grown,
     /// Seeds that failed.
     pub failed: Vec<Failed>,
 }
@@ -85,6 +87,7 @@ impl Totals {
         self.verified_ticks += outcome.verified_ticks;
         self.questions += outcome.questions;
         self.answers += outcome.answers;
+        self.grown_bytes.take(&outcome.grown);
     }
 }
 
@@ -100,6 +103,12 @@ impl fmt::Display for Totals {
             "{} captures with {} ticks computed again, {} answers compared with undisturbed runs, {} questions \
              answered",
             self.captures, self.verified_ticks, self.answers, self.questions
+        )?;
+        let grown = &self.grown_bytes;
+        writeln!(
+            out,
+            "processes have grown by at most: worker {}, source {}, planner {}, client {}, recorder {} bytes",
+            grown.worker, grown.source, grown.planner, grown.client, grown.recorder
         )?;
         for failed in &self.failed {
             writeln!(out, "{failed}")?;

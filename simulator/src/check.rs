@@ -12,11 +12,12 @@ use simulated_capture::Reader;
 use simulated_capture::record::{Options, Summary};
 use simulated_capture::verify::Verifier;
 use simulated_config::Config;
+use simulated_consumer::End;
 use simulated_host::{self as host, disk, time};
 
 use simulated_plan::Answered;
 
-use crate::process::{FALSE_ROBOT, is_constant, is_possible, power_w};
+use crate::process::{FALSE_ROBOT, Learned, Place, is_constant, is_possible, power_w};
 use crate::scenario::Setup;
 
 /// Pid of the process that observes.
@@ -45,6 +46,13 @@ pub(crate) fn failure(invariant: &'static str, found: String) -> Failure {
         found,
         at_ns: time::now_ns(),
     }
+}
+
+fn remember<T>(all: &mut VecDeque<T>, next: T) {
+    if all.len() == REMEMBERED {
+        all.pop_front();
+    }
+    all.push_back(next);
 }
 
 fn ensure(holds: bool, invariant: &'static str, found: impl FnOnce() -> String) -> Checked {
@@ -99,6 +107,20 @@ struct Account {
     history: VecDeque<(u64, u64)>,
 }
 
+/// How a worker has ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Ending {
+    /// It shut down.
+    InOrder,
+    /// It was killed.
+    Killed,
+    /// It was killed while it shut down.
+    Between,
+}
+
+/// Frames, and ends of workers, that are remembered.
+const REMEMBERED: usize = 4_096;
+
 /// Observes a fleet.
 pub(crate) struct Checker {
     setup: Setup,
@@ -111,6 +133,10 @@ pub(crate) struct Checker {
     accounts: BTreeMap<u32, Account>,
     /// Frames of budgets so far.
     frames: u64,
+    /// Run and tick of the last frames of forecasts.
+    sent: VecDeque<(u64, u64)>,
+    /// The last runs, and how they have ended.
+    ends: VecDeque<(u64, Ending)>,
     /// Until then more of the ledger may be lost than promised.
     excused_until_ns: u64,
     /// Until then sources appear that are not always there.
@@ -140,6 +166,8 @@ impl Checker {
             last_epoch: 0,
             accounts: BTreeMap::new(),
             frames: 0,
+            sent: VecDeque::new(),
+            ends: VecDeque::new(),
             excused_until_ns: 0,
             irregular_until_ns: 0,
             is_rebooted: false,
@@ -204,9 +232,15 @@ impl Checker {
         });
     }
 
+    /// The run of the worker, once it has sent a frame.
+    pub(crate) fn run(&self) -> Option<u64> {
+        self.life.as_ref()?.place.map(|(run, _)| run)
+    }
+
     /// Returns the run of the worker that has ended, if it has sent a frame.
-    pub(crate) fn worker_ends(&mut self) -> Option<u64> {
+    pub(crate) fn worker_ends(&mut self, ending: Ending) -> Option<u64> {
         let (run, _) = self.life.take()?.place?;
+        remember(&mut self.ends, (run, ending));
         let lives = self.lives;
         for account in self
             .accounts
@@ -218,6 +252,35 @@ impl Checker {
         Some(run)
     }
 
+    /// No frame was sent between two that a planner has read one after the other.
+    pub(crate) fn none_between(&self, before: Place, after: Place) -> Checked {
+        let is_missing = |(run, tick): &&(u64, u64)| {
+            (*run, *run) == (before.1, after.1) && before.2 < *tick && *tick < after.2
+        };
+        let missing = self.sent.iter().find(is_missing);
+        ensure(
+            missing.is_none(),
+            "planners that poll see every frame",
+            || format!("{after:?} after {before:?}: {missing:?} is missing"),
+        )
+    }
+
+    /// A planner that polls tells a shutdown of the run `followed` from a death.
+    pub(crate) fn end_is_told(&self, learned: &Learned, followed: Option<u64>) -> Checked {
+        let (Some(end), Some(followed), true) = (learned.end, followed, learned.polls) else {
+            return Ok(());
+        };
+        let ending = self.ends.iter().find(|(run, _)| *run == followed);
+        let expected = match ending {
+            Some((_, Ending::InOrder)) => End::Ended,
+            Some((_, Ending::Killed)) => End::Exited,
+            Some((_, Ending::Between)) | None => return Ok(()),
+        };
+        ensure(end == expected, "a shutdown is told from a death", || {
+            format!("run {followed}, {ending:?}: {end:?}, expected {expected:?}")
+        })
+    }
+
     /// The newest frame of the source `name` that was taken.
     pub(crate) fn newest_of(&self, name: &str) -> Option<SampleHeader> {
         self.newest_of.get(&fnv1a(name.bytes())).copied()
@@ -225,6 +288,8 @@ impl Checker {
 
     pub(crate) fn reboots(&mut self) {
         (self.last_epoch, self.is_rebooted) = (0, true);
+        // Runs are numbered by the time since the start of the machine.
+        (self.sent, self.ends) = (VecDeque::new(), VecDeque::new());
     }
 
     /// Until `until_ns` the disk or the worker is hindered: what a kill loses is not bounded.
@@ -315,6 +380,7 @@ impl Checker {
             )
         })?;
         (life.place, self.last_epoch) = (Some(place), place.0);
+        remember(&mut self.sent, place);
         let counted = header
             .samples_accepted
             .saturating_add(header.samples_dropped.total());

@@ -5,14 +5,18 @@
 //! `simulator/predictor-worker` and so on have the sources of `crates/`). They run as state machines;
 //! between any two of their operations anything may happen to them ([`scenario::Fault`]), and what must hold
 //! is checked after each step ([`world::run`]).
-#![forbid(unsafe_code)]
+#![deny(unsafe_code)]
 
+mod allocator;
 pub mod campaign;
 mod check;
+mod grown;
 mod hostile;
+mod ledger;
 mod process;
 pub mod scenario;
 pub mod shrink;
 pub mod world;
 
 pub use check::Failure;
+pub use grown::Grown;

@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use joulebus_wire::Sample;
+use joulebus_wire::{Forecast, ForecastHeader, Sample};
 use simulated_capture::record::{Options, Recorder, Summary, Target};
 use simulated_capture::{Attachments, CaptureSettings, Clock, Preset};
 use simulated_config::Config;
-use simulated_consumer::{BudgetFeed, DiagnosticFeed, Event, PlanStateFeed, Planner};
+use simulated_consumer::{BudgetFeed, DiagnosticFeed, End, Event, PlanStateFeed, Planner};
 use simulated_host::{self as host, time};
 use simulated_plan::{Answered, ClientError, Plan, PlanClient, QueryError, Question, Reply};
 use simulated_plan_server::{PlanServer, QueryReport};
@@ -46,11 +46,19 @@ pub(crate) enum Heard {
     TimedOut(u64),
 }
 
+/// A frame: the process, run and tick of its worker.
+pub(crate) type Place = (u32, u64, u64);
+
 /// What a planner learned in a step.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Learned {
-    /// The worker of which it has the newest frame.
-    pub frame_of: Option<(u32, u64, u64)>,
+    /// It polls; and the longest time between two looks.
+    pub polls: bool,
+    pub every_ns: u64,
+    /// Frames that it has read.
+    pub frames: Vec<Place>,
+    /// How the worker has ended.
+    pub end: Option<End>,
     /// The worker has ended, or is silent.
     pub is_worse: bool,
     /// A frame that the worker did not send.
@@ -202,34 +210,60 @@ pub(crate) struct PlannerProgram {
     diagnostics: DiagnosticFeed,
     budgets: BudgetFeed,
     plan_states: PlanStateFeed,
+    polls: bool,
     every_ns: u64,
 }
 
 impl PlannerProgram {
-    pub(crate) fn open(config: &Config, setup: &Setup) -> Option<Self> {
-        let planner = Planner::with_config(config, "planner").ok()?;
+    /// Planner `number` of the fleet: the first one polls if the setup says so.
+    pub(crate) fn open(config: &Config, setup: &Setup, number: usize) -> Option<Self> {
+        let poll_every = (number == 0 && setup.poll_every_ns > 0)
+            .then(|| Duration::from_nanos(setup.poll_every_ns));
+        let planner = match poll_every {
+            Some(every) => Planner::polling(config, "planner", every).ok()?,
+            None => Planner::with_config(config, "planner").ok()?,
+        };
+        let looks = planner.look_every();
         Some(Self {
+            polls: looks.is_some(),
+            every_ns: looks.map_or(LOOK_EVERY_NS.max(setup.period_ns / 2), |every| {
+                every.as_nanos() as u64
+            }),
             diagnostics: planner.diagnostics().ok()?,
             budgets: planner.budgets().ok()?,
             plan_states: planner.plan_states().ok()?,
             planner,
-            every_ns: LOOK_EVERY_NS.max(setup.period_ns / 2),
         })
     }
 
     fn step(&mut self) -> Stepped {
-        let mut learned = Learned::default();
-        match self.planner.wait_next(Duration::ZERO) {
-            Ok(Event::Frame(frame)) => {
-                let header = frame.header();
-                learned.frame_of = Some((header.pid, header.worker_epoch, header.tick));
-                learned.is_false = frame.robots().iter().any(|row| row.robot == FALSE_ROBOT);
-            }
-            Ok(Event::Gone(_) | Event::Stale { .. }) => learned.is_worse = true,
+        let mut learned = Learned {
+            polls: self.polls,
+            every_ns: self.every_ns,
+            ..Learned::default()
+        };
+        let mut note = |header: &ForecastHeader, robots: &[Forecast]| {
+            learned
+                .frames
+                .push((header.pid, header.worker_epoch, header.tick));
+            learned.is_false |= robots.iter().any(|row| row.robot == FALSE_ROBOT);
+        };
+        let event = if self.polls {
+            self.planner.wait_each(Duration::ZERO, note)
+        } else {
+            self.planner.wait_next(Duration::ZERO).inspect(|event| {
+                if let Event::Frame(frame) = event {
+                    note(frame.header(), frame.robots());
+                }
+            })
+        };
+        match event {
+            Ok(Event::Gone(end)) => (learned.is_worse, learned.end) = (true, Some(end)),
+            Ok(Event::Stale { .. }) => learned.is_worse = true,
             Ok(_) => {}
             Err(error) => return Stepped::Ended(error.to_string()),
         }
-        if learned.frame_of.is_some() {
+        if !learned.frames.is_empty() {
             if let Ok(Some(frame)) = self.diagnostics.latest() {
                 learned.is_false |= frame.robots().iter().any(|row| row.robot == FALSE_ROBOT);
             }

@@ -26,6 +26,10 @@ pub enum Role {
 pub enum Fault {
     /// A process dies in its n-th operation from then.
     Kill(Role, u64),
+    /// A process dies in its n-th access to the disk from then, and the next one in its place in the m-th.
+    KillAtDisk(Role, u64, u64),
+    /// A process dies in its n-th access to the disk from then, because the power fails, for a time.
+    PowerLossAtDisk(Role, u64, u64),
     /// A process is asked to end.
     End(Role),
     /// A process is stopped, for a time.
@@ -76,6 +80,8 @@ pub struct Setup {
     pub sources: usize,
     /// Planners.
     pub planners: usize,
+    /// How often the first planner looks for forecasts, ns; 0: each tick wakes it.
+    pub poll_every_ns: u64,
     /// Clients that ask the worker about plans.
     pub clients: usize,
     /// Whether there is a recorder.
@@ -159,6 +165,7 @@ impl Setup {
             robots: if is_long { 1 } else { 1 + noise.below(3) },
             sources: if is_long { 2 } else { 1 + noise.below(3) },
             planners: 1 + noise.below(2),
+            poll_every_ns: 0,
             clients: 0,
             records: !is_long && noise.below(3) == 0,
             period_ns,
@@ -229,6 +236,12 @@ impl Scenario {
         let mut asking = Noise::new(seed, 3);
         setup.clients = if is_long { 0 } else { asking.below(4) };
         faults.extend(faults_of_clients(&mut asking, &setup, duration_ns));
+        faults.extend(faults_at_the_disk(
+            &mut Noise::new(seed, 4),
+            &setup,
+            duration_ns,
+        ));
+        setup.poll_every_ns = polling(&mut Noise::new(seed, 5), &setup, is_long);
         // Whoever comes first owns a robot, and starts while there is memory: source 0, if nothing is to happen to it.
         let begin_ns = if setup.everything {
             0
@@ -314,6 +327,44 @@ fn forgeries(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planned>
             faults.push(((at_s * 1e9) as u64, Fault::Forged(source, frames)));
         }
     }
+}
+
+/// In one seed of four, kills and power failures in the middle of what is being written.
+fn faults_at_the_disk(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planned> {
+    let duration_s = duration_ns as f64 * 1e-9;
+    let mean_s = f64::max(3.0 * setup.save_every_ns as f64 * 1e-9, duration_s / 100.0);
+    let mut faults = Vec::new();
+    let mut at_s = 0.0;
+    if noise.below(4) > 0 || !setup.everything {
+        return faults;
+    }
+    loop {
+        at_s += noise.waiting_s(mean_s);
+        if at_s >= duration_s {
+            return faults;
+        }
+        let is_recorder = setup.records && noise.below(4) == 0;
+        let role = if is_recorder {
+            Role::Recorder
+        } else {
+            Role::Worker
+        };
+        let accesses = 1 + noise.below(12) as u64;
+        let fault = match noise.below(3) {
+            0 => Fault::PowerLossAtDisk(role, accesses, (1 + noise.below(9)) as u64 * SECOND),
+            // The next one reads before it writes.
+            _ => Fault::KillAtDisk(role, accesses, 1 + noise.below(18) as u64),
+        };
+        faults.push(((at_s * 1e9) as u64, fault));
+    }
+}
+
+/// How often the first planner looks, in one seed of two; 0: it does not poll.
+fn polling(noise: &mut Noise, setup: &Setup, is_long: bool) -> u64 {
+    if is_long || noise.below(2) == 0 {
+        return 0;
+    }
+    [10 * MS, setup.period_ns / 2, setup.period_ns, 10 * SECOND][noise.below(4)]
 }
 
 /// Faults of clients, and questions of strangers, at random times.

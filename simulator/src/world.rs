@@ -1,5 +1,6 @@
 //! Runs a scenario.
 
+use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -7,10 +8,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use joulebus_predictor::Model;
 use simulated_bus as bus;
 use simulated_config::Config;
-use simulated_host::{self as host, disk, time};
+use simulated_host::{self as host, disk, memory, time};
 
-use crate::check::{Answers, Checked, Checker, Failure, failure};
+use crate::check::{Answers, Checked, Checker, Ending, Failure, failure};
+use crate::grown::{self, Grown};
 use crate::hostile;
+use crate::ledger::{LEDGER, damage, newest_whole};
 use crate::process::{
     self, ClientProgram, Finished, Heard, LOOK_EVERY_NS, Learned, PlannerProgram, Program,
     SourceProgram, Stepped,
@@ -18,8 +21,6 @@ use crate::process::{
 use crate::scenario::{Fault, Role, Scenario};
 
 const SECOND: u64 = 1_000_000_000;
-/// The ledger of the fleet.
-const LEDGER: &str = "/sim/ledger.json";
 /// Files of others beside it.
 const FOREIGN: [&str; 3] = [
     "/sim/ledger.json.mine",
@@ -27,7 +28,7 @@ const FOREIGN: [&str; 3] = [
     "/sim/captures/other.mcap",
 ];
 /// Pids are reused after so many processes.
-const PIDS: std::ops::Range<u32> = 100..140;
+const PIDS: std::ops::Range<u32> = host::FIRST_PID..host::FIRST_PID + 40;
 /// The robot of the source that joins last.
 const LAST_ROBOT: u32 = 900_001;
 
@@ -50,6 +51,8 @@ pub struct Outcome {
     pub questions: u64,
     /// Answers compared with those of an undisturbed run.
     pub answers: u64,
+    /// By how much processes have grown at most.
+    pub grown: Grown,
     /// The first invariant that did not hold.
     pub failure: Option<Failure>,
     /// It was stopped before its end: it says nothing.
@@ -75,9 +78,19 @@ struct Slot {
     blind_until_ns: u64,
     /// When a visitor leaves.
     until_ns: u64,
+    /// Accesses to the disk after which it dies, of its next lives.
+    kills_at_disk: VecDeque<u64>,
+    /// The power fails for so long when it dies.
+    power_loss_ns: u64,
+    /// What it had allocated when it began its work, bytes.
+    opened_bytes: i64,
     /// A planner: the worker of which it has frames; and until when it must have learned of its end.
     follows: Option<(u32, u64, u64)>,
     learn_until_ns: u64,
+    /// A planner: the run of the worker, if it was running when the planner had its first frame.
+    watched: Option<u64>,
+    /// When it looked last, simulated ns.
+    looked_ns: u64,
     /// A planner: it was told not to rely on the newest frame.
     is_warned: bool,
     /// Why it did not start, or ended, the last time.
@@ -95,6 +108,10 @@ struct World<'a> {
     woken: Vec<u32>,
     disk_until_ns: u64,
     memory_until_ns: u64,
+    /// A process has died with which the power fails, for so long.
+    power_loss_ns: u64,
+    /// The newest generation of the ledger that was whole when a worker ended.
+    saved: u64,
     /// When a worker has ended last, simulated ns.
     worker_ended_ns: u64,
     /// Questions that clients were answered in the life of this worker.
@@ -193,6 +210,17 @@ fn run_once(scenario: &Scenario, stop: &AtomicBool) -> (Outcome, Answers) {
     (outcome, answers)
 }
 
+impl Slot {
+    /// The process that runs dies in its next access to the disk for which that was asked.
+    fn is_killed_at_disk(&mut self) {
+        if self.pid != 0
+            && let Some(accesses) = self.kills_at_disk.pop_front()
+        {
+            host::kill_at_disk(self.pid, accesses);
+        }
+    }
+}
+
 impl<'a> World<'a> {
     fn new(
         scenario: &'a Scenario,
@@ -215,6 +243,8 @@ impl<'a> World<'a> {
             woken: Vec::new(),
             disk_until_ns: 0,
             memory_until_ns: 0,
+            power_loss_ns: 0,
+            saved: 0,
             worker_ended_ns: 0,
             answered: 0,
             outcome: Outcome::default(),
@@ -273,8 +303,13 @@ impl<'a> World<'a> {
             slow_until_ns: 0,
             blind_until_ns: 0,
             until_ns: u64::MAX,
+            kills_at_disk: VecDeque::new(),
+            power_loss_ns: 0,
+            opened_bytes: 0,
             follows: None,
             learn_until_ns: u64::MAX,
+            watched: None,
+            looked_ns: 0,
             is_warned: false,
             last: String::new(),
         });
@@ -284,11 +319,7 @@ impl<'a> World<'a> {
         let scenario = self.scenario;
         for (_, (at_ns, fault)) in &scenario.faults {
             self.run_until(*at_ns)?;
-            if let Fault::PowerLoss(_) = fault {
-                self.power_loss(*fault)?;
-            } else {
-                self.happens(*fault)?;
-            }
+            self.happens(*fault)?;
             self.outcome.faults += 1;
         }
         self.run_until(scenario.duration_ns)?;
@@ -301,7 +332,10 @@ impl<'a> World<'a> {
         let setup = &self.scenario.setup;
         let (settle_ns, period_ns) = (setup.settle_ns(), setup.period_ns);
         // What was asked for and has not happened yet does not happen any more.
-        host::kill_in(0, 0);
+        host::spare_all();
+        for slot in &mut self.slots {
+            (slot.kills_at_disk, slot.power_loss_ns) = (VecDeque::new(), 0);
+        }
         let visitors_ns = self.slots.iter().filter(|slot| slot.role.is_none());
         let last_ns = visitors_ns.map(|slot| slot.until_ns).max().unwrap_or(0);
         let paused_ns = self
@@ -436,6 +470,10 @@ impl<'a> World<'a> {
                 self.outcome.is_stopped = true;
                 return Err(failure("it runs to its end", "it was stopped".to_owned()));
             }
+            if self.power_loss_ns > 0 {
+                let for_ns = std::mem::take(&mut self.power_loss_ns);
+                self.power_loss(for_ns)?;
+            }
             let due = (0..self.slots.len())
                 .map(|slot| (self.due_ns(slot), slot))
                 .min();
@@ -525,7 +563,7 @@ impl<'a> World<'a> {
             }
             Ok(Some(Stepped::Learned(wake_ns, learned))) => {
                 slot.wake_ns = wake_ns;
-                self.learns(place, learned)?;
+                self.learns(place, &learned)?;
             }
             Ok(Some(Stepped::Asked(wake_ns, heard))) => {
                 slot.wake_ns = deadline_ns.map_or(wake_ns, time::simulated_ns);
@@ -544,6 +582,25 @@ impl<'a> World<'a> {
         if is_worker && thread.is_none() {
             self.checker.observe()?;
         }
+        self.memory_is_bounded(place)
+    }
+
+    /// A process allocates at most so much more than when it began its work.
+    fn memory_is_bounded(&mut self, place: usize) -> Checked {
+        let slot = &self.slots[place];
+        let Some(program) = &slot.program else {
+            return Ok(());
+        };
+        let bytes = memory::live(slot.pid) - slot.opened_bytes;
+        let most_bytes = grown::most_bytes(program, &self.scenario.setup);
+        if bytes > most_bytes {
+            let found = format!(
+                "{} has grown by {bytes} bytes, allowed are {most_bytes}",
+                slot.name
+            );
+            return Err(failure("memory is bounded", found));
+        }
+        self.outcome.grown.note(program, bytes);
         Ok(())
     }
 
@@ -565,7 +622,9 @@ impl<'a> World<'a> {
         match heard {
             Heard::Nothing => Ok(()),
             Heard::Answer(answered) => {
-                self.answered += 1;
+                // One of the worker before may be found late.
+                let is_its = self.checker.run() == Some(answered.worker_epoch);
+                self.answered += u64::from(is_its);
                 self.outcome.questions += 1;
                 self.checker.answered(answered)
             }
@@ -577,20 +636,29 @@ impl<'a> World<'a> {
         }
     }
 
-    fn learns(&mut self, place: usize, learned: Learned) -> Checked {
+    fn learns(&mut self, place: usize, learned: &Learned) -> Checked {
         if learned.is_false {
             let found = "a planner believes a false frame".to_owned();
             return Err(failure("only the worker is believed", found));
         }
         let slot = &mut self.slots[place];
-        if let Some(frame) = learned.frame_of {
-            let before = slot.follows.replace(frame);
+        let looked_ns = std::mem::replace(&mut slot.looked_ns, time::now_ns());
+        for frame in &learned.frames {
+            let before = slot.follows.replace(*frame);
+            if before.is_none_or(|before| before.1 != frame.1) {
+                slot.watched = (self.checker.run() == Some(frame.1)).then_some(frame.1);
+            }
             if before.is_some_and(|(_, run, tick)| (frame.1, frame.2) <= (run, tick)) {
                 let found = format!("a planner has frame {frame:?} after {before:?}");
                 return Err(failure("planners see runs and ticks in order", found));
             }
+            let is_late = time::now_ns() - looked_ns > 2 * learned.every_ns;
+            if let Some(before) = before.filter(|_| learned.polls && !is_late) {
+                self.checker.none_between(before, *frame)?;
+            }
         }
-        if learned.is_worse || learned.frame_of.is_some() {
+        self.checker.end_is_told(learned, slot.watched)?;
+        if learned.is_worse || !learned.frames.is_empty() {
             slot.learn_until_ns = u64::MAX;
             slot.is_warned = learned.is_worse;
         } else if time::now_ns() > slot.learn_until_ns {
@@ -610,11 +678,13 @@ impl<'a> World<'a> {
         let slot = &mut self.slots[place];
         (slot.pid, slot.last_pid) = (pid, pid);
         slot.cost_ns = host::USUAL_COST_NS;
-        (slot.follows, slot.learn_until_ns, slot.is_warned) = (None, u64::MAX, false);
+        (slot.follows, slot.watched) = (None, None);
+        (slot.learn_until_ns, slot.is_warned) = (u64::MAX, false);
         host::begin_life(pid);
         if slot.blind_until_ns > time::now_ns() {
             host::take_descriptors(pid, true);
         }
+        slot.is_killed_at_disk();
         if slot.role == Some(Role::Worker) {
             self.checker.worker_begins(pid);
             self.answered = 0;
@@ -627,7 +697,7 @@ impl<'a> World<'a> {
             Some(Role::Worker) => process::worker(config)
                 .map_err(|error| slot.last = error)
                 .ok(),
-            Some(Role::Planner(_)) => PlannerProgram::open(config, setup)
+            Some(Role::Planner(number)) => PlannerProgram::open(config, setup, number)
                 .map(|planner| Program::Planner(Box::new(planner))),
             Some(Role::Client(_)) => {
                 ClientProgram::open(config, setup).map(|client| Program::Client(Box::new(client)))
@@ -639,6 +709,7 @@ impl<'a> World<'a> {
             }
         }));
         let _ = host::leave();
+        slot.opened_bytes = memory::live(pid);
         slot.program = match opened {
             Ok(program) => program,
             Err(panic) => match process::cause(panic) {
@@ -652,7 +723,7 @@ impl<'a> World<'a> {
                 self.checker.observe()?;
             }
             let path = format!("/sim/captures/{number}-");
-            self.gone(place);
+            self.gone(place, Ending::Killed)?;
             return self.checker.capture(&path, None);
         }
         if self.slots[place].role == Some(Role::Worker) {
@@ -699,7 +770,7 @@ impl<'a> World<'a> {
         host::remove_threads(pid);
         drop(program);
         let _ = host::leave();
-        self.gone(place);
+        self.gone(place, Ending::Killed)?;
         match capture {
             Some(path) => self.checker.capture(&path, None),
             None => Ok(()),
@@ -721,9 +792,11 @@ impl<'a> World<'a> {
         let _ = host::leave();
         let pid = slot.pid;
         let is_worker = slot.role == Some(Role::Worker);
+        let mut ending = Ending::InOrder;
         let finished = match finished.map_err(process::cause) {
             Ok(finished) => finished,
             Err(Ok(_)) => {
+                ending = Ending::Between;
                 if is_worker {
                     self.checker.observe()?;
                 }
@@ -738,7 +811,7 @@ impl<'a> World<'a> {
             self.checker.observe()?;
         }
         self.deliver();
-        self.gone(place);
+        self.gone(place, ending)?;
         let recorded = match finished {
             Finished::Answered(report) if report.answered < self.answered => {
                 let found = format!(
@@ -757,7 +830,7 @@ impl<'a> World<'a> {
     }
 
     /// The process of a place is gone; it is started again.
-    fn gone(&mut self, place: usize) {
+    fn gone(&mut self, place: usize, ending: Ending) -> Checked {
         let now_ns = time::now_ns();
         let slot = &mut self.slots[place];
         bus::remove_process(slot.pid);
@@ -769,14 +842,27 @@ impl<'a> World<'a> {
         if slot.role.is_none() {
             slot.start_ns = u64::MAX;
         }
-        if slot.role == Some(Role::Worker) {
-            self.worker_ended_ns = now_ns;
+        self.power_loss_ns = self
+            .power_loss_ns
+            .max(std::mem::take(&mut slot.power_loss_ns));
+        if slot.role != Some(Role::Worker) {
+            return Ok(());
         }
-        if slot.role == Some(Role::Worker)
-            && let Some(run) = self.checker.worker_ends()
-        {
+        self.worker_ended_ns = now_ns;
+        if let Some(run) = self.checker.worker_ends(ending) {
             self.planners_must_learn(run);
         }
+        self.ledger_is_kept(newest_whole(disk::peek))
+    }
+
+    /// The newest ledger that was whole when a worker ended is still there, or a newer one: `found` is.
+    fn ledger_is_kept(&mut self, found: u64) -> Checked {
+        let before = std::mem::replace(&mut self.saved, found);
+        if found >= before {
+            return Ok(());
+        }
+        let found = format!("generation {before} was on the disk, the newest whole one is {found}");
+        Err(failure("the newest saved ledger is kept", found))
     }
 
     /// Each planner that runs and has frames of the worker's run `ended` must learn of its end.
@@ -814,6 +900,19 @@ impl<'a> World<'a> {
             Fault::Kill(role, operations) => {
                 let pid = self.slots[self.slot(role)].pid;
                 host::kill_in(pid, operations);
+            }
+            Fault::KillAtDisk(role, accesses, of_next) => {
+                let place = self.slot(role);
+                let slot = &mut self.slots[place];
+                slot.kills_at_disk.extend([accesses, of_next]);
+                slot.is_killed_at_disk();
+            }
+            Fault::PowerLossAtDisk(role, accesses, for_ns) => {
+                let place = self.slot(role);
+                let slot = &mut self.slots[place];
+                slot.kills_at_disk.push_front(accesses);
+                slot.power_loss_ns = for_ns;
+                slot.is_killed_at_disk();
             }
             Fault::End(role) => return self.ends(self.slot(role)),
             Fault::Pause(role, for_ns) => {
@@ -862,6 +961,7 @@ impl<'a> World<'a> {
                 self.dies(worker)?;
                 self.checker.excuse(now_ns + every_ns);
                 damage(bits);
+                self.saved = newest_whole(disk::peek);
             }
             Fault::Flood(source, frames) => {
                 let place = self.slot(Role::Source(source));
@@ -912,16 +1012,13 @@ impl<'a> World<'a> {
                     .is_irregular(now_ns + (periods + 1) * period_ns);
                 self.visitor(name, robots, now_ns, now_ns + periods * period_ns);
             }
-            Fault::PowerLoss(_) => {}
+            Fault::PowerLoss(for_ns) => return self.power_loss(for_ns),
         }
         Ok(())
     }
 
     /// All processes end at once, and the machine starts again.
-    fn power_loss(&mut self, fault: Fault) -> Checked {
-        let Fault::PowerLoss(for_ns) = fault else {
-            return Ok(());
-        };
+    fn power_loss(&mut self, for_ns: u64) -> Checked {
         for place in 0..self.slots.len() {
             if self.slots[place].role == Some(Role::Worker) {
                 self.checker.observe()?;
@@ -933,11 +1030,14 @@ impl<'a> World<'a> {
             drop(program);
             let _ = host::leave();
             if slot.pid != 0 {
-                self.gone(place);
+                self.gone(place, Ending::Killed)?;
             }
         }
         self.slots.retain(|slot| slot.role.is_some());
+        self.power_loss_ns = 0;
+        self.saved = newest_whole(disk::peek_durable);
         disk::lose_power();
+        self.ledger_is_kept(newest_whole(disk::peek))?;
         bus::begin();
         time::pass(for_ns);
         time::boot();
@@ -966,29 +1066,4 @@ impl<'a> World<'a> {
         }
         let _ = host::leave();
     }
-}
-
-/// Changes a bit of the newest ledger.
-fn damage(bits: u64) {
-    let path = Path::new(LEDGER);
-    if let Some(mut bytes) = disk::peek(path)
-        && !bytes.is_empty()
-        && has_another_generation(&bytes)
-    {
-        let place = bits as usize % bytes.len();
-        bytes[place] ^= 1 << (bits >> 61);
-        disk::put(path, bytes);
-    }
-}
-
-/// Whether the newest ledger is not the only one: of the only one an operator has to be asked. There is one
-/// before it, unless that was damaged too.
-fn has_another_generation(newest: &[u8]) -> bool {
-    let content = serde_json::from_slice::<serde_json::Value>(newest).unwrap_or_default();
-    let is_first = content["generation"]
-        .as_u64()
-        .is_none_or(|number| number < 2);
-    let is_aside = |path: &PathBuf| path.to_string_lossy().contains(".damaged-");
-    let older = PathBuf::from(format!("{LEDGER}.older"));
-    disk::peek(&older).is_some() || !(is_first || disk::names().iter().any(is_aside))
 }

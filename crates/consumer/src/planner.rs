@@ -164,6 +164,15 @@ impl Planner {
         })
     }
 
+    /// Longest time between two looks of a planner that polls; `None` for one that every tick wakes.
+    #[must_use]
+    pub const fn look_every(&self) -> Option<Duration> {
+        match &self.waiting {
+            Waiting::Listening(_) => None,
+            Waiting::Polling(polling) => Some(Duration::from_nanos(polling.every_ns)),
+        }
+    }
+
     /// Waits until there is a frame that was not returned before, the worker ends or is stale, a
     /// signal arrives, or `timeout` is over. Of several frames it returns the newest; skipped ones
     /// are counted in [`Forecasts::arrival`]. A frame takes precedence over the other events.

@@ -2,7 +2,9 @@
 //! of all of it.
 //!
 //! `ledger.json` is the newest, `ledger.json.older` the previous one. A new one is written to a
-//! temporary file and renamed, so that a kill or power failure at any point leaves two intact ones.
+//! temporary file, `ledger.json.new`, and renamed, so that a kill or power failure at any point leaves two intact
+//! ones. Cut off before its last rename, the temporary file is the newest generation: the next save renames it
+//! before it writes another, whoever does it.
 
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
@@ -92,7 +94,10 @@ pub enum LedgerFileError {
 #[derive(Debug, Clone)]
 pub(crate) struct LedgerFiles {
     newest: PathBuf,
+    /// That of the newest whole file.
     generation: u64,
+    /// The newest whole file is the temporary one.
+    is_unfinished: bool,
 }
 
 /// Why a file is not valid.
@@ -106,6 +111,7 @@ impl LedgerFiles {
         Self {
             newest: path.to_owned(),
             generation: 0,
+            is_unfinished: false,
         }
     }
 
@@ -152,6 +158,7 @@ impl LedgerFiles {
                 "a ledger is damaged: it was set aside, another generation is taken"
             );
         }
+        self.is_unfinished = taken == self.unfinished();
         self.generation = generation;
         Ok(Some(ledger))
     }
@@ -159,7 +166,7 @@ impl LedgerFiles {
     /// Writes the ledger atomically as the newest generation, and syncs it to the disk.
     ///
     /// # Errors
-    /// The system call failed; the previous files are intact.
+    /// The system call failed; the newest whole ledger is intact, and so is the one before it if there was one.
     pub(crate) fn write(&mut self, ledger: &Checkpoint) -> Result<(), LedgerFileError> {
         self.replace(ledger).map_err(|source| LedgerFileError::Io {
             path: self.newest.clone(),
@@ -169,17 +176,43 @@ impl LedgerFiles {
 
     fn replace(&mut self, ledger: &Checkpoint) -> io::Result<()> {
         disk::create_dir_all(self.folder())?;
+        if self.is_unfinished {
+            self.resume()?;
+        }
         let mut file = File::create(self.unfinished())?;
         file.write_all(&encode(self.generation + 1, ledger)?)?;
         file.sync_all()?;
         drop(file);
+        // Where the newest is not the first, there is one before it: of a write that failed until here the number is
+        // used again.
+        self.generation += 1;
+        self.is_unfinished = true;
+        self.finish()
+    }
+
+    /// Finishes the save that was cut off: emptied now, its file would be lost if this save is cut off too.
+    fn resume(&mut self) -> io::Result<()> {
+        match File::open(self.unfinished()) {
+            // Whoever wrote it may have been killed before that.
+            Ok(file) => file.sync_all()?,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                // Somebody has removed it.
+                self.is_unfinished = false;
+                return Ok(());
+            }
+            Err(error) => return Err(error),
+        }
+        self.finish()
+    }
+
+    /// Renames the temporary file, which is whole and synced, to the newest one.
+    fn finish(&mut self) -> io::Result<()> {
         match disk::rename(&self.newest, self.older()) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
             _ => {}
         }
         disk::rename(self.unfinished(), &self.newest)?;
-        // Of a write that failed the number is used again: where the newest is not the first, there is one before it.
-        self.generation += 1;
+        self.is_unfinished = false;
         // Also syncs the directory, otherwise a power failure could revert the renames.
         disk::sync_directory(self.folder())
     }
@@ -409,6 +442,74 @@ mod tests {
             text.starts_with("{\"schema\":3,\"generation\":9,"),
             "{text}"
         );
+    }
+
+    /// Bytes of generation `generation`, which has drawn as many µJ.
+    fn whole(generation: u64) -> Vec<u8> {
+        encode(generation, &drawn(generation as i64)).unwrap()
+    }
+
+    #[test]
+    fn of_any_three_files_the_newest_whole_one_is_read_and_the_next_saves_keep_it() {
+        // Nothing, a cut file, and generations 4 to 6.
+        let contents: Vec<Option<Vec<u8>>> = [None, Some(whole(9)[..40].to_vec())]
+            .into_iter()
+            .chain((4..=6).map(|generation| Some(whole(generation))))
+            .collect();
+        let number = |place: usize| (place >= 2).then(|| place as i64 + 2);
+        for places in (0..125).map(|code| [code / 25, code / 5 % 5, code % 5]) {
+            let [newest, older, new] = places;
+            // Of whole files the older one is older, whoever is cut off at whatever step.
+            let is_older = |one: usize, other: usize| one < 2 || other < 2 || one < other;
+            if !is_older(older, newest) || !is_older(newest, new) || !is_older(older, new) {
+                continue;
+            }
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("ledger.json");
+            let names = [path.clone(), with(&path, "older"), with(&path, "new")];
+            for (name, place) in names.iter().zip(places) {
+                if let Some(bytes) = &contents[place] {
+                    fs::write(name, bytes).unwrap();
+                }
+            }
+            let expected = places.into_iter().filter_map(number).max();
+            let mut files = LedgerFiles::new(&path);
+            let read = files.read("lab");
+            if expected.is_none() {
+                // The very first save was cut off, or files are damaged.
+                let is_damaged = newest == 1 || older == 1;
+                assert_eq!(read.is_err(), is_damaged, "{places:?}");
+                continue;
+            }
+            let drawn_uj = |ledger: Checkpoint| ledger.robots.values().next().unwrap().drawn_uj;
+            assert_eq!(read.unwrap().map(drawn_uj), expected, "{places:?}");
+            files.write(&drawn(70)).unwrap();
+            assert_eq!(kept(&path), Some(70), "{places:?}");
+            fs::remove_file(&path).unwrap();
+            assert_eq!(kept(&path), expected, "{places:?}: the one before");
+            assert!(!names[2].exists(), "{places:?}");
+        }
+    }
+
+    #[test]
+    fn a_save_that_was_cut_off_is_finished_before_the_next_one_begins() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ledger.json");
+        let [older, new] = ["older", "new"].map(|ending| with(&path, ending));
+        two(&path);
+        fs::rename(&path, &older).unwrap();
+        fs::write(&new, encode(4, &drawn(200)).unwrap()).unwrap();
+        let mut files = LedgerFiles::new(&path);
+        assert!(files.read("lab").unwrap().is_some());
+        // A folder is not renamed to a file.
+        fs::create_dir(&path).unwrap();
+        assert!(files.write(&drawn(300)).is_err());
+        fs::remove_dir(&path).unwrap();
+        assert_eq!(kept(&path), Some(200), "it was not emptied");
+        // Somebody removes it: the next save is written all the same.
+        fs::remove_file(&new).unwrap();
+        files.write(&drawn(300)).unwrap();
+        assert_eq!(kept(&path), Some(300));
     }
 
     #[test]

@@ -1,10 +1,11 @@
 //! Ports: queues of frames.
 
+use std::any::Any;
 use std::cell::RefCell;
 use std::marker::PhantomData;
 use std::rc::Rc;
 
-use joulebus_simulated_host as host;
+use joulebus_simulated_host::{self as host, memory::outside};
 use joulebus_wire::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Payload,
     PlanState, PlanStateHeader, QueriesHeader, Sample, SampleHeader, Service, StateHeader,
@@ -104,7 +105,7 @@ impl<H: Payload, T: Payload> Writer<H, T> {
         element: impl FnMut(usize) -> T,
     ) -> Result<usize, SendError> {
         self.check(len)?;
-        let payload = (0..len).map(element).collect();
+        let payload = outside(|| (0..len).map(element).collect());
         Ok(self.deliver(header, payload))
     }
 
@@ -116,7 +117,7 @@ impl<H: Payload, T: Payload> Writer<H, T> {
         self.check(len)?;
         Ok(Loan {
             header: H::default(),
-            payload: vec![T::default(); len],
+            payload: outside(|| vec![T::default(); len]),
             writer: self,
         })
     }
@@ -127,21 +128,17 @@ impl<H: Payload, T: Payload> Writer<H, T> {
         let Some(frame) = self.history.clone().filter(|_| !host::is_dead()) else {
             return;
         };
-        let queues = with(self.service, |state| {
-            let readers = state.readers.iter();
-            readers
-                .map(|reader| (reader.pid, Rc::clone(&reader.queue)))
-                .collect::<Vec<_>>()
-        });
-        for (pid, queue) in queues {
+        for (pid, queue) in self.queues() {
             if let Ok(queue) = queue.downcast::<RefCell<Queue<H, T>>>() {
                 let mut queue = queue.borrow_mut();
                 let mut connections = queue.connections.iter();
                 let is_new = !connections.any(|connection| connection.port == self.port);
                 if is_new && host::has_descriptors(pid) && !host::memory_is_full() {
-                    queue.connections.push(Connection {
-                        port: self.port,
-                        frames: [Rc::clone(&frame)].into(),
+                    outside(|| {
+                        queue.connections.push(Connection {
+                            port: self.port,
+                            frames: [Rc::clone(&frame)].into(),
+                        });
                     });
                 }
             }
@@ -183,26 +180,33 @@ impl<H: Payload, T: Payload> Writer<H, T> {
         if host::is_dead() {
             return 0;
         }
-        let frame = Rc::new(Sent {
-            header,
-            payload,
-            port: self.port,
-        });
-        let queues = with(self.service, |state| {
-            let readers = state.readers.iter();
-            readers
-                .map(|reader| (reader.pid, Rc::clone(&reader.queue)))
-                .collect::<Vec<_>>()
+        let frame = outside(|| {
+            Rc::new(Sent {
+                header,
+                payload,
+                port: self.port,
+            })
         });
         let mut reached = 0;
-        for (pid, queue) in queues {
+        for (pid, queue) in self.queues() {
             // A process of another version would be refused by iceoryx2.
             if let Ok(queue) = queue.downcast::<RefCell<Queue<H, T>>>() {
-                reached += usize::from(self.push(&frame, pid, &mut queue.borrow_mut()));
+                let is_reached = outside(|| self.push(&frame, pid, &mut queue.borrow_mut()));
+                reached += usize::from(is_reached);
             }
         }
         self.history = self.keeps_history.then_some(frame);
         reached
+    }
+
+    /// The readers' queues, each with the reader's process.
+    fn queues(&self) -> Vec<(u32, Rc<dyn Any>)> {
+        with(self.service, |state| {
+            let readers = state.readers.iter();
+            readers
+                .map(|reader| (reader.pid, Rc::clone(&reader.queue)))
+                .collect()
+        })
     }
 
     /// Puts a frame into the queue of a reader of process `pid`; the oldest is overwritten.
@@ -283,11 +287,13 @@ impl<H: Payload, T: Payload> Reader<H, T> {
         host::operation();
         crate::bus::check_left()?;
         bus.check()?;
-        let queue = Rc::new(RefCell::new(Queue {
-            connections: Vec::new(),
-            buffer: shape.buffer,
-            failed: 0,
-        }));
+        let queue = outside(|| {
+            Rc::new(RefCell::new(Queue {
+                connections: Vec::new(),
+                buffer: shape.buffer,
+                failed: 0,
+            }))
+        });
         let number = host::number();
         with(service, |state| {
             if state.readers.len() == shape.subscribers {
@@ -507,7 +513,7 @@ impl SampleReader {
             return Ok(None);
         };
         let taken = (sent.header, sent.payload.len() as u64);
-        TAKEN.with_borrow_mut(|all| all.push(taken));
+        outside(|| TAKEN.with_borrow_mut(|all| all.push(taken)));
         Ok(Some(IncomingFrame {
             kept: sent.payload.len().min(most),
             sent,

@@ -5,7 +5,7 @@ use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
 use std::rc::Rc;
 
-use joulebus_simulated_host as host;
+use joulebus_simulated_host::{self as host, memory::outside};
 use joulebus_wire::{ANSWER_WORDS, AnswerHeader, QUERY_VALUES, QueryHeader, Service, WakeEvent};
 
 use crate::liveness::worker_lock::WorkerLock;
@@ -59,7 +59,7 @@ thread_local! {
 }
 
 fn with<T>(work: impl FnOnce(&mut State) -> T) -> T {
-    STATE.with_borrow_mut(work)
+    outside(|| STATE.with_borrow_mut(work))
 }
 
 pub(crate) fn begin() {
@@ -113,12 +113,14 @@ impl QueryServer {
     pub(crate) fn open(bus: &Bus, _: &Limits) -> Result<Self, OpenError> {
         let asked = Waiter::open(bus, Service::Asked)?;
         let answered = Waker::open(bus, Service::Answered)?;
-        let server = Rc::new(Server {
-            port: port_id(bus.pid),
-            pid: bus.pid,
-            is_open: Cell::new(true),
-            waiting: RefCell::default(),
-            kept: Cell::new(0),
+        let server = outside(|| {
+            Rc::new(Server {
+                port: port_id(bus.pid),
+                pid: bus.pid,
+                is_open: Cell::new(true),
+                waiting: RefCell::default(),
+                kept: Cell::new(0),
+            })
         });
         with(|state| match &state.server {
             Some(_) => Err(refused("ExceedsMaxSupportedServers")),
@@ -177,7 +179,7 @@ impl QueryServer {
         host::operation();
         self.bus.check()?;
         if !host::is_dead() {
-            let words = words[..words.len().min(ANSWER_WORDS)].to_vec();
+            let words = outside(|| words[..words.len().min(ANSWER_WORDS)].to_vec());
             *query.transfer.answer.borrow_mut() = Some((header, words));
         }
         let woken = self.answered.wake_one(listener, WakeEvent::Frame);
@@ -321,22 +323,24 @@ impl QueryClient {
         if server.waiting.borrow().iter().any(is_unread) {
             return Err(QueryError::Full);
         }
-        let transfer = Rc::new(Transfer {
-            header: QueryHeader {
-                number: self.number,
-                asked_ns: self.sent_ns,
-                listener_lo: listener as u64,
-                listener_hi: (listener >> 64) as u64,
-                ..header
-            },
-            values: values.to_vec(),
-            client,
-            server: Rc::clone(&server),
-            is_wanted: Cell::new(true),
-            is_dropped: Cell::new(false),
-            answer: RefCell::default(),
+        let transfer = outside(|| {
+            Rc::new(Transfer {
+                header: QueryHeader {
+                    number: self.number,
+                    asked_ns: self.sent_ns,
+                    listener_lo: listener as u64,
+                    listener_hi: (listener >> 64) as u64,
+                    ..header
+                },
+                values: values.to_vec(),
+                client,
+                server: Rc::clone(&server),
+                is_wanted: Cell::new(true),
+                is_dropped: Cell::new(false),
+                answer: RefCell::default(),
+            })
         });
-        server.waiting.borrow_mut().push_back(Rc::clone(&transfer));
+        outside(|| server.waiting.borrow_mut().push_back(Rc::clone(&transfer)));
         self.pending = Some(transfer);
         self.asked.wake(WakeEvent::Frame)?;
         Ok(())

@@ -5,7 +5,7 @@ use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
 use std::rc::Rc;
 
-use joulebus_simulated_host as host;
+use joulebus_simulated_host::{self as host, memory::outside};
 use joulebus_wire::Service;
 
 use crate::Woken;
@@ -65,7 +65,7 @@ thread_local! {
 }
 
 pub(crate) fn with<T>(service: Service, work: impl FnOnce(&mut State) -> T) -> T {
-    STATES.with_borrow_mut(|states| work(&mut states[service as usize]))
+    outside(|| STATES.with_borrow_mut(|states| work(&mut states[service as usize])))
 }
 
 /// Begins with empty shared memory, after a start of the machine.

@@ -8,6 +8,7 @@ use std::collections::BTreeMap;
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
+use crate::memory::outside;
 use crate::{below, current, has_descriptors, is_dead, once_in, operation};
 
 /// What fails.
@@ -65,7 +66,7 @@ thread_local! {
 }
 
 fn with<T>(work: impl FnOnce(&mut Disk) -> T) -> T {
-    DISK.with_borrow_mut(work)
+    outside(|| DISK.with_borrow_mut(work))
 }
 
 pub(crate) fn begin() {
@@ -98,7 +99,7 @@ fn not_found() -> io::Error {
 
 /// An access by a process, which may fail.
 fn access(opens: bool) -> io::Result<Fault> {
-    operation();
+    crate::access();
     if is_dead() {
         return Err(io::Error::other("the process is dead"));
     }
@@ -150,6 +151,16 @@ pub struct File {
 }
 
 impl File {
+    /// Opens the file.
+    ///
+    /// # Errors
+    /// There is none, or the disk fails.
+    pub fn open(path: impl AsRef<Path>) -> io::Result<Self> {
+        access(true)?;
+        let number = with(|disk| disk.names.get(path.as_ref()).copied());
+        number.map(|number| Self { number }).ok_or_else(not_found)
+    }
+
     /// Creates the file, or makes it empty.
     ///
     /// # Errors
@@ -326,6 +337,15 @@ pub fn peek(path: &Path) -> Option<Vec<u8>> {
     with(|disk| {
         let number = disk.names.get(path)?;
         Some(disk.contents.get(number)?.bytes.clone())
+    })
+}
+
+/// The bytes of a file that would survive a power failure whatever else does, for the simulator.
+#[must_use]
+pub fn peek_durable(path: &Path) -> Option<Vec<u8>> {
+    with(|disk| {
+        let number = disk.durable_names.get(path)?;
+        Some(disk.contents.get(number)?.durable.clone())
     })
 }
 

@@ -9,10 +9,12 @@
 #![forbid(unsafe_code)]
 
 pub mod disk;
+pub mod memory;
 pub mod time;
 
 use std::cell::{Cell, RefCell};
 use std::panic::resume_unwind;
+use std::thread::LocalKey;
 use std::time::Duration;
 
 use joulebus_statistics::noise::Noise;
@@ -39,6 +41,8 @@ thread_local! {
     static IS_DEAD: Cell<bool> = const { Cell::new(false) };
     /// Process to be killed, and the operations left to it.
     static VICTIM: Cell<(u32, u64)> = const { Cell::new((0, 0)) };
+    /// The same, and accesses to the disk.
+    static VICTIM_AT_DISK: Cell<(u32, u64)> = const { Cell::new((0, 0)) };
     /// Duration of an operation, ns.
     static COST_NS: Cell<u64> = const { Cell::new(USUAL_COST_NS) };
     static DEADLINE_NS: Cell<Option<u64>> = const { Cell::new(None) };
@@ -55,6 +59,9 @@ thread_local! {
     static WOKEN: RefCell<Vec<u32>> = const { RefCell::new(Vec::new()) };
 }
 
+/// Pids of processes that come and go begin here.
+pub const FIRST_PID: u32 = 100;
+
 /// Usual duration of an operation, ns.
 pub const USUAL_COST_NS: u64 = 100;
 
@@ -65,7 +72,7 @@ pub fn begin(seed: u64, uptime_ns: u64) {
     LIVES.with_borrow_mut(Vec::clear);
     WOKEN.with_borrow_mut(Vec::clear);
     MEMORY_IS_FULL.set(false);
-    VICTIM.set((0, 0));
+    spare_all();
     COST_NS.set(USUAL_COST_NS);
     IS_DEAD.set(false);
     CURRENT.set(0);
@@ -138,15 +145,17 @@ pub fn sleep_until(deadline_ns: u64) {
 /// From here on there is a process `pid`.
 pub fn begin_life(pid: u32) {
     let number = number();
-    LIVES.with_borrow_mut(|lives| lives.push((pid, number)));
+    memory::outside(|| LIVES.with_borrow_mut(|lives| lives.push((pid, number))));
 }
 
 /// From here on there is no process `pid`.
 pub fn end_life(pid: u32) {
     LIVES.with_borrow_mut(|lives| lives.retain(|(other, _)| *other != pid));
     take_descriptors(pid, false);
-    if VICTIM.get().0 == pid {
-        VICTIM.set((0, 0));
+    for victim in [&VICTIM, &VICTIM_AT_DISK] {
+        if victim.get().0 == pid {
+            victim.set((0, 0));
+        }
     }
 }
 
@@ -168,7 +177,7 @@ pub fn thread() -> u64 {
 /// An event wakes process `pid`, or one of its threads.
 pub fn wake(pid: u32, thread: u64) {
     if thread == 0 {
-        WOKEN.with_borrow_mut(|woken| woken.push(pid));
+        memory::outside(|| WOKEN.with_borrow_mut(|woken| woken.push(pid)));
     } else {
         wake_thread(thread);
     }
@@ -195,19 +204,43 @@ pub fn kill_in(pid: u32, operations: u64) {
     VICTIM.set((pid, operations.max(1)));
 }
 
+/// Process `pid` dies in its `accesses`-th access to the disk from now.
+pub fn kill_at_disk(pid: u32, accesses: u64) {
+    VICTIM_AT_DISK.set((pid, accesses.max(1)));
+}
+
+/// Nobody is to be killed any more.
+pub fn spare_all() {
+    VICTIM.set((0, 0));
+    VICTIM_AT_DISK.set((0, 0));
+}
+
 /// A call that reaches the host: takes time, and is where a process may be killed.
 pub fn operation() {
     if IS_DEAD.get() {
         return;
     }
     time::pass(COST_NS.get());
-    let (victim, left) = VICTIM.get();
-    if victim == 0 || victim != CURRENT.get() {
+    strike(&VICTIM);
+}
+
+/// An access to the disk.
+pub(crate) fn access() {
+    operation();
+    if !IS_DEAD.get() {
+        strike(&VICTIM_AT_DISK);
+    }
+}
+
+/// Kills the process that runs if it is the `victim`, and this is its last call.
+fn strike(victim: &'static LocalKey<Cell<(u32, u64)>>) {
+    let (pid, left) = victim.get();
+    if pid == 0 || pid != CURRENT.get() {
         return;
     }
-    VICTIM.set((victim, left - 1));
+    victim.set((pid, left - 1));
     if left == 1 {
-        VICTIM.set((0, 0));
+        victim.set((0, 0));
         IS_DEAD.set(true);
         resume_unwind(Box::new(Killed));
     }
@@ -250,7 +283,7 @@ pub fn start_thread(work: Work) -> u64 {
         is_woken: false,
         work: Some(work),
     };
-    THREADS.with_borrow_mut(|threads| threads.push(thread));
+    memory::outside(|| THREADS.with_borrow_mut(|threads| threads.push(thread)));
     number
 }
 

@@ -1,10 +1,10 @@
 //! One worker per fleet: the lock, and the file that names its holder.
 
-use std::cell::Cell;
+use std::cell::{Cell, RefCell};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use joulebus_simulated_host as host;
+use joulebus_simulated_host::{self as host, memory::outside};
 
 use crate::{Domain, WorkerLockError, clock};
 
@@ -19,13 +19,13 @@ pub(crate) struct Owner {
 thread_local! {
     /// Whom the file names, and whether the lock is held.
     static FILE: Cell<Option<(Owner, bool)>> = const { Cell::new(None) };
-    /// Who has shut down last.
-    static ENDED: Cell<Option<Owner>> = const { Cell::new(None) };
+    /// Who has shut down.
+    static ENDED: RefCell<Vec<Owner>> = const { RefCell::new(Vec::new()) };
 }
 
 pub(crate) fn begin() {
     FILE.set(None);
-    ENDED.set(None);
+    ENDED.with_borrow_mut(Vec::clear);
 }
 
 /// The exclusive right to be the fleet's worker.
@@ -80,7 +80,7 @@ impl Drop for WorkerLock {
             _ => {}
         }
         if !host::is_dead() {
-            ENDED.set(Some(self.owner));
+            outside(|| ENDED.with_borrow_mut(|ended| ended.push(self.owner)));
         }
     }
 }
@@ -98,6 +98,6 @@ impl LockWatch {
 
     /// True once the worker has shut down.
     pub(crate) fn has_ended(&self) -> bool {
-        ENDED.get() == Some(self.0)
+        ENDED.with_borrow(|ended| ended.contains(&self.0))
     }
 }

@@ -1,0 +1,88 @@
+//! Memory of the simulated processes: what each has allocated and not freed.
+//!
+//! Whoever counts allocations asks here to whose account one goes, keeps the answer with the allocation, and returns
+//! it when that is freed, by whomever.
+
+use std::cell::Cell;
+
+use crate::current;
+
+/// Accounts: one per pid, for pids of a small range, and the first one for all else.
+const ACCOUNTS: usize = 64;
+
+/// To whom an allocation belongs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Account(u8);
+
+impl Account {
+    /// As a byte.
+    #[must_use]
+    pub const fn byte(self) -> u8 {
+        self.0
+    }
+
+    /// That of [`Account::byte`].
+    #[must_use]
+    pub const fn of_byte(byte: u8) -> Self {
+        Self(byte % ACCOUNTS as u8)
+    }
+
+    const fn of(pid: u32) -> Self {
+        let first = crate::FIRST_PID;
+        match pid.checked_sub(first) {
+            Some(place) if place + 1 < ACCOUNTS as u32 => Self(place as u8 + 1),
+            _ => Self(0),
+        }
+    }
+}
+
+thread_local! {
+    static LIVE: [Cell<i64>; ACCOUNTS] = const { [const { Cell::new(0) }; ACCOUNTS] };
+    /// What is allocated now lies on the disk, or in shared memory.
+    static IS_OUTSIDE: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Takes note of an allocation of the process that runs. Allocates nothing.
+pub fn allocated(bytes: usize) -> Account {
+    // Locals are gone while a thread ends.
+    let is_outside = IS_OUTSIDE.try_with(Cell::get).unwrap_or(true);
+    let account = if is_outside {
+        Account(0)
+    } else {
+        Account::of(current())
+    };
+    add(account, bytes as i64);
+    account
+}
+
+/// Takes note of the end of an allocation. Allocates nothing.
+pub fn freed(account: Account, bytes: usize) {
+    add(account, -(bytes as i64));
+}
+
+fn add(account: Account, bytes: i64) {
+    let _ = LIVE.try_with(|live| {
+        let live = &live[usize::from(account.0)];
+        live.set(live.get() + bytes);
+    });
+}
+
+/// Bytes that the process `pid`, and those before it with its pid, have allocated and not freed, if allocations are
+/// counted.
+#[must_use]
+pub fn live(pid: u32) -> i64 {
+    LIVE.with(|live| live[usize::from(Account::of(pid).0)].get())
+}
+
+/// What `work` allocates is no memory of the process that runs: it lies on the disk, or in shared memory.
+pub fn outside<T>(work: impl FnOnce() -> T) -> T {
+    /// Also when the process is killed in between.
+    struct Back(bool);
+    impl Drop for Back {
+        fn drop(&mut self) {
+            IS_OUTSIDE.set(self.0);
+        }
+    }
+    let _back = Back(IS_OUTSIDE.replace(true));
+    work()
+}

@@ -1,0 +1,60 @@
+//! How much memory processes allocate while they work, beyond what they had when they began.
+
+use serde::Serialize;
+
+use crate::process::Program;
+use crate::scenario::Setup;
+
+/// By how much a process of each kind has grown at most, bytes.
+#[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Grown {
+    /// Workers.
+    pub worker: i64,
+    /// Sources.
+    pub source: i64,
+    /// Planners.
+    pub planner: i64,
+    /// Clients that ask about plans.
+    pub client: i64,
+    /// Recorders.
+    pub recorder: i64,
+}
+
+impl Grown {
+    fn place(&mut self, program: &Program) -> &mut i64 {
+        match program {
+            Program::Worker(..) => &mut self.worker,
+            Program::Source(_) => &mut self.source,
+            Program::Planner(_) => &mut self.planner,
+            Program::Client(_) => &mut self.client,
+            Program::Recorder(..) => &mut self.recorder,
+        }
+    }
+
+    pub(crate) fn note(&mut self, program: &Program, bytes: i64) {
+        let most = self.place(program);
+        *most = bytes.max(*most);
+    }
+
+    /// Takes the greater ones of `other`.
+    pub(crate) fn take(&mut self, other: &Self) {
+        self.worker = self.worker.max(other.worker);
+        self.source = self.source.max(other.source);
+        self.planner = self.planner.max(other.planner);
+        self.client = self.client.max(other.client);
+        self.recorder = self.recorder.max(other.recorder);
+    }
+}
+
+/// By how much a process may grow, however long it works and whatever it is sent, bytes: somewhat more than what 60
+/// seeds needed at most. A worker that is asked about plans opens what plans start from; the recorder has a chunk, and
+/// the index of its file.
+pub(crate) const fn most_bytes(program: &Program, setup: &Setup) -> i64 {
+    const KIB: i64 = 1_024;
+    match program {
+        Program::Worker(..) if setup.clients > 0 => 256 * KIB,
+        Program::Worker(..) => 64 * KIB,
+        Program::Recorder(..) => 16 * KIB * KIB,
+        Program::Source(_) | Program::Planner(_) | Program::Client(_) => 4 * KIB,
+    }
+}

@@ -1,0 +1,74 @@
+//! Saves of the ledger that are cut off at each of their steps.
+
+use std::sync::atomic::AtomicBool;
+
+use joulebus_simulator::campaign::keep_panics;
+use joulebus_simulator::scenario::{Fault, Role, Scenario, Setup};
+use joulebus_simulator::world::run;
+
+const MS: u64 = 1_000_000;
+const SECOND: u64 = 1_000 * MS;
+
+/// Accesses to the disk of a worker that starts after a save was cut off, and saves: three files are looked for; then the
+/// folder is made, the file of the save before is opened, synced and renamed twice, the folder is synced, and so the new one.
+const ACCESSES: u64 = 3 + 6 + 7;
+
+/// A small fleet to which nothing happens but `faults`.
+fn scenario(seed: u64, faults: &[(u64, Fault)]) -> Scenario {
+    let drawn = Scenario::of(seed, Some(40 * SECOND)).only(&[]);
+    Scenario {
+        setup: Setup {
+            robots: 1,
+            sources: 1,
+            planners: 1,
+            poll_every_ns: 0,
+            clients: 0,
+            records: false,
+            period_ns: 500 * MS,
+            persistence: true,
+            save_every_ns: 2 * SECOND,
+            everything: true,
+            ..drawn.setup
+        },
+        faults: faults.iter().copied().enumerate().collect(),
+        ..drawn
+    }
+}
+
+fn hold(scenario: &Scenario) {
+    keep_panics();
+    let outcome = run(scenario, &AtomicBool::new(false));
+    assert_eq!(outcome.failure, None, "{:?}", scenario.faults);
+    assert!(outcome.ticks > 0 && outcome.faults > 0);
+}
+
+/// The worker is killed at each step of a save, and the next one at each of its accesses to the disk, from its first look
+/// at the files on: the newest whole ledger is always still there.
+#[test]
+fn a_worker_killed_at_any_two_steps_of_its_saves_keeps_the_newest_ledger() {
+    for first in 1..=7 {
+        for second in 1..=ACCESSES {
+            let twice = Fault::KillAtDisk(Role::Worker, first, second);
+            hold(&scenario(1, &[(10 * SECOND, twice)]));
+        }
+    }
+}
+
+/// The same, and the power fails instead of the second kill, or at the first: what had been synced is still there,
+/// whichever of the other changes are.
+#[test]
+fn a_power_failure_at_any_step_of_a_save_leaves_what_was_synced() {
+    for seed in 1..=6 {
+        for accesses in 1..=ACCESSES {
+            let fails = Fault::PowerLossAtDisk(Role::Worker, accesses, SECOND);
+            hold(&scenario(seed, &[(10 * SECOND, fails)]));
+            // The save before is cut off between its renames.
+            let cut = Fault::KillAtDisk(Role::Worker, 6, accesses);
+            let fails = Fault::PowerLossAtDisk(Role::Worker, 6, SECOND);
+            hold(&scenario(
+                seed,
+                &[(10 * SECOND, cut), (10 * SECOND + MS, fails)],
+            ));
+        }
+    }
+}
