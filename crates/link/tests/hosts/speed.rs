@@ -155,3 +155,76 @@ fn speed_of_forecasts_over_a_link_beside_zenoh_alone() {
         }
     }
 }
+
+/// A host with a config for so many robots, and the fleet's file of four shards.
+fn of_shards(robots: usize) -> Host {
+    let host = Host::of(robots);
+    let shard = |at: usize| format!("[[shard]]\nname = \"s{at}\"\nworkers = [\"base-{at}\"]\n");
+    let shards: String = (0..SHARDS).map(shard).collect();
+    host.write("shards.toml", &shards);
+    host
+}
+
+const SHARDS: usize = 4;
+
+/// Robots on one host, four workers with a shard each, planners on a further one.
+#[test]
+#[ignore = "measures; run it in a release build on a quiet machine"]
+fn speed_of_a_fleet_on_four_shards() {
+    for robots in [1_000, 4_000, 10_000] {
+        let hosts: Vec<Host> = (0..SHARDS).map(|_| of_shards(robots)).collect();
+        let (edge, desk) = (of_shards(robots), of_shards(robots));
+        let addresses: Vec<String> = (0..SHARDS).map(|_| free_address()).collect();
+        let workers: Vec<_> = hosts.iter().map(Host::worker).collect();
+        let link = |(at, host): (usize, &Host)| {
+            let address = &addresses[at];
+            host.link(&format!(
+                "name = \"base-{at}\"\nshards = \"shards.toml\"\n[network]\nlisten = [\"{address}\"]\n\
+                 [worker]\n[[worker.take]]\nfrom = \"edge\"\n"
+            ))
+        };
+        let links: Vec<_> = hosts.iter().enumerate().map(link).collect();
+        let other = |name: &str, sides: &str| {
+            format!(
+                "name = \"{name}\"\nshards = \"shards.toml\"\n[network]\nconnect = {addresses:?}\n{sides}"
+            )
+        };
+        let gives = edge.link(&other("edge", "[samples]\n"));
+        let reads = desk.link(&other("desk", "[follow]\n"));
+        let _source = edge.robots(&["--robots", &robots.to_string()]);
+        let mut planner = desk.planner();
+        for _ in 0..FIRST {
+            planner.fresh_sample();
+        }
+        let all = || {
+            let of = |children: &[joulebus_test_processes::Child]| {
+                children.iter().map(|it| spent(it.pid())).sum::<u64>()
+            };
+            [
+                of(&workers),
+                of(&links),
+                spent(gives.pid()),
+                spent(reads.pid()),
+            ]
+        };
+        let (begin, begin_ns) = (all(), clock::monotonic_ns());
+        let mut age_ns = Vec::new();
+        for _ in 0..FRAMES {
+            let frame = planner.frame();
+            let newest = frame.rows.iter().map(|row| row.stamp_ns).max();
+            age_ns.push(frame.read_ns.saturating_sub(newest.unwrap_or_default()));
+        }
+        let took_s = (clock::monotonic_ns() - begin_ns) as f64 * 1e-9;
+        let share = |at: usize| (all()[at] - begin[at]) as f64 / took_s;
+        let (p50, p99) = spread(age_ns);
+        println!(
+            "figure: {SHARDS} shards, {robots} robots: {:.1} frames a second, newest sample to planner p50 {p50:.0} µs, p99 {p99:.0} µs; \
+             % of a processor: workers {:.1}, their links {:.1}, robots' link {:.1}, planners' link {:.1}",
+            FRAMES as f64 / took_s,
+            share(0),
+            share(1),
+            share(2),
+            share(3),
+        );
+    }
+}
