@@ -504,6 +504,60 @@ mod tests {
     }
 
     #[test]
+    fn the_shipped_examples_are_taken_with_and_without_shards() {
+        let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/links");
+        // A published crate has none beside it.
+        if !examples.is_dir() {
+            return;
+        }
+        let fleet = FLEET.replace("20", "1000").replace("0-9", "0-999");
+        let config = Config::parse(&fleet, Path::new(".")).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            fs::write(&path, text).unwrap();
+            fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o600))
+                .unwrap();
+            path
+        };
+        for secret in [
+            "fleet-ca.pem",
+            "base.pem",
+            "base.key",
+            "edge-1.pem",
+            "edge-1.key",
+            "desk.pem",
+            "desk.key",
+        ] {
+            write(secret, "");
+        }
+        let mut files = 0;
+        for entry in fs::read_dir(&examples).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+            let text = fs::read_to_string(&path).unwrap();
+            let path = write(&name, &text);
+            if name == "shards.toml" {
+                continue;
+            }
+            files += 1;
+            Settings::load(&path, &config).unwrap_or_else(|error| panic!("{name}: {error}"));
+            // With shards nobody names a worker.
+            let split = text.replacen("\n[network]", "\nshards = \"shards.toml\"\n[network]", 1);
+            let split = split
+                .replace("to = \"base\"", "")
+                .replace("worker = \"base\"", "");
+            write(
+                "shards.toml",
+                &fs::read_to_string(examples.join("shards.toml")).unwrap(),
+            );
+            Settings::load(&write(&name, &split), &config)
+                .unwrap_or_else(|error| panic!("{name}: {error}"));
+        }
+        assert!(files >= 3, "{files}");
+    }
+
+    #[test]
     fn a_file_of_no_host_or_of_two_is_refused() {
         for text in [
             "",

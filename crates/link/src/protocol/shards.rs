@@ -21,6 +21,8 @@ pub(crate) struct Shard {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Shards {
     all: Vec<Shard>,
+    /// Of each shard's name: a robot is looked up for each row of each frame.
+    hashes: Vec<u64>,
     /// Robots go where their weight is greatest, instead of by lists.
     is_hashed: bool,
     /// Of all the above, in every message: hosts that disagree refuse each other.
@@ -43,7 +45,9 @@ impl Shards {
         let hash = fnv1a(text.bytes());
         // 0 stands for a fleet that is not split.
         let digest = ((hash >> 32) as u32 ^ hash as u32).max(1);
+        let hashes = all.iter().map(|shard| fnv1a(shard.name.bytes()));
         Self {
+            hashes: hashes.collect(),
             all,
             is_hashed,
             digest,
@@ -69,9 +73,9 @@ impl Shards {
             return self.all.iter().position(has);
         }
         // Rendezvous hashing: where a shard is added or removed, only robots of that shard move.
-        let weight = |shard: &Shard| mixed(fnv1a(shard.name.bytes()) ^ mixed(robot.into()));
-        let places = self.all.iter().enumerate();
-        let heaviest = places.max_by_key(|(at, shard)| (weight(shard), *at));
+        let robot = mixed(robot.into());
+        let places = self.hashes.iter().enumerate();
+        let heaviest = places.max_by_key(|(at, hash)| (mixed(*hash ^ robot), *at));
         heaviest.map(|(at, _)| at)
     }
 
