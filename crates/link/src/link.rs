@@ -1,5 +1,6 @@
 //! `joulebus link`: its threads, and its report.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -51,6 +52,10 @@ struct CheckReport {
     connect: Vec<String>,
     listen: Vec<String>,
     encrypted: bool,
+    /// The shards, and the robots of each that the config names.
+    shards: BTreeMap<String, usize>,
+    /// The one that this host's worker speaks for.
+    speaks_for: Option<String>,
     /// Whose samples are taken, or whose outputs are followed.
     takes: Vec<String>,
     /// Where samples go.
@@ -90,9 +95,24 @@ fn checked(config: &Config, settings: &Settings) -> CheckReport {
             samples.clone().unwrap_or_default(),
         ),
     };
+    let mut robots = BTreeMap::new();
+    let mut speaks_for = None;
+    if let Some(map) = settings.shards.as_deref() {
+        let name = |shard: usize| map.all()[shard].name.clone();
+        robots.extend(map.all().iter().map(|shard| (shard.name.clone(), 0)));
+        let platforms = config.settings().platforms.iter();
+        for robot in platforms.flat_map(|it| it.robots.iter().cloned().flatten()) {
+            if let Some(shard) = map.of_robot(robot) {
+                *robots.entry(name(shard)).or_default() += 1;
+            }
+        }
+        speaks_for = map.of_worker(&settings.name).map(name);
+    }
     CheckReport {
         fleet: config.fleet().to_owned(),
         link: settings.name.clone(),
+        shards: robots,
+        speaks_for,
         mode: network.mode.name(),
         connect: network.connect.clone(),
         listen: network.listen.clone(),
@@ -380,6 +400,14 @@ impl fmt::Display for CheckReport {
             "link {} of fleet {}: {}, {way}",
             self.link, self.fleet, self.mode
         )?;
+        for (shard, robots) in &self.shards {
+            let own = if self.speaks_for.as_ref() == Some(shard) {
+                ", for which it speaks"
+            } else {
+                ""
+            };
+            writeln!(out, "shard {shard}: {robots} robots{own}")?;
+        }
         for (what, list) in [
             ("connects to", &self.connect),
             ("listens on", &self.listen),

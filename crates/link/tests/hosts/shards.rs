@@ -170,6 +170,22 @@ fn when_a_shard_ends_its_robots_are_known_to_be_stale_and_the_others_go_on() {
 }
 
 #[test]
+fn a_check_says_which_robots_each_shard_has_and_for_which_the_link_speaks() {
+    let fleet = Fleet::new(&LISTS.replace("0-4", "0-2").replace("5-9", "3-9"));
+    let text = fleet.of_worker("south-1", 1);
+    let mut command = fleet.south.link_command(&text);
+    command.arg("--check");
+    let checked = Child::spawn("check", command).wait();
+    assert_eq!(checked.code(), Some(0), "{checked:?}");
+    let report = checked.json();
+    assert_eq!(
+        report["shards"],
+        serde_json::json!({"north": 3, "south": 7})
+    );
+    assert_eq!(report["speaks_for"], "south");
+}
+
+#[test]
 fn hosts_with_different_files_of_shards_refuse_each_other() {
     let fleet = Fleet::new(LISTS);
     fleet.desk.write(
