@@ -56,6 +56,8 @@ pub enum Fault {
     Flood(usize, u64),
     /// A process of the user sends false frames on all services.
     Hostile(u64),
+    /// A process is asked to end, and so many false frames on all services are the first that the next one reads.
+    HostileAtStart(Role, u64),
     /// So many further sources appear, each with a name and a robot of its own.
     Newcomers(u64),
     /// Another process sends for the robots of a source, under a name of its own.
@@ -241,6 +243,11 @@ impl Scenario {
             &setup,
             duration_ns,
         ));
+        faults.extend(hostile_at_starts(
+            &mut Noise::new(seed, 6),
+            &setup,
+            duration_ns,
+        ));
         setup.poll_every_ns = polling(&mut Noise::new(seed, 5), &setup, is_long);
         // Whoever comes first owns a robot, and starts while there is memory: source 0, if nothing is to happen to it.
         let begin_ns = if setup.everything {
@@ -355,6 +362,26 @@ fn faults_at_the_disk(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec
             // The next one reads before it writes.
             _ => Fault::KillAtDisk(role, accesses, 1 + noise.below(18) as u64),
         };
+        faults.push(((at_s * 1e9) as u64, fault));
+    }
+}
+
+/// In one seed of four with a recorder, false frames that are the first that it reads.
+fn hostile_at_starts(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planned> {
+    let duration_s = duration_ns as f64 * 1e-9;
+    let mean_s = f64::max(100.0 * setup.period_ns as f64 * 1e-9, duration_s / 50.0);
+    let mut faults = Vec::new();
+    let mut at_s = 0.0;
+    if noise.below(4) > 0 || !setup.records {
+        return faults;
+    }
+    loop {
+        at_s += noise.waiting_s(mean_s);
+        if at_s >= duration_s {
+            return faults;
+        }
+        let frames = 1 + noise.below(20) as u64;
+        let fault = Fault::HostileAtStart(Role::Recorder, frames);
         faults.push(((at_s * 1e9) as u64, fault));
     }
 }

@@ -80,6 +80,8 @@ struct Slot {
     until_ns: u64,
     /// Accesses to the disk after which it dies, of its next lives.
     kills_at_disk: VecDeque<u64>,
+    /// False frames that are the first that the next process reads.
+    greeting: u64,
     /// The power fails for so long when it dies.
     power_loss_ns: u64,
     /// What it had allocated when it began its work, bytes.
@@ -304,6 +306,7 @@ impl<'a> World<'a> {
             blind_until_ns: 0,
             until_ns: u64::MAX,
             kills_at_disk: VecDeque::new(),
+            greeting: 0,
             power_loss_ns: 0,
             opened_bytes: 0,
             follows: None,
@@ -729,6 +732,10 @@ impl<'a> World<'a> {
         if self.slots[place].role == Some(Role::Worker) {
             self.checker.observe()?;
         }
+        match std::mem::take(&mut self.slots[place].greeting) {
+            0 => {}
+            frames => self.attack(frames),
+        }
         Ok(())
     }
 
@@ -890,6 +897,15 @@ impl<'a> World<'a> {
         }
     }
 
+    /// A process of the user sends `frames` false frames on each service.
+    fn attack(&mut self, frames: u64) {
+        self.checker.is_irregular(time::now_ns());
+        let robots = hostile::OWN_ROBOTS.map(|robot| robot as u32);
+        self.checker.strangers.extend(robots);
+        hostile::attack(&self.config, frames, self.scenario.setup.regular());
+        self.deliver();
+    }
+
     fn happens(&mut self, fault: Fault) -> Checked {
         let now_ns = time::now_ns();
         let (period_ns, every_ns) = (
@@ -969,12 +985,11 @@ impl<'a> World<'a> {
                     source.flood = frames;
                 }
             }
-            Fault::Hostile(frames) => {
-                self.checker.is_irregular(now_ns);
-                let robots = hostile::OWN_ROBOTS.map(|robot| robot as u32);
-                self.checker.strangers.extend(robots);
-                hostile::attack(&self.config, frames, self.scenario.setup.regular());
-                self.deliver();
+            Fault::Hostile(frames) => self.attack(frames),
+            Fault::HostileAtStart(role, frames) => {
+                let place = self.slot(role);
+                self.slots[place].greeting = frames;
+                return self.ends(place);
             }
             Fault::Forged(source, frames) => {
                 let slot = &self.slots[self.slot(Role::Source(source))];

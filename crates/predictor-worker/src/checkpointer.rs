@@ -286,7 +286,13 @@ pub(crate) fn read_ledger(config: &Config) -> Result<SavedLedger, LedgerFileErro
     let path = checkpoint_path(config);
     let mut files = path.as_deref().map(LedgerFiles::new);
     let read = match &mut files {
-        Some(files) => files.read(config.fleet())?,
+        Some(files) => {
+            let read = files.read(config.fleet())?;
+            if let Err(error) = files.secure() {
+                tracing::warn!(%error, "until the next save, a power failure may cost what was saved last");
+            }
+            read
+        }
         None => None,
     };
     let before = read.unwrap_or_else(|| Checkpoint::new(config.fleet(), &boot_id));

@@ -163,6 +163,24 @@ impl LedgerFiles {
         Ok(Some(ledger))
     }
 
+    /// Makes the ledger that was read survive a power failure: the worker that wrote it may have been killed before it
+    /// had, and its successors too.
+    ///
+    /// # Errors
+    /// The system call failed; the files are intact, and the next write does the same.
+    pub(crate) fn secure(&mut self) -> Result<(), LedgerFileError> {
+        let secured = match (self.is_unfinished, self.generation) {
+            (true, _) => self.resume(),
+            (false, 0) => Ok(()),
+            // It was synced before it was renamed.
+            (false, _) => disk::sync_directory(self.folder()),
+        };
+        secured.map_err(|source| LedgerFileError::Io {
+            path: self.newest.clone(),
+            source,
+        })
+    }
+
     /// Writes the ledger atomically as the newest generation, and syncs it to the disk.
     ///
     /// # Errors
@@ -506,7 +524,16 @@ mod tests {
         assert!(files.write(&drawn(300)).is_err());
         fs::remove_dir(&path).unwrap();
         assert_eq!(kept(&path), Some(200), "it was not emptied");
+        // A worker that starts finishes it.
+        let mut starting = LedgerFiles::new(&path);
+        assert!(starting.read("lab").unwrap().is_some());
+        starting.secure().unwrap();
+        assert!(!new.exists() && fs::exists(&older).unwrap());
+        assert_eq!(kept(&path), Some(200));
         // Somebody removes it: the next save is written all the same.
+        fs::rename(&path, &new).unwrap();
+        let mut files = LedgerFiles::new(&path);
+        assert!(files.read("lab").unwrap().is_some());
         fs::remove_file(&new).unwrap();
         files.write(&drawn(300)).unwrap();
         assert_eq!(kept(&path), Some(300));
