@@ -4,6 +4,7 @@ use clap::{Parser, Subcommand};
 use joulebus_program::options::GlobalOptions;
 use joulebus_program::verbs::bench::BenchArguments;
 use joulebus_program::verbs::bridge::BridgeArguments;
+use joulebus_program::verbs::export::ExportArguments;
 use joulebus_program::verbs::link::LinkArguments;
 use joulebus_program::verbs::mission::MissionArguments;
 use joulebus_program::verbs::report::ReportArguments;
@@ -61,6 +62,7 @@ pub(crate) enum Command {
     Link(LinkArguments),
     Import(import::Args),
     Data(data::Args),
+    Export(ExportArguments),
     Doctor(doctor::Args),
     Config(config::Args),
     Train(train::Args),

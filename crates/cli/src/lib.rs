@@ -89,6 +89,7 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Link(_) => external::run("link"),
         Command::Import(args) => import::run(args, output),
         Command::Data(args) => data::run(args, output),
+        Command::Export(_) => external::run("export"),
         Command::Doctor(args) => doctor::run(args, output),
         Command::Config(args) => config::run(args, output),
         Command::Train(args) => train::run(args, output),

@@ -1,6 +1,7 @@
 //! Recordings: reading, checking, converting and resampling them, and building training rows.
 #![forbid(unsafe_code)]
 
+pub mod archive;
 pub mod inspect;
 pub mod npy;
 pub mod rows;

@@ -22,7 +22,7 @@ mod write;
 
 use std::path::{Path, PathBuf};
 
-pub use capture::is_capture;
+pub use capture::{CaptureRun, each_run, is_capture};
 pub use error::TrialError;
 pub use fleet::{Playback, TrialFleet, TrialFleetError};
 pub use limits::MAX_ROWS;
@@ -31,6 +31,8 @@ pub use note::{Gap, TrialNotes};
 pub use resample::{Method, Resample, ResampleError, Resampled};
 pub use table::{Column, Table};
 pub use write::{Form, Row, WriteError};
+
+pub(crate) use table::Cell;
 
 use table::Columns;
 

@@ -102,6 +102,21 @@ fn only_the_capture_uses_mcap() {
 }
 
 #[test]
+fn only_archives_of_datasets_use_parquet() {
+    for name in names() {
+        let found = places(
+            &crates().join(&name).join("src"),
+            &["parquet::"],
+            &["schema", "read", "write"]
+                .map(|file| format!("dataset/src/archive/{file}.rs"))
+                .each_ref()
+                .map(String::as_str),
+        );
+        assert_eq!(found, Vec::<String>::new());
+    }
+}
+
+#[test]
 fn only_model_files_reads_pickles() {
     let words = ["pickle", "STACK_GLOBAL", "_rebuild_tensor"];
     for name in names().iter().filter(|name| *name != "model-files") {

@@ -86,6 +86,7 @@ const ENDS: &[&str] = &[
     "data check",
     "data convert",
     "doctor",
+    "export",
     "config init",
     "config check",
     "config show",

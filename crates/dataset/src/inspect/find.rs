@@ -5,6 +5,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use crate::archive::{is_archive, listings};
 use crate::trial::{Form, is_capture};
 
 /// Recordings found.
@@ -47,7 +48,7 @@ pub enum FindError {
         source: io::Error,
     },
     /// A directory without recordings.
-    #[error("{path} holds no recordings (.npy, .csv, .csv.gz, .mcap of joulebus)", path = path.display())]
+    #[error("{path} holds no recordings (.npy, .csv, .csv.gz, .mcap of joulebus, archives)", path = path.display())]
     NoRecordings {
         /// The directory.
         path: PathBuf,
@@ -79,7 +80,7 @@ impl FindError {
 }
 
 /// Recordings named by the arguments: files, directories (searched recursively), and patterns
-/// (`runs/**/*.npy`). A file named explicitly is included whatever its extension.
+/// (`runs/**/*.npy`). Of an archive its listings are found, in the order of the recordings that were exported. A file named explicitly is included whatever its extension.
 ///
 /// # Errors
 /// [`FindError`]: a path does not exist or cannot be read, or a directory or pattern yields
@@ -144,16 +145,21 @@ fn take_pattern(pattern: &str, found: &mut Found) -> Result<(), FindError> {
     Ok(())
 }
 
-/// Whether a file of a directory is a recording: by its name, and an `.mcap` by its first record,
+/// Whether a file of a directory is a recording: by its name (`.parquet` included: of an archive's partitions), and an `.mcap` by its first record,
 /// since those of other programs have to be converted.
 #[must_use]
 pub fn is_recording(path: &Path) -> bool {
-    (Form::of(path).is_some() && path.is_file()) || is_capture(path)
+    let is_parquet = || path.extension().is_some_and(|ending| ending == "parquet");
+    ((Form::of(path).is_some() || is_parquet()) && path.is_file()) || is_capture(path)
 }
 
 /// Symbolic links to directories are not followed, so the walk terminates.
 fn walk(directory: &Path, found: &mut Found) -> Result<(), FindError> {
     let failed = |source| io_error(directory, source);
+    if is_archive(directory) {
+        found.files.extend(listings(directory).map_err(failed)?);
+        return Ok(());
+    }
     let mut entries = Vec::new();
     for entry in fs::read_dir(directory).map_err(failed)? {
         entries.push(entry.map_err(failed)?.path());

@@ -5,8 +5,11 @@
 //! row is not in the capture.
 
 use std::collections::BTreeMap;
-use std::io::Read as _;
+use std::fs::File;
+use std::io::{self, BufWriter, Read as _, Write as _};
+use std::os::unix::fs::FileExt as _;
 use std::path::Path;
+use std::sync::Arc;
 
 use joulebus_capture::{Message, ReadError, Reader};
 use joulebus_wire::{Sample, sample_flag};
@@ -14,6 +17,7 @@ use joulebus_wire::{Sample, sample_flag};
 use super::limits::MCAP_MAGIC;
 use super::table::{Cell, Column, Table};
 use super::{MAX_ROWS, TrialError};
+use crate::archive::RowStamp;
 
 /// Bytes within which the first record of a capture names its writer.
 const HEAD_BYTES: u64 = 64;
@@ -32,53 +36,111 @@ pub fn is_capture(path: &Path) -> bool {
 }
 
 /// One run of a robot's source: samples whose time advances, without a discontinuity.
-#[derive(Default)]
-struct Run {
-    samples: Vec<Sample>,
+#[derive(Debug)]
+pub struct CaptureRun {
+    /// Name of the fleet.
+    pub fleet: String,
+    /// Its rows. The robot's name is its id, with the fleet's before it where the capture has several.
+    pub table: Table,
+    /// Exact integers of each row.
+    pub stamps: Vec<RowStamp>,
 }
-
-/// Runs of each robot, by fleet and id.
-type Robots = BTreeMap<(String, u32), Vec<Run>>;
 
 /// A table for each robot and run, in SI units converted to those of files.
 pub(super) fn read(path: &Path) -> Result<Vec<Table>, TrialError> {
+    let mut tables = Vec::new();
+    each_run(path, |run| {
+        tables.push(run.table);
+        Ok::<_, TrialError>(())
+    })?;
+    Ok(tables)
+}
+
+/// Calls `take` with each run of a capture: by fleet, robot and time. Only one run is in memory at a time, and a fixed
+/// number of samples; the others wait in a temporary file.
+///
+/// # Errors
+/// [`TrialError`], and those of `take`.
+pub fn each_run<E: From<TrialError>>(
+    path: &Path,
+    mut take: impl FnMut(CaptureRun) -> Result<(), E>,
+) -> Result<(), E> {
+    let refused = |detail: String| TrialError::Capture {
+        path: path.to_owned(),
+        detail,
+    };
+    let mut store = collect(path)?;
+    let several_fleets = {
+        let mut fleets: Vec<&str> = store.robots.keys().map(|robot| robot.0.as_ref()).collect();
+        fleets.dedup();
+        fleets.len() > 1
+    };
+    let mut found = 0;
+    for ((fleet, robot), runs) in std::mem::take(&mut store.robots) {
+        let name = match several_fleets {
+            true => format!("{fleet}/{robot}"),
+            false => robot.to_string(),
+        };
+        for run in runs {
+            let samples = store
+                .samples(run)
+                .map_err(|error| refused(spilled(&error)))?;
+            if samples.len() < 2 {
+                continue;
+            }
+            found += 1;
+            let (table, stamps) = table(path, &name, &samples)?;
+            let fleet = fleet.to_string();
+            take(CaptureRun {
+                fleet,
+                table,
+                stamps,
+            })?;
+        }
+    }
+    match found {
+        0 => Err(refused("no robot has two samples in a row".to_owned()).into()),
+        _ => Ok(()),
+    }
+}
+
+/// Sorts the samples of a capture by run.
+fn collect(path: &Path) -> Result<Store, TrialError> {
     let refused = |detail: String| TrialError::Capture {
         path: path.to_owned(),
         detail,
     };
     let failed = |error: ReadError| refused(error.to_string());
     let mut reader = Reader::open(path).map_err(failed)?;
-    let mut robots = Robots::new();
+    let mut store = Store::default();
     let mut frames = 0_u64;
     // The run of a source that each robot's last sample came from.
-    let mut sources: BTreeMap<(String, u32), (u64, u64)> = BTreeMap::new();
+    let mut sources: BTreeMap<Robot, (u64, u64)> = BTreeMap::new();
     while let Some(entry) = reader.next_entry().map_err(failed)? {
         let Message::Samples(header, samples) = entry.message else {
             continue;
         };
         frames += 1;
         for sample in samples {
-            let robot = (entry.fleet.to_string(), sample.robot);
+            let robot = (Arc::clone(&entry.fleet), sample.robot);
             let source = (header.source_id, header.source_epoch);
             let is_same = sources.insert(robot.clone(), source) == Some(source);
-            let runs = robots.entry(robot).or_default();
             let goes_on = is_same && !sample.has(sample_flag::DISCONTINUITY);
-            let last = runs.last_mut().filter(|_| goes_on);
-            match last {
-                Some(run) => {
-                    // Ingest refuses a time that does not advance.
-                    let before_ns = run.samples.last().map_or(0, |before| before.stamp_ns);
-                    if sample.stamp_ns > before_ns {
-                        run.samples.push(sample);
-                    }
-                    if run.samples.len() > MAX_ROWS {
-                        let path = path.to_owned();
-                        return Err(TrialError::TooManyRows { path });
-                    }
-                }
-                None => runs.push(Run {
-                    samples: vec![sample],
-                }),
+            let kept = Recorded {
+                sample,
+                unix_ns: entry.log_time_ns,
+            };
+            let run = store.run(robot, goes_on);
+            // Ingest refuses a time that does not advance.
+            if store.runs[run].rows > 0 && sample.stamp_ns <= store.runs[run].stamp_ns {
+                continue;
+            }
+            store
+                .push(run, kept)
+                .map_err(|error| refused(spilled(&error)))?;
+            if store.runs[run].rows > MAX_ROWS {
+                let path = path.to_owned();
+                return Err(TrialError::TooManyRows { path });
             }
         }
     }
@@ -87,29 +149,136 @@ pub(super) fn read(path: &Path) -> Result<Vec<Table>, TrialError> {
                       joulebus import";
         return Err(refused(detail.to_owned()));
     }
-    let several_fleets = {
-        let mut fleets: Vec<&str> = robots.keys().map(|robot| robot.0.as_str()).collect();
-        fleets.dedup();
-        fleets.len() > 1
-    };
-    let mut tables = Vec::new();
-    for ((fleet, robot), runs) in &robots {
-        let name = match several_fleets {
-            true => format!("{fleet}/{robot}"),
-            false => robot.to_string(),
-        };
-        for run in runs.iter().filter(|run| run.samples.len() > 1) {
-            tables.push(table(path, &name, &run.samples)?);
+    Ok(store)
+}
+
+fn spilled(error: &io::Error) -> String {
+    let folder = std::env::temp_dir();
+    let folder = folder.display();
+    format!(
+        "cannot keep samples in a temporary file in {folder}: {error}; TMPDIR names another folder"
+    )
+}
+
+/// A robot: its fleet and id.
+type Robot = (Arc<str>, u32);
+
+/// A sample, and when it was recorded.
+#[derive(Clone, Copy)]
+struct Recorded {
+    sample: Sample,
+    unix_ns: u64,
+}
+
+/// Bytes of a [`Recorded`] in the temporary file.
+const RECORDED_BYTES: usize = size_of::<Sample>() + size_of::<u64>();
+/// Samples in memory before they go to the temporary file: 75 MB.
+const MOST_PENDING: usize = 1 << 20;
+
+/// Samples sorted by run: some in memory, others in a temporary file that has no name.
+#[derive(Default)]
+struct Store {
+    /// Runs of each robot, as places in `runs`.
+    robots: BTreeMap<Robot, Vec<usize>>,
+    runs: Vec<Run>,
+    pending: usize,
+    file: Option<File>,
+    written_bytes: u64,
+}
+
+/// One run.
+#[derive(Default)]
+struct Run {
+    /// Where samples are in the temporary file, and how many.
+    blocks: Vec<(u64, usize)>,
+    pending: Vec<Recorded>,
+    rows: usize,
+    /// Of the last sample.
+    stamp_ns: u64,
+}
+
+impl Store {
+    /// The robot's last run, or a new one.
+    fn run(&mut self, robot: Robot, goes_on: bool) -> usize {
+        let own = self.robots.entry(robot).or_default();
+        if let Some(last) = own.last().filter(|_| goes_on) {
+            return *last;
+        }
+        own.push(self.runs.len());
+        self.runs.push(Run::default());
+        self.runs.len() - 1
+    }
+
+    fn push(&mut self, run: usize, recorded: Recorded) -> io::Result<()> {
+        let run = &mut self.runs[run];
+        run.rows += 1;
+        run.stamp_ns = recorded.sample.stamp_ns;
+        run.pending.push(recorded);
+        self.pending += 1;
+        match self.pending >= MOST_PENDING {
+            true => self.spill(),
+            false => Ok(()),
         }
     }
-    match tables.is_empty() {
-        true => Err(refused("no robot has two samples in a row".to_owned())),
-        false => Ok(tables),
+
+    /// Writes all samples in memory to the file, those of a run side by side.
+    fn spill(&mut self) -> io::Result<()> {
+        let mut file = match self.file.take() {
+            Some(file) => file,
+            None => tempfile::tempfile()?,
+        };
+        let mut out = BufWriter::new(&mut file);
+        for run in &mut self.runs {
+            if run.pending.is_empty() {
+                continue;
+            }
+            run.blocks.push((self.written_bytes, run.pending.len()));
+            for Recorded { sample, unix_ns } in std::mem::take(&mut run.pending) {
+                out.write_all(bytemuck::bytes_of(&sample))?;
+                out.write_all(&unix_ns.to_ne_bytes())?;
+                self.written_bytes += RECORDED_BYTES as u64;
+            }
+        }
+        out.flush()?;
+        drop(out);
+        self.file = Some(file);
+        self.pending = 0;
+        Ok(())
+    }
+
+    /// The samples of a run, which is then empty.
+    fn samples(&mut self, run: usize) -> io::Result<Vec<Recorded>> {
+        let Run {
+            blocks,
+            mut pending,
+            rows,
+            ..
+        } = std::mem::take(&mut self.runs[run]);
+        let mut samples = Vec::with_capacity(rows);
+        for (place, count) in blocks {
+            let mut bytes = vec![0; count * RECORDED_BYTES];
+            if let Some(file) = &self.file {
+                file.read_exact_at(&mut bytes, place)?;
+            }
+            samples.extend(bytes.chunks_exact(RECORDED_BYTES).map(|bytes| {
+                let (sample, unix_ns) = bytes.split_at(size_of::<Sample>());
+                Recorded {
+                    sample: bytemuck::pod_read_unaligned(sample),
+                    unix_ns: bytemuck::pod_read_unaligned(unix_ns),
+                }
+            }));
+        }
+        samples.append(&mut pending);
+        Ok(samples)
     }
 }
 
 /// The rows of one run; there are at least two samples.
-fn table(path: &Path, name: &str, samples: &[Sample]) -> Result<Table, TrialError> {
+fn table(
+    path: &Path,
+    name: &str,
+    samples: &[Recorded],
+) -> Result<(Table, Vec<RowStamp>), TrialError> {
     let mut table = Table {
         path: path.to_owned(),
         robot_name: Some(name.to_owned()),
@@ -118,7 +287,8 @@ fn table(path: &Path, name: &str, samples: &[Sample]) -> Result<Table, TrialErro
     let start_ns = start_ns(samples);
     let mut command: Option<&Sample> = None;
     let mut stamp_ns = start_ns;
-    for (sample, row) in samples.iter().zip(1..) {
+    let mut stamps = Vec::with_capacity(samples.len());
+    for (Recorded { sample, unix_ns }, row) in samples.iter().zip(1..) {
         let cell = Cell { path, row };
         table.push_time(cell, stamp_ns.saturating_sub(start_ns) as f64 * 1e-9)?;
         let known = |flag, value: f32, from: Option<&Sample>| match from {
@@ -150,22 +320,32 @@ fn table(path: &Path, name: &str, samples: &[Sample]) -> Result<Table, TrialErro
         ] {
             table.push(cell, column, column.recorded(value))?;
         }
+        stamps.push(RowStamp {
+            unix_ns: *unix_ns,
+            stamp_ns,
+            measured_ns: sample.measured_ns,
+            seq: sample.seq,
+            flags: sample.flags,
+        });
         command = Some(sample);
         stamp_ns = sample.stamp_ns;
     }
-    Ok(table)
+    Ok((table, stamps))
 }
 
 /// Time of the first row: that of its reading if it was measured within the step before the first
 /// sample, else a median step before.
-fn start_ns(samples: &[Sample]) -> u64 {
+fn start_ns(samples: &[Recorded]) -> u64 {
     let mut steps: Vec<u64> = samples
         .windows(2)
-        .map(|pair| pair[1].stamp_ns.saturating_sub(pair[0].stamp_ns))
+        .map(|pair| {
+            let [before, after] = [pair[0].sample.stamp_ns, pair[1].sample.stamp_ns];
+            after.saturating_sub(before)
+        })
         .collect();
     steps.sort_unstable();
     let median_ns = steps.get(steps.len() / 2).copied().unwrap_or(1);
-    let Some(first) = samples.first() else {
+    let Some(Recorded { sample: first, .. }) = samples.first() else {
         return 0;
     };
     let is_new = first.has(sample_flag::POWER) && !first.has(sample_flag::HELD);

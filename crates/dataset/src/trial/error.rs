@@ -27,8 +27,8 @@ pub enum TrialError {
     },
     /// The file has another format.
     #[error(
-        "{path}: found {found}; expected a .npy array of shape (n, 11), a CSV, plain or .gz, or a capture \
-         (.mcap)",
+        "{path}: found {found}; expected a .npy array of shape (n, 11), a CSV, plain or .gz, a capture \
+         (.mcap), or an archive of `joulebus export`",
         path = path.display()
     )]
     Kind {
@@ -170,6 +170,14 @@ pub enum TrialError {
         /// The file.
         path: PathBuf,
         /// What was found, and what to do.
+        detail: String,
+    },
+    /// A file of an archive could not be read.
+    #[error("{path}: {detail}", path = path.display())]
+    Archive {
+        /// The file.
+        path: PathBuf,
+        /// What was found, what is allowed, and what to do.
         detail: String,
     },
     /// Two columns have the same meaning.

@@ -6,6 +6,7 @@ use std::path::Path;
 use super::limits::{GZIP_MAGIC, MCAP_MAGIC, ZIP_MAGIC};
 use super::names::ColumnMap;
 use super::{Table, Trial, TrialError, capture, npy, text};
+use crate::archive;
 
 const HEAD_BYTES: u64 = 8;
 
@@ -33,6 +34,9 @@ impl Table {
     /// As [`Table::read_robots`], and for a mapped column that the file lacks.
     pub fn read_mapped(path: impl AsRef<Path>, map: &ColumnMap) -> Result<Vec<Self>, TrialError> {
         let path = path.as_ref();
+        if archive::is_listing(path) {
+            return archive::tables(path);
+        }
         let io = |source| TrialError::Io {
             path: path.to_owned(),
             source,
@@ -55,6 +59,8 @@ impl Table {
             npy::read(path, whole, file_bytes)
         } else if head.starts_with(MCAP_MAGIC) {
             capture::read(path)
+        } else if head.starts_with(archive::MAGIC) {
+            Ok(vec![archive::table(path)?.0])
         } else if head.starts_with(ZIP_MAGIC) {
             Err(TrialError::Kind {
                 path: path.to_owned(),

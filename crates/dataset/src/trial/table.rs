@@ -74,6 +74,21 @@ impl Column {
         }
     }
 
+    /// Unit of the values in files; `1` without one.
+    #[must_use]
+    pub const fn unit(self) -> &'static str {
+        match self {
+            Self::Phase | Self::Soc => "1",
+            Self::V | Self::VMeasured => "m/s",
+            Self::Omega | Self::OmegaMeasured => "rad/s",
+            Self::X | Self::Y => "m",
+            Self::Theta => "rad",
+            Self::Voltage => "mV",
+            Self::Current => "mA",
+            Self::Power => "mW",
+        }
+    }
+
     /// Converts a value of a file to SI units.
     pub(super) const fn si(self, recorded: f64) -> f64 {
         if self.is_milli() {
@@ -106,15 +121,15 @@ pub(super) const TIME_NAMES: &[&str] = &["timestamp_s", "timestamp"];
 /// mW), to the bit. [`Trial`](super::Trial) has the same in SI units.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Table {
-    pub(super) path: PathBuf,
-    pub(super) robot_name: Option<String>,
+    pub(crate) path: PathBuf,
+    pub(crate) robot_name: Option<String>,
     /// File row of each row, from 1; not contiguous where several robots share a file.
-    pub(super) file_row: Vec<u32>,
-    pub(super) timestamp_s: Vec<f64>,
-    pub(super) columns: Columns,
-    pub(super) ignored_columns: Vec<String>,
-    pub(super) no_final_line_break: bool,
-    pub(super) unnamed_rows: usize,
+    pub(crate) file_row: Vec<u32>,
+    pub(crate) timestamp_s: Vec<f64>,
+    pub(crate) columns: Columns,
+    pub(crate) ignored_columns: Vec<String>,
+    pub(crate) no_final_line_break: bool,
+    pub(crate) unnamed_rows: usize,
 }
 
 /// Values of each [`Column`], in the order of [`Column::ALL`].
@@ -141,10 +156,10 @@ pub(super) fn is_held(columns: &Columns, row: usize) -> bool {
 
 /// Location of a value, for checks and their messages.
 #[derive(Clone, Copy)]
-pub(super) struct Cell<'a> {
-    pub(super) path: &'a Path,
+pub(crate) struct Cell<'a> {
+    pub(crate) path: &'a Path,
     /// File row, from 1.
-    pub(super) row: usize,
+    pub(crate) row: usize,
 }
 
 impl Cell<'_> {
@@ -189,6 +204,18 @@ impl Table {
         self.timestamp_s.len()
     }
 
+    /// Row of the file that holds row `row` (from 0), from 1, a CSV's header not included.
+    #[must_use]
+    pub fn file_row(&self, row: usize) -> usize {
+        self.file_row.get(row).map_or(row + 1, |row| *row as usize)
+    }
+
+    /// Whether the file, a CSV, does not end with a newline.
+    #[must_use]
+    pub fn no_final_line_break(&self) -> bool {
+        self.no_final_line_break
+    }
+
     /// Rows without a robot name in a table that has one; all written rows name the robot.
     #[must_use]
     pub fn unnamed_rows(&self) -> usize {
@@ -220,7 +247,7 @@ impl Table {
     }
 
     /// Appends a value of `column` in the unit of the file.
-    pub(super) fn push(
+    pub(crate) fn push(
         &mut self,
         cell: Cell<'_>,
         column: Column,
@@ -248,7 +275,7 @@ impl Table {
     }
 
     /// Appends the time of a new row.
-    pub(super) fn push_time(&mut self, cell: Cell<'_>, timestamp_s: f64) -> Result<(), TrialError> {
+    pub(crate) fn push_time(&mut self, cell: Cell<'_>, timestamp_s: f64) -> Result<(), TrialError> {
         if cell.row > MAX_ROWS {
             return Err(TrialError::TooManyRows {
                 path: cell.path.to_owned(),

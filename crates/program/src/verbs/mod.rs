@@ -3,6 +3,7 @@
 
 pub mod bench;
 pub mod bridge;
+pub mod export;
 pub mod link;
 pub mod mission;
 pub mod report;

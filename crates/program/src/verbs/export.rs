@@ -1,0 +1,30 @@
+//! `joulebus export`.
+
+use std::ffi::OsString;
+use std::path::PathBuf;
+
+/// Write recordings and captures as a folder of Parquet files
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus export run.mcap --to parquet archive/\n  \
+    joulebus export recordings/ --to parquet archive/\n  \
+    joulebus eval archive/ --model my.safetensors\n\n\
+    Each trial is a file, DIR/fleet=…/day=…/robot=…/*.parquet, in the order and the units of its recording, to the bit; \
+    docs/datasets.md has the columns. Every verb that takes recordings takes DIR as the recordings that were \
+    exported, in their order; a partition of it (DIR/fleet=a/day=2026-11-22) file by file. Further exports into DIR \
+    add to it. Captures of any length need little memory; a temporary file in TMPDIR has their samples meanwhile.\n\n\
+    Exit codes: 1 if something cannot be read or written: whole recordings before it are in DIR; 2 for wrong usage, \
+    such as a folder with other files.")]
+pub struct ExportArguments {
+    /// Recordings (.npy, .csv, .csv.gz), captures (.mcap), directories (searched recursively), or
+    /// patterns in quotes: 'runs/**/*.npy'
+    #[arg(required = true, value_name = "PATH")]
+    pub paths: Vec<PathBuf>,
+    /// The format, parquet, and the folder: a new or an empty one, or one of an earlier export
+    #[arg(long, required = true, num_args = 2, value_names = ["FORMAT", "DIR"])]
+    pub to: Vec<OsString>,
+    /// Names of columns in CSV files, where they are not found by themselves:
+    /// time=timestamp_s,power=load_W (`data check --help` lists the accepted names)
+    #[arg(long, value_name = "QUANTITY=COLUMN,…", value_delimiter = ',')]
+    pub map: Vec<String>,
+}
