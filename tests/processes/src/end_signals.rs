@@ -7,7 +7,7 @@ use rustix::process::Signal;
 #[must_use]
 pub fn end_signals() -> Vec<Signal> {
     let mut signals = vec![Signal::TERM, Signal::INT];
-    if ignores_hangup(std::process::id()) {
+    if ignores(std::process::id(), Signal::HUP) {
         println!("skipped: SIGHUP is ignored here, as under nohup");
     } else {
         signals.push(Signal::HUP);
@@ -15,14 +15,15 @@ pub fn end_signals() -> Vec<Signal> {
     signals
 }
 
-/// True if the process ignores SIGHUP, by /proc.
+/// True if the process ignores the signal, by /proc. A shell without job control starts what follows `&` with SIGINT ignored,
+/// and children inherit it.
 ///
 /// # Panics
 /// There is no such process.
 #[must_use]
-pub fn ignores_hangup(pid: u32) -> bool {
+pub fn ignores(pid: u32, signal: Signal) -> bool {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).expect("a process");
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     let ignored = ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
-    ignored.expect("Linux lists it") & 1 == 1
+    ignored.expect("Linux lists it") >> (signal.as_raw() - 1) & 1 == 1
 }

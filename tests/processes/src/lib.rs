@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::{Pid, Signal, kill_process};
 
-pub use end_signals::{end_signals, ignores_hangup};
+pub use end_signals::{end_signals, ignores};
 pub use member::{Member, send_to_test};
 
 /// Timeout of every wait. Far beyond the delays of a busy machine: only a defect reaches it.
