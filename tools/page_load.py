@@ -1,10 +1,12 @@
 #!/usr/bin/env python3
-"""What a page with many browsers costs the worker: its tick times without and with them, in turn.
+"""What a page with many browsers, or links to other hosts, cost the worker: its tick times without and with them, in turn.
 
-    cargo build --release -p joulebus -p joulebus-serve
+    cargo build --release -p joulebus -p joulebus-serve -p joulebus-link
     tools/page_load.py --browsers 50 --robots 100 --seconds 30 --rounds 3
+    tools/page_load.py --links 3 --robots 100 --seconds 30 --rounds 3
 
-Each run has a worker and a source of its own; a browser is a stream of 50 rows and a robot at 5 Hz, as the page opens it.
+Each run has a worker and a source of its own; a browser is a stream of 50 rows and a robot at 5 Hz, as the page opens it; a link
+is one of another host that follows forecasts, diagnostics and budgets, all on this machine.
 Prints p50, p99 and p99.9 of the worker's ticks, µs, of each run, and their medians.
 """
 
@@ -51,8 +53,32 @@ def browser(address, stop, counts, place):
             counts[place] += received.count(b"event: ")
 
 
+def links(programs, config, count, args):
+    """The worker's link and those of so many other hosts, in the order in which they end."""
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        address = f"tcp/127.0.0.1:{found.getsockname()[1]}"
+    started = []
+    for place in range(count + 1):
+        name = f"desk{place}" if place else "base"
+        own = config
+        if place:
+            own = config.with_name(f"{name}.toml")
+            own.write_text(config.read_text().replace("jbload", f"jbl{place}"))
+        sides = f'connect = ["{address}"]\n[follow]\nworker = "base"\n' if place else f'listen = ["{address}"]\n[worker]\n'
+        file = config.with_name(f"{name}.link.toml")
+        file.write_text(f'name = "{name}"\n[network]\n{sides}')
+        link = subprocess.Popen(
+            [programs / "joulebus-link", file, "--config", own, "--format", "json"],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        while "is open" not in link.stderr.readline():
+            pass
+        started.insert(0, link)
+    return started
+
+
 def run(programs, config, browsers, args):
-    """The worker's report of one run, and the events that browsers received."""
+    """The worker's report of one run, and the events that browsers, or the frames that links, received."""
     named = ["--config", str(config)]
     worker = subprocess.Popen(
         [programs / "joulebus", "--format", "json", "run", *named],
@@ -63,7 +89,8 @@ def run(programs, config, browsers, args):
         [programs / "joulebus", "publish", "sim", "--robots", str(args.robots), *named],
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     stop, counts, threads, server = threading.Event(), [0] * browsers, [], None
-    if browsers:
+    linked = links(programs, config, args.links, args) if browsers and args.links else []
+    if browsers and not linked:
         server = subprocess.Popen(
             [programs / "joulebus-serve", "--http", "127.0.0.1:0", *named],
             stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
@@ -79,6 +106,10 @@ def run(programs, config, browsers, args):
     stop.set()
     for thread in threads:
         thread.join()
+    for link in linked:
+        link.send_signal(signal.SIGTERM)
+        taken = json.loads(link.communicate()[0])["taken"]
+        counts.append(sum(host["frames"] for host in taken))
     for process in (server, source):
         if process:
             process.send_signal(signal.SIGTERM)
@@ -91,6 +122,7 @@ def run(programs, config, browsers, args):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--browsers", type=int, default=50)
+    parser.add_argument("--links", type=int, default=0, help="links to other hosts, instead of a page with browsers")
     parser.add_argument("--robots", type=int, default=100)
     parser.add_argument("--seconds", type=float, default=30)
     parser.add_argument("--rounds", type=int, default=3)
@@ -101,7 +133,8 @@ def main():
     if args.cpu is not None:
         # Inherited by all processes and threads; the worker's ticks go where its config says.
         os.sched_setaffinity(0, os.sched_getaffinity(0) - {args.cpu})
-    found = {0: [], args.browsers: []}
+    found = {0: [], args.links or args.browsers: []}
+    what = "links" if args.links else "browsers"
     with tempfile.TemporaryDirectory() as directory:
         for number in range(args.rounds):
             for browsers in found:
@@ -112,11 +145,11 @@ def main():
                 report, events = run(args.programs, config, browsers, args)
                 tick = report["tick"]
                 found[browsers].append((tick["p50_us"], tick["p99_us"], tick["p999_us"]))
-                print(f"{browsers:>3} browsers: ticks {report['ticks']}, p50 {tick['p50_us']:.0f}, p99 {tick['p99_us']:.0f}, "
-                      f"p99.9 {tick['p999_us']:.0f} µs, skipped {report['ticks_skipped']}, events {events}", flush=True)
+                print(f"{browsers:>3} {what}: ticks {report['ticks']}, p50 {tick['p50_us']:.0f}, p99 {tick['p99_us']:.0f}, "
+                      f"p99.9 {tick['p999_us']:.0f} µs, skipped {report['ticks_skipped']}, {'frames' if args.links else 'events'} {events}", flush=True)
     for place, name in enumerate(["p50", "p99", "p99.9"]):
         without, beside = (statistics.median(run[place] for run in runs) for runs in found.values())
-        print(f"{name}: {without:.0f} µs without, {beside:.0f} µs with {args.browsers} browsers: {100 * (beside / without - 1):+.0f} %")
+        print(f"{name}: {without:.0f} µs without, {beside:.0f} µs with {args.links or args.browsers} {what}: {100 * (beside / without - 1):+.0f} %")
 
 
 if __name__ == "__main__":
