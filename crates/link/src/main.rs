@@ -20,3 +20,18 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     joulebus_program::verb::main("link", link::run)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    #[test]
+    fn the_seed_of_the_fuzz_target_is_the_one_that_tests_take() {
+        let seeds = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fuzz/seeds/link");
+        // A published crate has no fuzz targets beside it.
+        if seeds.is_dir() {
+            let kept = std::fs::read(seeds.join("good")).unwrap();
+            assert_eq!(kept, crate::protocol::hostile::seed());
+        }
+    }
+}

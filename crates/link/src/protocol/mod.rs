@@ -2,7 +2,7 @@
 
 pub(crate) mod carried;
 #[cfg(test)]
-mod hostile;
+pub(crate) mod hostile;
 pub(crate) mod merge;
 pub(crate) mod message;
 pub(crate) mod offset;
