@@ -21,6 +21,13 @@ impl Fleet {
         self.take_part(&frame, samples);
     }
 
+    /// Whether the account of the frame's source contains the frame: it was taken, refused or counted as lost. Who
+    /// continues from a [state](crate::FleetState) takes no frame twice.
+    #[must_use]
+    pub fn has_accounted(&self, header: &SampleHeader) -> bool {
+        self.sources.has_accounted(header)
+    }
+
     /// Begins a frame of `count` samples that are [taken](Fleet::take_part) in parts, in their
     /// order, all before the next frame or tick. The same as [`Fleet::take`] of the whole frame.
     pub fn begin_frame(&mut self, header: &SampleHeader, count: u64, now_ns: u64) -> FrameIntake {

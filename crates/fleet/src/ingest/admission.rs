@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::ingest::codes::invalid_reason;
 use crate::ingest::pending::Pending;
+use crate::layout::shift::Shift;
 
 /// Admission state of one robot: the slot's owner, and the inputs of its next sample's checks. One
 /// cache line per robot, because samples arrive in any order.
@@ -72,6 +73,34 @@ impl AdmissionState {
         charged: false,
         outside_training: false,
     };
+
+    /// Moves the instants to another clock.
+    pub(crate) fn shift(&mut self, shift: Shift) {
+        let Self {
+            taken_ns,
+            stamp_ns,
+            seq: _,
+            source_id: _,
+            // A name.
+            source_epoch: _,
+            id: _,
+            generation: _,
+            platform: _,
+            taken: _,
+            refused_run: _,
+            invalid: _,
+            present: _,
+            ordered: _,
+            renewed: _,
+            reported: _,
+            accepted: _,
+            charging: _,
+            charged: _,
+            outside_training: _,
+        } = self;
+        shift.instant(taken_ns);
+        shift.instant(stamp_ns);
+    }
 
     /// Records the part of an absorbed sample that does not depend on the forecast. Without a row
     /// for the model, nothing is outside the training range.

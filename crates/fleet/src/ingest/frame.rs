@@ -3,6 +3,8 @@
 use joulebus_wire::{DropReason, SampleHeader};
 use serde::{Deserialize, Serialize};
 
+use crate::layout::shift::Shift;
+
 /// Intake of one tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct TickIntake {
@@ -10,6 +12,18 @@ pub struct TickIntake {
     pub frames: u32,
     /// Intended time, send time and reception time of the first of them, monotonic ns.
     pub first: Option<(u64, u64, u64)>,
+}
+
+impl TickIntake {
+    /// Moves the instants to another clock.
+    pub(crate) fn shift(&mut self, shift: Shift) {
+        let Self { frames: _, first } = self;
+        if let Some((intended_ns, sent_ns, taken_ns)) = first {
+            for instant_ns in [intended_ns, sent_ns, taken_ns] {
+                shift.instant(instant_ns);
+            }
+        }
+    }
 }
 
 /// A frame in ingest.

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::ingest::pending::Pending;
 use crate::layout::lanes::{block, put};
+use crate::layout::shift::Shift;
 
 /// Time constant of the mean power, s.
 const MEAN_POWER_S: f32 = 60.0;
@@ -80,6 +81,23 @@ block! {
 }
 
 impl LastLanes {
+    /// Moves the instants to another clock.
+    pub(crate) fn shift(&mut self, shift: Shift) {
+        let Self {
+            seq: _,
+            measured_ns,
+            equal_since_ns,
+            refused: _,
+            reading_w: _,
+            residual_w: _,
+            mean_power_w: _,
+            quality: _,
+            quality_detail: _,
+        } = self;
+        shift.instants(measured_ns);
+        shift.instants(equal_since_ns);
+    }
+
     #[inline(always)]
     pub(crate) fn quality(&self, lane: usize) -> (u16, u16) {
         (self.quality[lane], self.quality_detail[lane])

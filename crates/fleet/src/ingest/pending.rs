@@ -4,6 +4,7 @@ use joulebus_wire::{Sample, sample_flag};
 use serde::{Deserialize, Serialize};
 
 use crate::layout::lanes::{Lanes, block, put};
+use crate::layout::shift::Shift;
 
 /// A sample that has passed the checks: the fields that the tick uses.
 #[derive(Debug, Clone, Copy)]
@@ -81,6 +82,24 @@ block! {
         pub power_w: f32,
         flags: u8,
         broken: bool,
+    }
+}
+
+impl PendingLanes {
+    /// Moves the instants to another clock.
+    pub(crate) fn shift(&mut self, shift: Shift) {
+        let Self {
+            seq: _,
+            stamp_ns,
+            measured_ns,
+            v_mps: _,
+            omega_radps: _,
+            power_w: _,
+            flags: _,
+            broken: _,
+        } = self;
+        shift.instants(stamp_ns);
+        shift.instants(measured_ns);
     }
 }
 

@@ -4,6 +4,8 @@ use joulebus_settings::FleetSettings;
 use joulebus_wire::{DropCounts, DropReason, SampleHeader};
 use serde::{Deserialize, Serialize};
 
+use crate::layout::shift::Shift;
+
 /// One run of a source.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 struct Run {
@@ -84,6 +86,18 @@ impl Source {
         Ok(())
     }
 
+    /// Moves the instants to another clock.
+    pub(crate) fn shift(&mut self, shift: Shift) {
+        let Self {
+            id: _,
+            // Runs are names.
+            run: _,
+            other: _,
+            taken_ns,
+        } = self;
+        shift.instant(taken_ns);
+    }
+
     fn replace(&mut self, accounted: u64, epoch: u64) {
         self.other = Some(self.run);
         self.run = Run { epoch, accounted };
@@ -144,6 +158,21 @@ impl Sources {
         source.frame(header, samples, silent, drops)?;
         source.taken_ns = now_ns;
         Ok(())
+    }
+
+    /// Whether a frame has been taken, refused, or counted as lost: it, or a later one of its source. One of a run that has
+    /// been replaced counts as refused.
+    pub(crate) fn has_accounted(&self, header: &SampleHeader) -> bool {
+        let source = self.sources.iter().find(|it| it.id == header.source_id);
+        source.is_some_and(|source| {
+            let (run, epoch) = (&source.run, header.source_epoch);
+            let other = source.other.filter(|other| other.epoch == epoch);
+            match (epoch == run.epoch, other) {
+                (true, _) => header.samples_before < run.accounted,
+                (false, Some(other)) => header.samples_before < other.accounted,
+                (false, None) => epoch < run.epoch,
+            }
+        })
     }
 
     /// The place of the source that has been silent longest, if that is long enough to give it to another.

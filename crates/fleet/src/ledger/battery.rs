@@ -8,7 +8,8 @@ use joulebus_settings::{Battery, ChargeReading, Platform};
 use joulebus_wire::{Budget, Sample, budget_flag, sample_flag};
 use serde::{Deserialize, Serialize};
 
-use crate::layout::lanes::block;
+use crate::layout::lanes::{Block as _, LANES, block};
+use crate::layout::shift::Shift;
 use crate::ledger::energy::Ledger;
 use crate::ledger::measured::{Measured, Seen};
 
@@ -183,6 +184,15 @@ block! {
 }
 
 impl BatteryLanes {
+    /// As [`BatteryState::shift`], of all.
+    pub(crate) fn shift(&mut self, shift: Shift) {
+        for lane in 0..LANES {
+            let mut battery = self.get(lane);
+            battery.shift(shift);
+            self.set(lane, true, battery);
+        }
+    }
+
     /// Keeps what a sample says of the battery of the robot in a lane until the tick. Writes only
     /// these columns: samples come in any order, and each column is another line of the cache.
     #[inline(always)]
@@ -256,6 +266,41 @@ impl BatteryState {
         };
         unknown.anchor(at);
         unknown
+    }
+
+    /// Moves the instants to another clock. Of the anchor both times are durations.
+    pub(crate) fn shift(&mut self, shift: Shift) {
+        let Self {
+            soc: _,
+            sd: _,
+            below: _,
+            above: _,
+            drawn_uj: _,
+            metered_ns: _,
+            unmetered_ns: _,
+            counted: _,
+            bias: _,
+            bias_var: _,
+            covariance: _,
+            measured_ns,
+            measured: _,
+            equal_counted: _,
+            jump: _,
+            jump_ns,
+            jump_measured: _,
+            interrupted_ns,
+            changes: _,
+            raised: _,
+            charging: _,
+            fused: _,
+            input: _,
+            return_j: _,
+            input_by_voltage: _,
+            events: _,
+        } = self;
+        for instant_ns in [measured_ns, jump_ns, interrupted_ns] {
+            shift.instant(instant_ns);
+        }
     }
 
     fn anchor(&mut self, at: At) {

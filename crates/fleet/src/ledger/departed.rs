@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::layout::index::Index;
+use crate::layout::shift::Shift;
 use crate::ledger::battery::Known;
 use crate::ledger::energy::Ledger;
 
@@ -14,6 +15,24 @@ pub(crate) struct Account {
     pub charged: bool,
     pub ledger: Ledger,
     pub battery: Known,
+}
+
+impl Account {
+    /// Moves the instants to another clock.
+    pub(crate) fn shift(&mut self, shift: Shift) {
+        let Self {
+            robot: _,
+            charged: _,
+            ledger,
+            battery,
+        } = self;
+        ledger.shift(shift);
+        match battery {
+            Known::Kept(kept) => kept.shift(shift),
+            // Without instants.
+            Known::Nothing | Known::Saved(_) => {}
+        }
+    }
 }
 
 /// Ring buffer of accounts in columns, with a fixed capacity; the account dropped for another one

@@ -2,7 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::layout::lanes::{block, put};
+use crate::layout::lanes::{Block as _, LANES, block, put};
+use crate::layout::shift::Shift;
 
 /// µW·ns in one µJ, times 2: the trapezoid is summed without halving.
 const UNITS_PER_UJ: i64 = 2_000_000_000;
@@ -76,6 +77,24 @@ impl Ledger {
     #[must_use]
     pub fn stamp_ns(&self) -> Option<u64> {
         self.begun.then_some(self.stamp_ns)
+    }
+
+    /// Moves the newest stamp to another clock. Time before that clock began is unmetered at once, so that none is
+    /// lost.
+    pub(crate) fn shift(&mut self, shift: Shift) {
+        let Self {
+            drawn_uj: _,
+            forecast_uj: _,
+            metered_ns: _,
+            unmetered_ns,
+            stamp_ns,
+            drawn_remainder: _,
+            forecast_remainder: _,
+            last_power: _,
+            begun: _,
+        } = self;
+        let before_ns = shift.instant(stamp_ns);
+        *unmetered_ns = unmetered_ns.saturating_add(before_ns);
     }
 
     /// Records a sample: its stamp, the reading in W if there is one, and its forecast. Time counts
@@ -261,6 +280,17 @@ block! {
         forecast_remainder: u32,
         last_power: u32,
         begun: bool,
+    }
+}
+
+impl LedgerLanes {
+    /// As [`Ledger::shift`], of all.
+    pub(crate) fn shift(&mut self, shift: Shift) {
+        for lane in 0..LANES {
+            let mut ledger = self.get(lane);
+            ledger.shift(shift);
+            self.set(lane, true, ledger);
+        }
     }
 }
 

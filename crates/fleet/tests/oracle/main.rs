@@ -5,6 +5,7 @@ mod experts;
 mod faults;
 mod intake;
 mod robot;
+mod shifted;
 mod state;
 #[path = "../world/mod.rs"]
 mod world;

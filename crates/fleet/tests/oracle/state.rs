@@ -10,7 +10,7 @@ use super::world::{self, PERIOD_NS, bits};
 use super::{CAPACITY, START_NS, senders};
 
 /// All frames of a run with faults, each with its tick, and the times of the ticks.
-fn traffic(seed: u64, ticks: usize) -> Vec<(u64, Vec<Delivery>)> {
+pub(crate) fn traffic(seed: u64, ticks: usize) -> Vec<(u64, Vec<Delivery>)> {
     let rates = Rates {
         sample: 8,
         frame: 15,
@@ -34,13 +34,13 @@ fn traffic(seed: u64, ticks: usize) -> Vec<(u64, Vec<Delivery>)> {
         .collect()
 }
 
-fn take(fleet: &mut Fleet, frames: &[Delivery]) {
+pub(crate) fn take(fleet: &mut Fleet, frames: &[Delivery]) {
     for frame in frames {
         fleet.take(&frame.header, &frame.samples, frame.at_ns);
     }
 }
 
-fn encoded(fleet: &Fleet) -> Vec<u8> {
+pub(crate) fn encoded(fleet: &Fleet) -> Vec<u8> {
     let mut bytes = Vec::new();
     fleet.state().encode_into(&mut bytes);
     bytes
@@ -53,7 +53,7 @@ fn generations(fleet: &Fleet) -> Vec<(u32, u32)> {
 }
 
 /// Compares two fleets: all outputs and the whole internal state.
-fn same(one: &Fleet, other: &Fleet, tick: usize) -> Result<(), TestCaseError> {
+pub(crate) fn same(one: &Fleet, other: &Fleet, tick: usize) -> Result<(), TestCaseError> {
     prop_assert_eq!(generations(one), generations(other), "tick {}", tick);
     for robot in 0..300 {
         prop_assert_eq!(
