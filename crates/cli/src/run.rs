@@ -24,7 +24,8 @@ use crate::service_manager::ServiceManager;
 #[command(after_help = "Examples:\n  \
     joulebus run --config configs/fleet.toml\n  \
     joulebus run --format json > report.json &\n  \
-    joulebus run --record run.mcap\n\n\
+    joulebus run --record run.mcap\n  \
+    joulebus run --standby        serves when the link of this host permits it: docs/scale.md\n\n\
     A fleet has one worker; a second one exits and reports the pid of the first. Each raise and each end \
     of a robot's alarm is one line of the log on stderr; --log-format json makes each an object. Under \
     systemd (Type=notify) it says when it is ready, and with WatchdogSec= that it works. Times in the \
@@ -35,6 +36,10 @@ pub(crate) struct Args {
     /// Also record all topics into this file, in a separate process
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
+    /// Serve only with a permit: of several hosts' workers for the same robots one at a time does. Waits for it, goes on
+    /// where the worker before has ended, and ends with exit code 1 when the permit has run out
+    #[arg(long)]
+    standby: bool,
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
@@ -49,14 +54,29 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let turns = Arc::new(AtomicU64::new(0));
     let service = ServiceManager::start(Arc::clone(&turns))?;
     let alarms = AlarmLog::start(&config).context("alarms cannot be logged")?;
-    let mut worker = Worker::open(&config)?;
-    alarms.open();
-    questions.serve();
-    questions.wait_until_open();
+    let mut worker = if args.standby {
+        Worker::open_standby(&config)?
+    } else {
+        Worker::open(&config)?
+    };
     worker.count_turns_in(turns);
-    service.ready(&ready(&config));
-    say(&ready(&config));
-    let ran = worker.run(stop.flag());
+    if args.standby {
+        let waits = format!("standing by: {}", described(&config));
+        service.ready(&waits);
+        say(&waits);
+    }
+    let ran = worker.stand_by(stop.flag()).and_then(|serves| {
+        if !serves {
+            return Ok(());
+        }
+        alarms.open();
+        questions.serve();
+        questions.wait_until_open();
+        let ready = format!("ready: {}", described(&config));
+        service.ready(&ready);
+        say(&ready);
+        worker.run(stop.flag())
+    });
     service.stopping();
     // While this process holds the fleet's lock: clients take refusals, too, from no other.
     let queries = questions.finish();
@@ -72,14 +92,14 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::unless_lost(!whole))
 }
 
-fn ready(config: &Config) -> String {
+fn described(config: &Config) -> String {
     let platforms = config.settings().platforms.iter().zip(config.models());
     let models: Vec<String> = platforms
         .map(|(platform, model)| format!("{} by {}", platform.name, model_name(model)))
         .collect();
     let (fleet, capacity) = (config.fleet(), config.settings().capacity);
     let (models, pid) = (models.join(", "), std::process::id());
-    format!("ready: fleet {fleet}, {capacity} robots capacity, model {models}, pid {pid}")
+    format!("fleet {fleet}, {capacity} robots capacity, model {models}, pid {pid}")
 }
 
 fn model_name(model: &ModelSource) -> String {

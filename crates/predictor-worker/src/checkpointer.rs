@@ -16,6 +16,7 @@ use crate::checkpoint::Checkpoint;
 use crate::keyframes::{KeyframeOrders, KeyframeSender};
 use crate::ledger_files::{LedgerFileError, LedgerFiles};
 use crate::save_schedule::SaveSchedule;
+use crate::standby::Places;
 use crate::state_directory::checkpoint_path;
 
 /// Longest sleep of the checkpointer, ns.
@@ -105,7 +106,12 @@ impl Checkpointer {
             budgets: bus.budget_reader(&limits)?,
             diagnostics: bus.diagnostic_reader(&limits)?,
             forecasts: bus.forecast_reader(&limits)?,
-            keyframes: KeyframeSender::open(&bus, &limits, config.settings(), orders)?,
+            keyframes: KeyframeSender::open(
+                &bus,
+                &limits,
+                config.settings(),
+                (orders, Places::of(config).keyframe),
+            )?,
             _bus: bus,
             failures,
             checkpoint,

@@ -1,9 +1,11 @@
-//! Keyframes: the fleet's whole state, for recorders.
+//! Keyframes: the fleet's whole state, for recorders, and for the worker of another host that stands by.
 //!
-//! When the checkpointer detects readers, it passes the tick a box for the state; the tick copies
+//! When the checkpointer detects readers, or the worker serves with a permit, it passes the tick a box for the state; the tick copies
 //! its state into the box after everything else is sent, and returns it; the checkpointer encodes
-//! and sends it. The tick neither allocates nor blocks, and without readers there is no box.
+//! and sends it. The tick neither allocates nor blocks, and if nobody needs the state there is no box.
 
+use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use joulebus_bus::{Bus, Limits, OpenError, StateWriter, clock, process_id};
@@ -11,10 +13,17 @@ use joulebus_fleet::{Fleet, FleetState};
 use joulebus_settings::FleetSettings;
 use joulebus_wire::{SCHEMA_VERSION, StateHeader};
 
+use crate::standby::SavedState;
+use crate::standby::watch::Speaking;
+
 /// Minimum time between two keyframes, unless there is a new reader, ns.
 const EVERY_NS: u64 = 5_000_000_000;
 /// A keyframe may take at most 1/100 of the checkpointer's time, and of the tick's.
 const TIME_DIVISOR: u64 = 100;
+/// The same for the file that the link gives to other hosts: a worker that takes over begins at most that far back. Its encoding may take
+/// 1/10 of the checkpointer's time, which waits for disks otherwise; copying still 1/100 of the tick's.
+const FILE_EVERY_NS: u64 = 1_000_000_000;
+const FILE_TIME_DIVISOR: u64 = 10;
 /// Pieces sent per poll: a reader's buffer holds four times as many, and a recorder reads it
 /// several times per poll of the checkpointer.
 const BURST: usize = 2;
@@ -53,13 +62,18 @@ pub(crate) struct Keyframes {
 pub(crate) struct KeyframeOrders {
     ask: SyncSender<Box<Keyframe>>,
     taken: Receiver<Box<Keyframe>>,
+    speaking: Arc<Speaking>,
 }
 
 /// Both ends. At most one box is in transfer in either direction, so no end ever blocks.
-pub(crate) fn keyframes() -> (Keyframes, KeyframeOrders) {
+pub(crate) fn keyframes(speaking: Arc<Speaking>) -> (Keyframes, KeyframeOrders) {
     let (ask, asked) = sync_channel(1);
     let (give, taken) = sync_channel(1);
-    let orders = KeyframeOrders { ask, taken };
+    let orders = KeyframeOrders {
+        ask,
+        taken,
+        speaking,
+    };
     (Keyframes { asked, taken: give }, orders)
 }
 
@@ -91,7 +105,14 @@ pub(crate) struct KeyframeSender {
     sending: Option<(Box<Keyframe>, usize)>,
     bytes: Vec<u8>,
     readers: usize,
+    /// When the next one for readers is due.
     next_ns: u64,
+    /// Whether the requested one is for them.
+    is_for_readers: bool,
+    file: PathBuf,
+    /// When the next one for the file is due.
+    file_ns: u64,
+    is_file_told: bool,
 }
 
 impl KeyframeSender {
@@ -100,7 +121,7 @@ impl KeyframeSender {
         bus: &Bus,
         limits: &Limits,
         settings: &FleetSettings,
-        orders: KeyframeOrders,
+        (orders, file): (KeyframeOrders, PathBuf),
     ) -> Result<Self, OpenError> {
         let mut sender = Self {
             writer: bus.state_writer(limits)?,
@@ -112,6 +133,10 @@ impl KeyframeSender {
             bytes: Vec::new(),
             readers: 0,
             next_ns: 0,
+            is_for_readers: false,
+            file,
+            file_ns: 0,
+            is_file_told: false,
         };
         sender.ask_if_wanted();
         Ok(sender)
@@ -158,18 +183,25 @@ impl KeyframeSender {
         if self.is_busy() {
             return;
         }
-        if readers == 0 {
+        let has_permit = self.orders.speaking.term() > 0;
+        if readers == 0 && !has_permit {
             (self.spare, self.bytes) = (None, Vec::new());
             return;
         }
-        if clock::monotonic_ns() < self.next_ns {
+        let now_ns = clock::monotonic_ns();
+        let is_for_readers = readers > 0 && now_ns >= self.next_ns;
+        let is_for_file = has_permit && now_ns >= self.file_ns;
+        if !is_for_readers && !is_for_file {
             return;
         }
         let keyframe = match self.spare.take() {
             Some(keyframe) => keyframe,
             None => Box::new(Keyframe::with_capacity_for(&self.settings)),
         };
-        self.next_ns = u64::MAX;
+        self.is_for_readers = is_for_readers;
+        if is_for_readers {
+            self.next_ns = u64::MAX;
+        }
         self.is_asked = self.orders.ask.try_send(keyframe).is_ok();
     }
 
@@ -181,9 +213,10 @@ impl KeyframeSender {
         let (copied_ns, encoded_ns) = (keyframe.copied_in_ns, now_ns.saturating_sub(begun_ns));
         let every_ns = EVERY_NS.max(TIME_DIVISOR.saturating_mul(encoded_ns.max(copied_ns)));
         // Unless a new reader has connected since the request.
-        if self.next_ns > 0 {
+        if self.is_for_readers && self.next_ns > 0 {
             self.next_ns = now_ns.saturating_add(every_ns);
         }
+        self.save(&keyframe, begun_ns);
         tracing::debug!(
             tick = keyframe.tick,
             bytes = self.bytes.len(),
@@ -191,7 +224,36 @@ impl KeyframeSender {
             encoded_ns,
             "keyframe"
         );
-        self.sending = Some((keyframe, 0));
+        if self.is_for_readers {
+            self.sending = Some((keyframe, 0));
+        } else {
+            self.spare = Some(keyframe);
+        }
+    }
+
+    /// Leaves the state to the link of this host, if the worker serves with a permit. `begun_ns`: when the encoding began.
+    fn save(&mut self, keyframe: &Keyframe, begun_ns: u64) {
+        let term = self.orders.speaking.term();
+        if term == 0 {
+            return;
+        }
+        let saved = SavedState::write(&self.file, (term, keyframe.taken_ns, 0), &self.bytes);
+        match saved {
+            Ok(()) => self.is_file_told = false,
+            Err(error) if !self.is_file_told => {
+                tracing::error!(
+                    "a worker that takes over would begin with an older state: {error}"
+                );
+                self.is_file_told = true;
+            }
+            Err(_) => {}
+        }
+        let now_ns = clock::monotonic_ns();
+        let took_ns = now_ns.saturating_sub(begun_ns);
+        let every_ns = FILE_EVERY_NS
+            .max(TIME_DIVISOR.saturating_mul(keyframe.copied_in_ns))
+            .max(FILE_TIME_DIVISOR.saturating_mul(took_ns));
+        self.file_ns = begun_ns.saturating_add(every_ns);
     }
 
     /// Sends the bytes from `offset`; returns how many, 0 at the end.

@@ -10,6 +10,7 @@ use joulebus_wire::{
     SCHEMA_VERSION, WakeEvent,
 };
 
+use crate::standby::watch::Speaking;
 use crate::tick_pool::TickPool;
 
 /// The four ports, and the event that wakes planners.
@@ -40,17 +41,18 @@ impl Outbox {
 
     /// Ticks the robots of a fleet that has begun a tick, writes the output, and sends it. `header`
     /// has everything known before; `left_out`: what is not written. Returns the number of frames
-    /// that could not be sent.
+    /// that could not be sent. Nothing is sent after the time for which the worker may speak, which may
+    /// end in the middle of a tick.
     ///
     /// Forecasts are sent first, and planners are woken for them. In a parallel tick all are
     /// written in one pass, because a second pass over so many robots would cost more memory
     /// bandwidth.
     pub(crate) fn tick(
         &mut self,
-        fleet: &mut Fleet,
-        pool: &TickPool,
+        (fleet, pool): (&mut Fleet, &TickPool),
         header: ForecastHeader,
         left_out: LeftOut,
+        speaking: &Speaking,
     ) -> u64 {
         let robots = fleet.len();
         let headers = Headers::new(fleet, &header);
@@ -72,10 +74,10 @@ impl Outbox {
                 accounts,
             };
             pool.run(shard, outputs);
-            send_forecasts(forecasts, &self.planners, header)
+            send_forecasts(forecasts, &self.planners, header, speaking)
         } else {
             pool.forecast(&mut shard, payload(Some(&mut forecasts)));
-            let unsent = send_forecasts(forecasts, &self.planners, header);
+            let unsent = send_forecasts(forecasts, &self.planners, header, speaking);
             pool.account(&mut shard, accounts);
             unsent
         };
@@ -90,6 +92,9 @@ impl Outbox {
             sent_unix_ns,
             ..headers.plan_states
         };
+        if !speaking.holds(sent_ns) {
+            return unsent;
+        }
         unsent
             + send(diagnostics, headers.diagnostics)
             + send(budgets, budget_header)
@@ -168,6 +173,7 @@ fn send_forecasts(
     forecasts: Result<ForecastLoan<'_>, SendError>,
     planners: &Waker,
     mut header: ForecastHeader,
+    speaking: &Speaking,
 ) -> u64 {
     let Ok(mut forecasts) = forecasts else {
         return 1;
@@ -175,6 +181,9 @@ fn send_forecasts(
     header.compute_end_ns = clock::monotonic_ns();
     header.sent_unix_ns = clock::unix_ns();
     header.sent_ns = clock::monotonic_ns();
+    if !speaking.holds(header.sent_ns) {
+        return 0;
+    }
     *forecasts.header_mut() = header;
     let sent = forecasts.send().is_ok() && planners.wake(WakeEvent::Frame).is_ok();
     u64::from(!sent)

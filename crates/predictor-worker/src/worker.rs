@@ -1,5 +1,6 @@
 //! The worker and its loop.
 
+use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
@@ -11,7 +12,7 @@ use joulebus_bus::{
 };
 use joulebus_config::{Config, Threads};
 use joulebus_fleet::{Fleet, Next, Schedule, TickIntake};
-use joulebus_settings::SettingsError;
+use joulebus_settings::{Policy, SettingsError};
 use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample};
 
 use crate::checkpointer::{self, CheckpointerError, Failures, read_ledger};
@@ -21,11 +22,18 @@ use crate::ledger_files::LedgerFileError;
 use crate::outbox::{LeftOut, Outbox};
 use crate::report::{Parts, Report, Spread, by_name};
 use crate::shedding::Shedding;
+use crate::standby::backlog::Backlog;
+use crate::standby::restore::restore;
+use crate::standby::watch::{self, PermitOver, Speaking};
+use crate::standby::{Permit, PermitError, Places, SavedState};
 use crate::tick_pool::{TickPool, TickPoolError};
 use joulebus_models::{ModelsError, load_models};
 
 /// Longest tick that the histogram resolves, ns.
 const LONGEST_TICK_NS: u64 = 60_000_000_000;
+
+/// How often a worker that stands by looks for its permit, ns.
+const PERMIT_EVERY_NS: u64 = watch::READ_EVERY.as_nanos() as u64;
 
 /// Samples copied at a time before they are checked, so that they stay in the core's cache.
 const PART: usize = 512;
@@ -41,6 +49,7 @@ pub struct Worker {
     journal: Journal,
     keyframes: Keyframes,
     waiter: Waiter,
+    policy: Policy,
     pool: TickPool,
     checkpointer: Background,
     bus: Bus,
@@ -55,6 +64,17 @@ pub struct Worker {
     intake_ns: u64,
     turns: Arc<AtomicU64>,
     name: String,
+    speaking: Arc<Speaking>,
+    /// Of a worker that needs a permit.
+    standby: Option<Standby>,
+}
+
+/// What a worker has that needs a permit.
+#[derive(Debug)]
+struct Standby {
+    places: Places,
+    /// Keeps `speaking` up to date once there is a permit.
+    renewal: Option<Background>,
 }
 
 /// Errors of starting a worker.
@@ -107,6 +127,15 @@ pub enum RunError {
     /// that is taken after every kill; to rebuild the ports of a running one would be a second way.
     #[error(transparent)]
     Removed(#[from] FilesRemoved),
+    /// Another host's worker may serve.
+    #[error(transparent)]
+    Permit(#[from] PermitOver),
+    /// The permit's file is something else.
+    #[error(transparent)]
+    PermitFile(#[from] PermitError),
+    /// The thread that reads the permit could not be started.
+    #[error("the thread that reads the permit cannot start: {0}")]
+    Renewal(io::Error),
 }
 
 impl Worker {
@@ -116,6 +145,23 @@ impl Worker {
     /// # Errors
     /// The first error, with its remedy.
     pub fn open(config: &Config) -> Result<Self, OpenError> {
+        Self::open_as(config, Arc::new(Speaking::always()))
+    }
+
+    /// As [`Worker::open`], of a worker that serves only with a permit: [`Worker::stand_by`] waits for it.
+    ///
+    /// # Errors
+    /// As of [`Worker::open`].
+    pub fn open_standby(config: &Config) -> Result<Self, OpenError> {
+        let mut worker = Self::open_as(config, Arc::new(Speaking::not_yet()))?;
+        worker.standby = Some(Standby {
+            places: Places::of(config),
+            renewal: None,
+        });
+        Ok(worker)
+    }
+
+    fn open_as(config: &Config, speaking: Arc<Speaking>) -> Result<Self, OpenError> {
         let models = load_models(config)?;
         let mut fleet = Fleet::new(config.settings().clone(), models)?;
         let domain = config.domain()?;
@@ -155,7 +201,7 @@ impl Worker {
         let outbox = Outbox::open(&bus, &limits)?;
         let journal = Journal::open(&bus, &limits)?;
         let failures = Arc::new(Failures::default());
-        let (keyframes, orders) = keyframes();
+        let (keyframes, orders) = keyframes(Arc::clone(&speaking));
         let checkpointer =
             checkpointer::start(&domain, config, before, Arc::clone(&failures), orders)?;
         // After the threads that must not have it are started, because threads inherit it.
@@ -176,7 +222,9 @@ impl Worker {
             capacity: fleet.capacity(),
             ..ForecastHeader::default()
         };
-        keyframes.offer(&fleet, (header.worker_epoch, 0));
+        if speaking.holds(header.worker_epoch) {
+            keyframes.offer(&fleet, (header.worker_epoch, 0));
+        }
         let schedule = Schedule::new(
             config.policy(),
             config.tick_period_ns(),
@@ -197,13 +245,97 @@ impl Worker {
             journal,
             keyframes,
             waiter,
+            policy: config.policy(),
             pool,
             checkpointer,
             bus,
             _lock: lock,
             failures,
             header,
+            speaking,
+            standby: None,
         })
+    }
+
+    /// Waits until this host's worker gets a permit to serve, and then continues where the worker that served before has
+    /// ended: from its newest state that is here, and from the samples that have come since. Returns false if `stop` was
+    /// set first.
+    ///
+    /// # Errors
+    /// As of [`Worker::run`]; the permit's file is something else.
+    pub fn stand_by(&mut self, stop: &AtomicBool) -> Result<bool, RunError> {
+        let Some(places) = self.standby.as_ref().map(|it| it.places.clone()) else {
+            return Ok(true);
+        };
+        let mut backlog = Backlog::new(self.fleet.capacity() as usize);
+        let mut look_ns = 0;
+        while !stop.load(Ordering::Relaxed) {
+            self.turns.fetch_add(1, Ordering::Relaxed);
+            self.bus.check()?;
+            self.hold(&mut backlog);
+            let now_ns = clock::monotonic_ns();
+            if now_ns >= look_ns {
+                look_ns = now_ns.saturating_add(PERMIT_EVERY_NS);
+                let permit = Permit::read(&places.permit)?;
+                if let Some(permit) = permit.filter(|permit| permit.holds(now_ns)) {
+                    self.take_over(&permit, &places, backlog)?;
+                    return Ok(true);
+                }
+            }
+            self.waiter.wait_until(Some(look_ns), None)?;
+        }
+        Ok(false)
+    }
+
+    /// Keeps the frames that wait.
+    fn hold(&mut self, backlog: &mut Backlog) {
+        loop {
+            match self.samples.next(self.fleet.capacity() as usize) {
+                Ok(Some(mut incoming)) => {
+                    let taken_ns = clock::monotonic_ns();
+                    let mut samples = Vec::with_capacity(incoming.len());
+                    while let Some(part) = incoming.copy_part(&mut self.part) {
+                        samples.extend_from_slice(part);
+                    }
+                    backlog.keep(*incoming.header(), samples, taken_ns);
+                }
+                Ok(None) => return,
+                Err(_) => {
+                    self.failures.receive.fetch_add(1, Ordering::Relaxed);
+                    return;
+                }
+            }
+        }
+    }
+
+    /// Begins to serve.
+    fn take_over(
+        &mut self,
+        permit: &Permit,
+        places: &Places,
+        backlog: Backlog,
+    ) -> Result<(), RunError> {
+        let restored = restore(&mut self.fleet, places);
+        let replayed = backlog.replay(&mut self.fleet, self.header.period_ns);
+        self.speaking.begin(permit);
+        let renewal = watch::start(places.permit.clone(), Arc::clone(&self.speaking));
+        if let Some(standby) = &mut self.standby {
+            standby.renewal = Some(renewal.map_err(RunError::Renewal)?);
+        }
+        let now_ns = clock::monotonic_ns();
+        self.header.worker_epoch = now_ns;
+        self.schedule = Schedule::new(self.policy, self.header.period_ns, now_ns);
+        self.keyframes.offer(&self.fleet, (now_ns, 0));
+        tracing::info!(
+            term = permit.term,
+            robots = self.fleet.len(),
+            state_of_term = restored.map(|it| it.term),
+            state_age_ms = restored.map(|it| it.age_ns / 1_000_000),
+            frames = replayed.frames,
+            samples = replayed.samples,
+            "this worker serves"
+        );
+        Ok(())
     }
 
     /// Counts its turns there from now on, at least ten a second: a watchdog in another thread sees whether the worker
@@ -241,6 +373,9 @@ impl Worker {
         self.bus.check()?;
         self.drain();
         let now_ns = clock::monotonic_ns();
+        if !self.speaking.holds(now_ns) {
+            return Err(self.speaking.over().into());
+        }
         let taken_ns = self.fleet.intake().first.map(|(_, _, taken_ns)| taken_ns);
         match self
             .schedule
@@ -263,6 +398,11 @@ impl Worker {
         self.outbox.end();
         if let Err(error) = self.checkpointer.finish() {
             tracing::error!("{error}");
+        }
+        if let Some(standby) = self.standby.take()
+            && let Err(error) = SavedState::remove(&standby.places.keyframe)
+        {
+            tracing::warn!("{error}");
         }
         self.report()
     }
@@ -321,10 +461,17 @@ impl Worker {
             diagnostics: sheds,
             plan_states: !self.outbox.plans(),
         };
-        let unsent = self
-            .outbox
-            .tick(&mut self.fleet, &self.pool, header, left_out);
+        let unsent = self.outbox.tick(
+            (&mut self.fleet, &self.pool),
+            header,
+            left_out,
+            &self.speaking,
+        );
         self.failures.unsent.fetch_add(unsent, Ordering::Relaxed);
+        if !self.speaking.holds(clock::monotonic_ns()) {
+            // The next turn ends it.
+            return;
+        }
         let place = (self.header.worker_epoch, self.header.tick);
         self.journal
             .send(place, start_ns, (missed, left_out), &self.failures.unsent);

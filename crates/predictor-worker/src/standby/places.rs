@@ -1,0 +1,58 @@
+//! Names of the files that a worker and the link of its host leave each other.
+
+use std::io::{self, Write as _};
+use std::path::{Path, PathBuf};
+
+use joulebus_config::Config;
+use joulebus_files::disk::{self, File};
+
+/// The files, beside the worker's lock.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Places {
+    /// [`Permit`](super::Permit) of this host's worker.
+    pub permit: PathBuf,
+    /// [`SavedState`](super::SavedState) of this host's worker while it serves.
+    pub keyframe: PathBuf,
+    /// [`SavedState`](super::SavedState) of the worker elsewhere that serves.
+    pub replica: PathBuf,
+    /// Exists while an operator has requested that this host's worker serve, and nobody has answered.
+    pub request: PathBuf,
+}
+
+impl Places {
+    /// Those of the fleet of `config` on this host.
+    #[must_use]
+    pub fn of(config: &Config) -> Self {
+        let place = |name: &str| config.root().join(format!("{name}-{}", config.fleet()));
+        Self {
+            permit: place("permit"),
+            keyframe: place("keyframe"),
+            replica: place("replica"),
+            request: place("request"),
+        }
+    }
+}
+
+/// Replaces a file whole: whoever reads it sees the one before or this one.
+pub(super) fn replace(path: &Path, parts: &[&[u8]]) -> io::Result<()> {
+    let mut draft = path.as_os_str().to_owned();
+    draft.push(".new");
+    let draft = PathBuf::from(draft);
+    let written = File::create(&draft).and_then(|mut file| {
+        parts.iter().try_for_each(|part| file.write_all(part))?;
+        drop(file);
+        disk::rename(&draft, path)
+    });
+    if written.is_err() {
+        let _ = disk::remove_file(&draft);
+    }
+    written
+}
+
+/// Removes a file, if it is there.
+pub(super) fn remove(path: &Path) -> io::Result<()> {
+    match disk::remove_file(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        removed => removed,
+    }
+}

@@ -1,0 +1,43 @@
+//! The state that a worker begins with when it gets the permit.
+
+use std::path::Path;
+
+use joulebus_bus::clock;
+use joulebus_fleet::{Fleet, FleetState};
+
+use super::places::Places;
+use super::saved_state::SavedState;
+
+/// Where a worker's state is from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Restored {
+    /// Term of the worker that had it.
+    pub(crate) term: u64,
+    pub(crate) age_ns: u64,
+}
+
+/// Restores the newest state that the files have: this host's own of before, or that of the worker elsewhere. One that
+/// cannot be used is named, and the other one taken; `None`: neither can, and the fleet is unchanged.
+pub(crate) fn restore(fleet: &mut Fleet, places: &Places) -> Option<Restored> {
+    let mut found: Vec<(SavedState, &Path)> = Vec::new();
+    for path in [places.replica.as_path(), places.keyframe.as_path()] {
+        match SavedState::read(path) {
+            Ok(state) => found.extend(state.map(|state| (state, path))),
+            Err(error) => tracing::error!("{error}"),
+        }
+    }
+    found.sort_by_key(|(state, _)| std::cmp::Reverse(state.order()));
+    for (saved, path) in found {
+        let (term, offset_ns) = (saved.term, saved.offset_ns);
+        let decoded = FleetState::decode(&saved.bytes);
+        let restored = decoded.and_then(|state| fleet.restore_state(&state.shifted(offset_ns)));
+        match restored {
+            Ok(()) => {
+                let age_ns = clock::monotonic_ns().saturating_sub(saved.taken_ns);
+                return Some(Restored { term, age_ns });
+            }
+            Err(error) => tracing::error!(?path, term, "the state of a worker is refused: {error}"),
+        }
+    }
+    None
+}
