@@ -13,6 +13,9 @@ const MAX_SOCKET_PATH_BYTES: usize = 107;
 const SOCKET_NAME_BYTES: usize = 39 + 6 + 2;
 /// The members' lock is the marker of a fleet's directory.
 pub(crate) const FLEET_MARKER: &str = "members.lock";
+/// Names in the fleet's directory of what its worker and the link of its host leave each other; the last member removes
+/// these files, and drafts of them, which end in `.new`.
+pub const STANDBY_FILES: [&str; 4] = ["permit", "keyframe", "replica", "request"];
 const MAX_FLEET_BYTES: usize = 32;
 const MAX_PREFIX_BYTES: usize = 8;
 /// The location of one fleet's shared memory: the same in every process of the fleet.

@@ -64,7 +64,7 @@ pub use cleanup::removed::RemovedFiles;
 pub use cleanup::report::SweepReport;
 pub use cleanup::sweep::{SweepError, sweep};
 pub use cleanup::thread::Housekeeping;
-pub use domain::{Domain, DomainError};
+pub use domain::{Domain, DomainError, STANDBY_FILES};
 pub use iceoryx_config::IceoryxConfigError;
 pub use inspect::{InspectError, Inspection, NodeInfo, RootInfo, inspect};
 pub use limits::{Limits, LimitsError};

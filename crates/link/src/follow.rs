@@ -9,7 +9,7 @@ use joulebus_bus::{SendError, WorkerLock, clock};
 use joulebus_config::Config;
 use joulebus_wire::WakeEvent;
 
-use crate::config::{Follow, Settings};
+use crate::config::{Follow, MOST_TTL_S, Settings};
 use crate::gathered::Gathered;
 use crate::network::{Bytes, Event, Inbox, Kind, Network, longest_bytes};
 use crate::outlets::{Outlets, PassError};
@@ -22,6 +22,8 @@ use crate::taking::{TakenRecord, Taking};
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 /// The same while frames of several shards are gathered: a shard that is late holds the others up by as much.
 const GATHER_EVERY: Duration = Duration::from_millis(5);
+/// A term in which nobody has sent for so long fences nobody: longer than the longest lease, so that no older one lasts.
+const FORGOTTEN_AFTER_NS: u64 = 2 * MOST_TTL_S as u64 * 1_000_000_000;
 
 /// Follows until `stop`. Calls `ready` when the outputs can be read.
 ///
@@ -87,6 +89,7 @@ fn open(
         shards.push(ShardFeed {
             takings,
             speaker: 0,
+            highest: Highest::default(),
             told: Worker::Unknown,
         });
     }
@@ -98,18 +101,50 @@ struct ShardFeed {
     takings: Vec<Taking>,
     /// The one whose frames are passed on.
     speaker: usize,
+    highest: Highest,
     /// State of the worker that was told last.
     told: Worker,
+}
+
+/// The greatest term in which a shard's workers have sent: one that has been followed by another is not heard any more.
+#[derive(Debug, Clone, Copy, Default)]
+struct Highest {
+    term: u64,
+    /// When somebody sent in it last, monotonic ns.
+    at_ns: u64,
+}
+
+impl Highest {
+    /// The term below which nobody is heard at `now_ns`. Where nobody has sent in it for longer than any lease lasts, the
+    /// store and all candidates may have forgotten it.
+    const fn at(self, now_ns: u64) -> u64 {
+        if now_ns.saturating_sub(self.at_ns) > FORGOTTEN_AFTER_NS {
+            0
+        } else {
+            self.term
+        }
+    }
+
+    /// Somebody sends in `term`: whether that is one in which nobody has sent.
+    const fn sends(&mut self, term: u64, now_ns: u64) -> bool {
+        let highest = self.at(now_ns);
+        if term >= highest {
+            (self.term, self.at_ns) = (term, now_ns);
+        }
+        term > highest
+    }
 }
 
 impl ShardFeed {
     /// The state of its worker; unknown while nothing comes.
     fn worker(&mut self) -> Worker {
         let receiver = self.takings[self.speaker].receiver();
-        if receiver.is_heard() {
-            receiver.worker()
-        } else {
-            Worker::Unknown
+        match receiver.worker() {
+            _ if !receiver.is_heard() => Worker::Unknown,
+            Worker::Alive if receiver.term() < self.highest.at(clock::monotonic_ns()) => {
+                Worker::Unknown
+            }
+            worker => worker,
         }
     }
 
@@ -118,9 +153,11 @@ impl ShardFeed {
         if self.worker() == Worker::Alive {
             return;
         }
+        let highest = self.highest.at(clock::monotonic_ns());
         let is_alive = |taking: &mut Taking| {
             let receiver = taking.receiver();
-            receiver.is_heard() && receiver.worker() == Worker::Alive
+            let is_fenced = receiver.term() < highest;
+            receiver.is_heard() && receiver.worker() == Worker::Alive && !is_fenced
         };
         if let Some(alive) = self.takings.iter_mut().position(is_alive) {
             self.speaker = alive;
@@ -222,13 +259,21 @@ impl Following {
         let mut ended = Ok(());
         for (at, shard) in shards.iter_mut().enumerate() {
             let ShardFeed {
-                takings, speaker, ..
+                takings,
+                speaker,
+                highest,
+                ..
             } = shard;
             let Some(place) = takings.iter().position(|taking| taking.from() == from) else {
                 continue;
             };
-            let speaks = place == *speaker;
+            let mut is_fenced = false;
             takings[place].message(bytes, arrived_ns, |accepted: Accepted<'_>| {
+                if highest.sends(accepted.term, arrived_ns) {
+                    *speaker = place;
+                }
+                is_fenced = accepted.term < highest.at(arrived_ns);
+                let speaks = place == *speaker && !is_fenced;
                 let passed = match gathered {
                     _ if !speaks => Ok(()),
                     Some(gathered) => gathered.put(at, &accepted),
@@ -244,6 +289,7 @@ impl Following {
                     ("not passed on", shown)
                 })
             });
+            takings[place].fenced += u64::from(is_fenced);
         }
         ended
     }
@@ -283,5 +329,30 @@ fn is_final(sent: Result<(), SendError>) -> Result<(), SendError> {
             Ok(())
         }
         Ok(()) => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_older_term_is_fenced_until_nobody_has_sent_in_the_later_one_for_longer_than_a_lease_lasts()
+     {
+        let mut highest = Highest::default();
+        assert!(!highest.sends(0, 1), "of the only worker");
+        assert!(highest.sends(3, 5));
+        for (term, now_ns) in [(3, 6), (2, 7), (0, 8)] {
+            assert!(!highest.sends(term, now_ns));
+            assert_eq!(highest.at(now_ns), 3);
+        }
+        assert!(highest.sends(4, 9));
+        // What an older one sends does not keep the fence up.
+        let later_ns = 9 + FORGOTTEN_AFTER_NS;
+        assert!(!highest.sends(3, later_ns));
+        assert_eq!(highest.at(later_ns), 4);
+        assert_eq!(highest.at(later_ns + 1), 0);
+        assert!(highest.sends(1, later_ns + 1));
+        assert_eq!(highest.at(later_ns + 2), 1);
     }
 }

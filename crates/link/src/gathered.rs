@@ -84,7 +84,7 @@ impl Gathered {
                 self.plan_states.put(shard, header, rows, now_ns);
             }
             // Of one worker: not asked for.
-            Carried::Ticks | Carried::Samples => {}
+            Carried::Ticks | Carried::Samples | Carried::State => {}
         }
         Ok(())
     }

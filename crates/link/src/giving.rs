@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use crate::network::{Event, Inbox, Kind, Network, NetworkError, Outlet};
 use crate::protocol::carried::Carried;
-use crate::protocol::message::{Body, FleetId, Request, Worker, read};
+use crate::protocol::message::{Body, FleetId, Request, Voice, read};
 use crate::protocol::stream::{LocalFrame, Sent, Stream};
 use crate::refusals::Refusals;
 
@@ -39,7 +39,7 @@ pub(crate) struct Giving {
     streams: BTreeMap<Arc<str>, (Stream, Outlet)>,
     /// Of receivers that have left.
     past: BTreeMap<Arc<str>, Sent>,
-    pub(crate) worker: Worker,
+    pub(crate) voice: Voice,
     pub(crate) refused: Refusals,
 }
 
@@ -60,7 +60,7 @@ impl Giving {
             inbox,
             streams: BTreeMap::new(),
             past: BTreeMap::new(),
-            worker: Worker::Unknown,
+            voice: Voice::default(),
             refused: Refusals::default(),
         })
     }
@@ -100,10 +100,10 @@ impl Giving {
         for name in silent {
             self.forget(&name);
         }
-        let worker = self.worker;
+        let voice = self.voice;
         for (stream, outlet) in self.streams.values_mut() {
             let mut out = Vec::new();
-            while stream.due(worker, now_ns, &mut out) {
+            while stream.due(voice, now_ns, &mut out) {
                 outlet.send(std::mem::take(&mut out));
             }
         }
@@ -169,11 +169,11 @@ impl Giving {
 
     /// As [`Giving::offer`], to the links that are `meant`.
     pub(crate) fn offer_to(&mut self, meant: impl Fn(&str) -> bool, frame: LocalFrame<'_>) {
-        let (worker, now_ns) = (self.worker, clock::monotonic_ns());
+        let (voice, now_ns) = (self.voice, clock::monotonic_ns());
         let streams = self.streams.iter_mut();
         for (_, (stream, outlet)) in streams.filter(|(name, _)| meant(name)) {
             let mut out = Vec::new();
-            if stream.offer(frame, worker, now_ns, &mut out) {
+            if stream.offer(frame, voice, now_ns, &mut out) {
                 outlet.send(out);
             }
         }
@@ -181,10 +181,10 @@ impl Giving {
 
     /// Tells all receivers the state of the worker now.
     pub(crate) fn tell(&mut self) {
-        let (worker, now_ns) = (self.worker, clock::monotonic_ns());
+        let (voice, now_ns) = (self.voice, clock::monotonic_ns());
         for (stream, outlet) in self.streams.values_mut() {
             let mut out = Vec::new();
-            stream.tell(worker, now_ns, &mut out);
+            stream.tell(voice, now_ns, &mut out);
             outlet.send(out);
         }
     }

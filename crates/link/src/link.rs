@@ -12,6 +12,7 @@ use anyhow::{Context as _, anyhow};
 use joulebus_bus::{WorkerLock, clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_plan_server::PlanServer;
+use joulebus_predictor_worker::Places;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
@@ -20,10 +21,11 @@ use serde::Serialize;
 
 use crate::config::{Mode, Settings, Side};
 use crate::giving::GivenRecord;
-use crate::network::{Network, NetworkError, longest_bytes};
+use crate::network::{Network, NetworkError, longest_bytes, longest_state_bytes};
 use crate::refusals::Refusals;
 use crate::taking::TakenRecord;
-use crate::{follow, forward, intake, outputs};
+use crate::turn::Turn;
+use crate::{follow, forward, intake, outputs, standby, take_over};
 
 /// Interval of checking whether to stop.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
@@ -60,6 +62,10 @@ struct CheckReport {
     takes: Vec<String>,
     /// Where samples go.
     gives: Vec<String>,
+    /// The other links whose workers may serve in place of this host's.
+    stands_by_with: Vec<String>,
+    /// The members of etcd that decide which of them does; without them an operator decides.
+    lease: Vec<String>,
 }
 
 pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcome> {
@@ -68,6 +74,10 @@ pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcom
     let settings = Settings::load(&args.file, &config)?;
     if args.check {
         output.report(&checked(&config, &settings))?;
+        return Ok(Outcome::Done);
+    }
+    if args.take_over {
+        take_over::run(&config, &settings, &stop)?;
         return Ok(Outcome::Done);
     }
     yield_to_the_worker(NICE);
@@ -119,6 +129,18 @@ fn checked(config: &Config, settings: &Settings) -> CheckReport {
         encrypted: network.tls.is_some(),
         takes,
         gives,
+        stands_by_with: settings
+            .standby
+            .iter()
+            .flat_map(|it| &it.others)
+            .map(|(_, name)| name.clone())
+            .collect(),
+        lease: settings
+            .standby
+            .iter()
+            .filter_map(|it| it.lease.as_ref())
+            .flat_map(|lease| lease.endpoints.clone())
+            .collect(),
     }
 }
 
@@ -130,10 +152,17 @@ fn open(
     stop: &Stop,
 ) -> anyhow::Result<Option<Network>> {
     let of = (config.fleet(), settings.name.as_str());
-    let longest_bytes = longest_bytes(config.limits().capacity);
+    let capacity = config.limits().capacity;
+    let longest_bytes = match settings.standby {
+        Some(_) => longest_state_bytes(capacity),
+        None => longest_bytes(capacity),
+    };
+    let candidates = settings.standby.iter().flat_map(|it| &it.others);
+    let candidates: Vec<&str> = candidates.map(|(_, name)| name.as_str()).collect();
+    let hosts = takes.map(|takes| (takes, candidates.as_slice()));
     let mut is_told = false;
     while !stop.is_asked() {
-        match Network::open(&settings.network, of, takes, longest_bytes) {
+        match Network::open(&settings.network, of, hosts, longest_bytes) {
             Err(NetworkError::Open { .. }) if settings.network.mode == Mode::Client => {
                 if !is_told {
                     let router = settings.network.connect.join(", ");
@@ -214,10 +243,15 @@ impl Link {
         takes: &[crate::config::Take],
         network: &Arc<Network>,
     ) -> anyhow::Result<()> {
+        let turn = match &settings.standby {
+            Some(standby) => Some(self.start_standby((config, settings), standby, network)?),
+            None => None,
+        };
         let (of, over) = (config.clone(), Arc::clone(network));
         let fleet = settings.fleet(config);
         self.spawn("joulebus-outputs", move |stop, ready| {
-            let (given, refused) = outputs::run((&of, fleet), &over, stop, ready)?;
+            let over = (&over, turn.as_deref());
+            let (given, refused) = outputs::run((&of, fleet), over, stop, ready)?;
             Ok(Done {
                 given,
                 refused,
@@ -236,6 +270,36 @@ impl Link {
                 ..Done::default()
             })
         })
+    }
+
+    /// Starts what decides whether the worker of this host serves.
+    fn start_standby(
+        &mut self,
+        (config, settings): (&Config, &Settings),
+        standby: &crate::config::Standby,
+        network: &Arc<Network>,
+    ) -> anyhow::Result<Arc<Turn>> {
+        let (turn, permit) = Turn::resume(Places::of(config))?;
+        let turn = Arc::new(turn);
+        let (of, with, over) = (config.clone(), settings.clone(), Arc::clone(network));
+        let (its, of_shard) = (Arc::clone(&turn), standby.clone());
+        self.spawn("joulebus-standby", move |stop, ready| {
+            let taken = standby::follow((&of, &with, &of_shard), (&over, &its), stop, ready)?;
+            Ok(Done {
+                taken,
+                ..Done::default()
+            })
+        })?;
+        if let Some(lease) = standby.lease.clone() {
+            let (of, with) = (config.clone(), settings.clone());
+            let (its, of_shard) = (Arc::clone(&turn), standby.clone());
+            self.spawn("joulebus-lease", move |stop, ready| {
+                let by = (&of_shard, &lease);
+                standby::hold((&of, &with), by, (&its, permit), stop, ready)?;
+                Ok(Done::default())
+            })?;
+        }
+        Ok(turn)
     }
 
     fn start_following(

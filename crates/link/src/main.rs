@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 mod config;
+mod etcd;
 mod follow;
 mod forward;
 mod gathered;
@@ -13,7 +14,10 @@ mod outlets;
 mod outputs;
 mod protocol;
 mod refusals;
+mod standby;
+mod take_over;
 mod taking;
+mod turn;
 
 use std::process::ExitCode;
 

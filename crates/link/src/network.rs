@@ -42,6 +42,12 @@ pub(crate) fn longest_bytes(capacity: usize) -> usize {
     LONGEST_HEADER + capacity.saturating_mul(longest)
 }
 
+/// The same with a worker's state.
+pub(crate) fn longest_state_bytes(capacity: usize) -> usize {
+    let state = LONGEST_HEADER.saturating_add(Carried::State.most(capacity));
+    state.max(longest_bytes(capacity))
+}
+
 /// What a stream carries, as it stands in keys: rules of access tell them apart.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Kind {
@@ -186,23 +192,23 @@ impl Outlet {
 }
 
 impl Network {
-    /// Opens the addresses, and lets the others know of this link. `takes`, of a worker's host: the links whose samples are
-    /// taken, each by the name in its certificate.
+    /// Opens the addresses, and lets the others know of this link. `hosts`, of a worker's host: the links whose samples are
+    /// taken, each by the name in its certificate, and those whose workers stand by.
     ///
     /// # Errors
     /// [`NetworkError`].
     pub(crate) fn open(
         settings: &NetworkSettings,
         (fleet, name): (&str, &str),
-        takes: Option<&[&str]>,
+        hosts: Option<(&[&str], &[&str])>,
         longest_bytes: usize,
     ) -> Result<Self, NetworkError> {
         let mut config = configured(settings, longest_bytes)?;
-        if let Some(takes) = takes
+        if let Some(hosts) = hosts
             && settings.tls.is_some()
             && settings.mode == Mode::Peer
         {
-            let value = access(fleet, name, takes);
+            let value = access(fleet, name, hosts);
             insert(&mut config, "access_control", &value)?;
         }
         let session = zenoh::open(config)
@@ -398,8 +404,8 @@ fn insert(
 }
 
 /// Who may do what at the worker's link: all whose certificate is the fleet's may ask for its outputs; samples come from the
-/// links that the file names, each under its own name.
-fn access(fleet: &str, name: &str, takes: &[&str]) -> serde_json::Value {
+/// links that the file names, each under its own name; and this link asks the other candidates of its shard for their state.
+fn access(fleet: &str, name: &str, (takes, candidates): (&[&str], &[&str])) -> serde_json::Value {
     let key = |rest: &str| format!("joulebus/{fleet}/{rest}");
     let both = ["ingress", "egress"];
     let mut rules = vec![
@@ -415,6 +421,20 @@ fn access(fleet: &str, name: &str, takes: &[&str]) -> serde_json::Value {
     let mut subjects = vec![json!({"id": "all"})];
     let mut policies =
         vec![json!({"subjects": ["all"], "rules": ["links", "ask", "outputs", "take"]})];
+    if !candidates.is_empty() {
+        let asks = candidates
+            .iter()
+            .map(|other| key(&format!("ask/outputs/{other}/{name}")));
+        let gets = candidates
+            .iter()
+            .map(|other| key(&format!("outputs/{other}/{name}")));
+        let keys: Vec<String> = asks.chain(gets).collect();
+        rules.push(
+            json!({"id": "candidates", "permission": "allow", "flows": both, "key_exprs": keys,
+            "messages": ["put", "declare_subscriber"]}),
+        );
+        policies.push(json!({"subjects": ["all"], "rules": ["candidates"]}));
+    }
     for from in takes {
         let id = format!("samples of {from}");
         rules.push(

@@ -78,7 +78,7 @@ impl Outlets {
                 write(&mut self.ticks, header, frame, offset_ns)?;
             }
             // Not asked for, and therefore not accepted.
-            Carried::Samples => {}
+            Carried::Samples | Carried::State => {}
         }
         Ok(())
     }

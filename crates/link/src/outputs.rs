@@ -1,24 +1,27 @@
 //! The thread of the worker's host that reads as a planner does, and gives what it reads to other hosts.
 
 use std::fmt::Display;
+use std::os::unix::fs::MetadataExt as _;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use bytemuck::{bytes_of, cast_slice};
-use joulebus_bus::{Bus, TickReader, clock};
+use joulebus_bus::{Bus, TickReader, clock, process_id};
 use joulebus_config::Config;
 use joulebus_consumer::{
     BudgetFeed, DiagnosticFeed, Event, Feed, PlanStateFeed, Planner, ReadError, WorkerState,
 };
-use joulebus_wire::Payload;
+use joulebus_predictor_worker::SavedState;
+use joulebus_wire::{Payload, SCHEMA_VERSION, StateHeader};
 
 use crate::giving::{GivenRecord, Giving};
 use crate::network::{Kind, Network};
 use crate::protocol::carried::Carried;
-use crate::protocol::message::{FleetId, Worker};
+use crate::protocol::message::{FleetId, Voice, Worker};
 use crate::protocol::stream::LocalFrame;
 use crate::refusals::Refusals;
+use crate::turn::Turn;
 
 /// Longest sleep: how late a request or a stop may be noticed.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
@@ -26,6 +29,8 @@ const LOOK_EVERY: Duration = Duration::from_millis(20);
 const OPEN_EVERY_NS: u64 = 1_000_000_000;
 /// Pause after a frame of forecasts before what the worker writes behind it is looked for.
 const BEHIND: Duration = Duration::from_millis(1);
+/// How often is looked for a newer state of the worker, which writes one a second.
+const STATE_EVERY_NS: u64 = 100_000_000;
 
 /// Gives until `stop`. Calls `ready` when the fleet is joined.
 ///
@@ -33,28 +38,34 @@ const BEHIND: Duration = Duration::from_millis(1);
 /// The fleet cannot be joined, its files were removed, or the network is refused.
 pub(crate) fn run(
     (config, fleet): (&Config, FleetId),
-    network: &Arc<Network>,
+    (network, turn): (&Arc<Network>, Option<&Turn>),
     stop: &AtomicBool,
     ready: impl FnOnce(),
 ) -> anyhow::Result<(Vec<GivenRecord>, Refusals)> {
     let mut planner = Planner::with_config(config, "link")?;
     let mut giving = Giving::open(network, Kind::Outputs, None, fleet)?;
     let mut feeds = Feeds::new(config);
+    let mut state = turn.map(StateFeed::new);
     ready();
     let mut wait = LOOK_EVERY;
     while !stop.load(Ordering::Relaxed) {
-        let told = giving.worker;
+        let told = giving.voice;
         wait = match planner.wait_next(wait) {
             Ok(Event::Frame(frame)) => {
-                giving.worker = Worker::Alive;
-                let header = frame.header();
-                giving.offer(LocalFrame {
-                    service: Carried::Forecasts,
-                    source: 0,
-                    tick: header.tick,
-                    header: bytes_of(header),
-                    elements: cast_slice(frame.robots()),
-                });
+                giving.voice = voice(Worker::Alive, turn);
+                if turn.is_none() || giving.voice.term > 0 {
+                    if let Some(turn) = turn {
+                        turn.worker_works();
+                    }
+                    let header = frame.header();
+                    giving.offer(LocalFrame {
+                        service: Carried::Forecasts,
+                        source: 0,
+                        tick: header.tick,
+                        header: bytes_of(header),
+                        elements: cast_slice(frame.robots()),
+                    });
+                }
                 BEHIND
             }
             Ok(_) => LOOK_EVERY,
@@ -66,19 +77,104 @@ pub(crate) fn run(
             }
             Err(error) => return Err(error.into()),
         };
-        giving.worker = match planner.worker() {
+        let worker = match planner.worker() {
             WorkerState::Waiting => Worker::Unknown,
             WorkerState::Alive => Worker::Alive,
             WorkerState::Gone(_) => Worker::Gone,
             _ => Worker::Stale,
         };
+        giving.voice = voice(worker, turn);
         giving.turn()?;
-        feeds.give(&planner, &mut giving)?;
-        if giving.worker == Worker::Gone && told != Worker::Gone {
+        if turn.is_none() || giving.voice.term > 0 {
+            feeds.give(&planner, &mut giving)?;
+        }
+        if let Some(state) = &mut state {
+            state.give(&mut giving);
+        }
+        let is_over =
+            |voice: Voice| voice.worker == Worker::Gone || (turn.is_some() && voice.term == 0);
+        if is_over(giving.voice) && !is_over(told) {
             giving.tell();
         }
     }
     Ok((giving.records(), giving.refused))
+}
+
+/// What is told of the worker: one that may not serve now has no term, and those of other hosts do not hear it.
+fn voice(worker: Worker, turn: Option<&Turn>) -> Voice {
+    let Some(turn) = turn else {
+        return worker.into();
+    };
+    // Of one that was to end and has not yet, too: another waits for that.
+    Voice {
+        worker,
+        term: turn.term(),
+        heard: turn.heard(),
+    }
+}
+
+/// The state of the worker, for those that stand by.
+struct StateFeed<'a> {
+    turn: &'a Turn,
+    look_ns: u64,
+    /// The file of the one that was given last: its number, and when it was written, s and ns.
+    given: Option<(u64, i64, i64)>,
+    is_told: bool,
+}
+
+impl<'a> StateFeed<'a> {
+    const fn new(turn: &'a Turn) -> Self {
+        Self {
+            turn,
+            look_ns: 0,
+            given: None,
+            is_told: false,
+        }
+    }
+
+    fn give(&mut self, giving: &mut Giving) {
+        let now_ns = clock::monotonic_ns();
+        if now_ns < self.look_ns || giving.voice.term == 0 || !giving.wants(Carried::State) {
+            return;
+        }
+        self.look_ns = now_ns + STATE_EVERY_NS;
+        let path = &self.turn.places().keyframe;
+        let Ok(about) = joulebus_files::look(path) else {
+            return;
+        };
+        let file = (about.ino(), about.mtime(), about.mtime_nsec());
+        if self.given == Some(file) {
+            return;
+        }
+        let saved = match SavedState::read(path) {
+            Ok(Some(saved)) if saved.term == giving.voice.term => saved,
+            // Of a worker before.
+            Ok(_) => return,
+            Err(error) => {
+                if !self.is_told {
+                    tracing::warn!("those that stand by get no state: {error}");
+                }
+                self.is_told = true;
+                return;
+            }
+        };
+        (self.given, self.is_told) = (Some(file), false);
+        let header = StateHeader {
+            schema: SCHEMA_VERSION,
+            pid: process_id(),
+            total_bytes: saved.bytes.len() as u64,
+            taken_ns: saved.taken_ns,
+            sent_ns: now_ns,
+            ..StateHeader::default()
+        };
+        giving.offer(LocalFrame {
+            service: Carried::State,
+            source: 0,
+            tick: 0,
+            header: bytes_of(&header),
+            elements: &saved.bytes,
+        });
+    }
 }
 
 /// What the worker writes behind its forecasts: read while somebody asks for it.

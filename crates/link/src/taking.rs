@@ -19,6 +19,8 @@ pub(crate) struct TakenRecord {
     pub(crate) received: Received,
     /// Frames that came before the clocks were compared.
     pub(crate) before_clock: u64,
+    /// Frames of a worker whose turn another has taken.
+    pub(crate) fenced: u64,
     /// The most by which stamps may look older than they are, s; null before the clocks were compared.
     pub(crate) clock_uncertainty_s: Option<f64>,
     /// Times that stamps were moved by another offset than before.
@@ -38,6 +40,7 @@ pub(crate) struct Taking {
     receiver: Receiver,
     outlet: Outlet,
     before_clock: u64,
+    pub(crate) fenced: u64,
     pub(crate) refused: Refusals,
 }
 
@@ -59,6 +62,7 @@ impl Taking {
             receiver: Receiver::new(Sender { fleet, run }, selection),
             outlet: network.requests_to(kind, from)?,
             before_clock: 0,
+            fenced: 0,
             refused: Refusals::default(),
         })
     }
@@ -118,6 +122,7 @@ impl Taking {
             from: self.from.clone(),
             received: self.receiver.received(),
             before_clock: self.before_clock,
+            fenced: self.fenced,
             clock_uncertainty_s: uncertainty_ns.map(|ns| ns as f64 * 1e-9),
             clock_refits: offset.refits,
             clock_steps: offset.steps,

@@ -19,8 +19,8 @@ pub use background::{Background, Steps};
 pub use bus::{Bus, Domain, remove_files};
 pub use joulebus_bus::{
     CapacityError, DomainError, FilesRemoved, IceoryxConfigError, JoinError, OpenError, Panicked,
-    QueryError, ReceiveError, RootError, Scheduling, SchedulingError, SendError, SweepError,
-    WaitError, Woken, WorkerLockError,
+    QueryError, ReceiveError, RootError, STANDBY_FILES, Scheduling, SchedulingError, SendError,
+    SweepError, WaitError, Woken, WorkerLockError,
 };
 pub use limits::{Limits, LimitsError};
 pub use liveness::peer_watch::PeerWatch;

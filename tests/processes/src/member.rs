@@ -2,6 +2,7 @@
 //! once.
 
 use std::process::Command;
+use std::time::Duration;
 
 use rustix::process::{Pid, Signal, WaitOptions, waitpid};
 
@@ -54,14 +55,22 @@ impl Member {
     /// # Panics
     /// It has exited, or prints nothing for [`PATIENCE`].
     pub fn next_line(&mut self) -> String {
+        self.try_next_line(PATIENCE)
+            .unwrap_or_else(|| panic!("no line: {}", self.child.tail()))
+    }
+
+    /// Its next line, if it prints one within `time`.
+    pub fn try_next_line(&mut self, time: Duration) -> Option<String> {
         loop {
-            let lines = self.child.lines(self.lines_read, PATIENCE);
-            assert!(!lines.is_empty(), "no line: {}", self.child.tail());
+            let lines = self.child.lines(self.lines_read, time);
+            if lines.is_empty() {
+                return None;
+            }
             for line in lines {
                 self.lines_read += 1;
                 // The test runner may have written the start of the line.
                 if let Some((_, text)) = line.split_once(MARK) {
-                    return text.to_owned();
+                    return Some(text.to_owned());
                 }
             }
         }
@@ -92,6 +101,14 @@ impl Member {
     /// Sends SIGKILL and waits for the exit.
     pub fn kill(mut self) {
         self.child.kill();
+    }
+
+    /// Sends SIGKILL, waits for the exit, and returns all lines that it has sent to the test, from the first on.
+    #[must_use]
+    pub fn all_lines(mut self) -> Vec<String> {
+        let lines = self.child.kill().stdout;
+        let sent = lines.iter().filter_map(|line| line.split_once(MARK));
+        sent.map(|(_, text)| text.to_owned()).collect()
     }
 
     /// Closes its stdin and waits for the exit, which must succeed.

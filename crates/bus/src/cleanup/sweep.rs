@@ -14,7 +14,7 @@ use crate::directory::{NODES, RETRY_LIMIT, SERVICES};
 use crate::iceoryx_config::{self, IceoryxConfigError};
 use crate::liveness::members_lock::MembersLock;
 use crate::os::files::effective_uid;
-use crate::{Domain, RootError, WorkerLock};
+use crate::{Domain, RootError, STANDBY_FILES, WorkerLock};
 
 /// Removes stale files of dead processes in `domain`: all files if no member is alive, otherwise
 /// dead nodes and incomplete objects. For a supervisor that has waited for its children, and for
@@ -91,8 +91,14 @@ fn remove_contents(domain: &Domain, report: &mut SweepReport) -> Result<(), Swee
         let _ = fs::remove_dir(&inner);
     }
     remove_files(&directory, report, |path| {
-        is_of(domain, path) || iceoryx_config::is_config(domain, path)
+        is_of(domain, path) || iceoryx_config::is_config(domain, path) || is_of_standby(path)
     })
+}
+
+fn is_of_standby(path: &Path) -> bool {
+    let name = path.file_name().and_then(|name| name.to_str());
+    let name = name.map(|name| name.strip_suffix(".new").unwrap_or(name));
+    name.is_some_and(|name| STANDBY_FILES.contains(&name))
 }
 
 fn remove_files(

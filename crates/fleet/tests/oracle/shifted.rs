@@ -23,7 +23,7 @@ fn moved(frames: &[Delivery], offset_ns: i64) -> Vec<Delivery> {
             sent_ns: by(frame.at_ns - MS),
             ..frame.header
         };
-        let near = |stamp_ns: u64| stamp_ns >= START_NS / 2 && stamp_ns < 1 << 60;
+        let near = |stamp_ns: u64| (START_NS / 2..1 << 60).contains(&stamp_ns);
         let samples = frame.samples.iter().filter(|sample| near(sample.stamp_ns));
         let samples = samples.map(|sample| {
             let mut sample = *sample;

@@ -19,6 +19,7 @@ pub(super) struct LinkFile {
     pub(super) worker: Option<WorkerSection>,
     pub(super) samples: Option<SamplesSection>,
     pub(super) follow: Option<FollowSection>,
+    pub(super) lease: Option<LeaseSection>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -125,6 +126,37 @@ impl Carries {
             Self::Ticks => Carried::Ticks,
         }
     }
+}
+
+/// etcd, by which one of the workers of a shard serves.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LeaseSection {
+    /// Addresses of its members.
+    pub(super) endpoints: Vec<Text>,
+    /// Time after which a host that says nothing has lost its shard.
+    #[serde(default = "three")]
+    pub(super) ttl_s: u32,
+    /// What its keys begin with.
+    #[serde(default = "prefix")]
+    pub(super) prefix: Text,
+    /// Certificate of its authority; without it those of the network.
+    pub(super) ca: Option<Text>,
+    /// Certificate of this host.
+    pub(super) certificate: Option<Text>,
+    /// Its private key, mode 0600.
+    pub(super) key: Option<Text>,
+    pub(super) user: Option<Text>,
+    /// File with the user's password, mode 0600.
+    pub(super) password: Option<Text>,
+}
+
+const fn three() -> u32 {
+    3
+}
+
+fn prefix() -> Text {
+    Spanned::new(0..0, "joulebus/".to_owned())
 }
 
 /// The file of the shards.

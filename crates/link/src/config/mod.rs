@@ -3,6 +3,7 @@
 
 mod check;
 mod file;
+mod lease;
 mod network;
 mod shards;
 
@@ -15,12 +16,15 @@ use joulebus_wire::fnv1a;
 use toml::Value;
 
 use crate::config::check::Check;
-use crate::config::file::{FollowSection, LinkFile, Text, WorkerSection};
+use crate::config::file::{
+    FollowSection, LeaseSection, LinkFile, NetworkSection, Text, WorkerSection,
+};
 use crate::protocol::carried::Carried;
 use crate::protocol::message::FleetId;
 use crate::protocol::selection::{MOST_RANGES, Selection};
 use crate::protocol::shards::Shards;
 
+pub(crate) use lease::{LeaseSettings, MOST_TTL_S};
 pub(crate) use network::{Mode, NetworkSettings};
 
 /// Longest file, bytes.
@@ -39,6 +43,21 @@ pub(crate) struct Settings {
     /// Who speaks for which robots, where the fleet is split.
     pub(crate) shards: Option<Arc<Shards>>,
     pub(crate) side: Side,
+    /// Where the worker of this host is one of several that may serve.
+    pub(crate) standby: Option<Standby>,
+}
+
+/// One of the candidates of a shard, one of which serves at a time.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Standby {
+    /// The shard's name.
+    pub(crate) shard: String,
+    /// Place in the list of its candidates.
+    pub(crate) rank: usize,
+    /// Links of the other candidates, with their places.
+    pub(crate) others: Vec<(usize, String)>,
+    /// Who decides; without it an operator does.
+    pub(crate) lease: Option<LeaseSettings>,
 }
 
 /// What this host is.
@@ -125,6 +144,11 @@ impl Check<'_> {
         let shards = file.shards.as_ref().map(|path| self.shards(path, config));
         let shards = shards.flatten().map(Arc::new);
         let has_shards = file.shards.is_some();
+        let standby = self.standby(
+            file.lease.as_ref(),
+            &file.network,
+            (&name, shards.as_deref()),
+        );
         let side = match (file.worker, file.samples, file.follow) {
             (Some(worker), None, None) => {
                 if let Some(shards) = &shards
@@ -159,6 +183,34 @@ impl Check<'_> {
             network,
             shards,
             side,
+            standby,
+        })
+    }
+
+    /// Whether the worker of the link `name` is one of several.
+    fn standby(
+        &mut self,
+        lease: Option<&LeaseSection>,
+        network: &NetworkSection,
+        (name, shards): (&str, Option<&Shards>),
+    ) -> Option<Standby> {
+        let lease = lease.map(|lease| self.lease(lease, network));
+        let shard = shards.and_then(|shards| Some(&shards.all()[shards.of_worker(name)?]));
+        let Some(shard) = shard.filter(|shard| shard.workers.len() > 1) else {
+            if lease.is_some() {
+                let what = "decides nothing here".to_owned();
+                let remedy = "Name this link and another in `workers` of one shard, or leave the section out";
+                self.problem(None, "lease", what, remedy);
+            }
+            return None;
+        };
+        let candidates = shard.workers.iter().cloned().enumerate();
+        let (own, others): (Vec<_>, Vec<_>) = candidates.partition(|(_, worker)| worker == name);
+        Some(Standby {
+            shard: shard.name.clone(),
+            rank: own.first().map_or(0, |(rank, _)| *rank),
+            others,
+            lease,
         })
     }
 
@@ -503,6 +555,91 @@ mod tests {
         }
     }
 
+    const CANDIDATE: &str = "name = \"spare\"\nshards = \"shards.toml\"\n[network]\n\
+        listen = [\"tcp/127.0.0.1:7447\"]\n[worker]\n";
+
+    #[test]
+    fn one_of_several_workers_of_a_shard_knows_the_others_and_its_place() {
+        let settings = load_with(SHARDS, CANDIDATE).unwrap();
+        let expected = Standby {
+            shard: "a".to_owned(),
+            rank: 1,
+            others: vec![(0, "base".to_owned())],
+            lease: None,
+        };
+        assert_eq!(settings.standby, Some(expected));
+        let lease =
+            "[lease]\nendpoints = [\"http://127.0.0.1:2379\", \"https://etcd.example:1\"]\n";
+        let settings = load_with(SHARDS, &format!("{CANDIDATE}{lease}")).unwrap();
+        let lease = settings.standby.unwrap().lease.unwrap();
+        assert_eq!((lease.endpoints.len(), lease.ttl_s), (2, 3));
+        assert_eq!((lease.prefix.as_str(), lease.user), ("joulebus/", None));
+        // The only one of its shard.
+        let south = CANDIDATE.replace("spare", "south");
+        assert_eq!(load_with(SHARDS, &south).unwrap().standby, None);
+    }
+
+    #[test]
+    fn a_lease_that_cannot_be_had_is_refused_with_its_remedy() {
+        let endpoint = "endpoints = [\"http://127.0.0.1:2379\"]\n";
+        for (name, lease, says) in [
+            ("south", endpoint, "decides nothing here"),
+            ("spare", "endpoints = []\n", "1 to 16 members"),
+            (
+                "spare",
+                "endpoints = [\"127.0.0.1:2379\"]\n",
+                "https://host:port",
+            ),
+            (
+                "spare",
+                "endpoints = [\"http://127.0.0.1\"]\n",
+                "https://host:port",
+            ),
+            (
+                "spare",
+                "endpoints = [\"http://127.0.0.1:1/v3\"]\n",
+                "https://host:port",
+            ),
+            (
+                "spare",
+                "endpoints = [\"ftp://127.0.0.1:1\"]\n",
+                "https://host:port",
+            ),
+            (
+                "spare",
+                "endpoints = [\"http://10.0.0.1:2379\"]\n",
+                "Use https",
+            ),
+            ("spare", &format!("{endpoint}ttl_s = 1\n"), "2 to 60"),
+            ("spare", &format!("{endpoint}ttl_s = 61\n"), "2 to 60"),
+            (
+                "spare",
+                &format!("{endpoint}prefix = \"a b\"\n"),
+                "letters, digits",
+            ),
+            (
+                "spare",
+                &format!("{endpoint}user = \"root\"\n"),
+                "lease.password",
+            ),
+            (
+                "spare",
+                &format!("{endpoint}key = \"none.key\"\n"),
+                "lease.certificate",
+            ),
+            (
+                "spare",
+                &format!("{endpoint}ca = \"none.pem\"\n"),
+                "cannot be read",
+            ),
+            ("spare", &format!("{endpoint}leash = 1\n"), "leash"),
+        ] {
+            let text = format!("{}[lease]\n{lease}", CANDIDATE.replace("spare", name));
+            let shown = load_with(SHARDS, &text).expect_err(says).to_string();
+            assert!(shown.contains(says), "{says}: {shown}");
+        }
+    }
+
     #[test]
     fn the_shipped_examples_are_taken_with_and_without_shards() {
         let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/links");
@@ -537,11 +674,20 @@ mod tests {
             let name = path.file_name().unwrap().to_str().unwrap().to_owned();
             let text = fs::read_to_string(&path).unwrap();
             let path = write(&name, &text);
-            if name == "shards.toml" {
+            if name.ends_with("shards.toml") {
                 continue;
             }
+            if name == "standby.toml" {
+                let shards = "standby-shards.toml";
+                write(shards, &fs::read_to_string(examples.join(shards)).unwrap());
+            }
             files += 1;
-            Settings::load(&path, &config).unwrap_or_else(|error| panic!("{name}: {error}"));
+            let settings = Settings::load(&path, &config);
+            let settings = settings.unwrap_or_else(|error| panic!("{name}: {error}"));
+            assert_eq!(settings.standby.is_some(), name == "standby.toml", "{name}");
+            if settings.shards.is_some() {
+                continue;
+            }
             // With shards nobody names a worker.
             let split = text.replacen("\n[network]", "\nshards = \"shards.toml\"\n[network]", 1);
             let split = split
@@ -554,7 +700,7 @@ mod tests {
             Settings::load(&write(&name, &split), &config)
                 .unwrap_or_else(|error| panic!("{name}: {error}"));
         }
-        assert!(files >= 3, "{files}");
+        assert!(files >= 4, "{files}");
     }
 
     #[test]

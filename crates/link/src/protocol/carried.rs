@@ -3,7 +3,8 @@
 use bytemuck::{Pod, pod_read_unaligned};
 use joulebus_wire::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Payload,
-    PlanState, PlanStateHeader, SCHEMA_VERSION, Sample, SampleHeader, TakenFrame, TickHeader,
+    PlanState, PlanStateHeader, SCHEMA_VERSION, Sample, SampleHeader, StateHeader, TakenFrame,
+    TickHeader,
 };
 
 /// A service whose frames cross a link.
@@ -15,16 +16,23 @@ pub(crate) enum Carried {
     PlanStates,
     Ticks,
     Samples,
+    /// A worker's whole state, for those that stand by: the elements are its bytes.
+    State,
 }
 
+/// Bytes of a state for each robot of the capacity, at most, and for all else: it takes some 500 and a few thousand.
+const STATE_BYTES_PER_ROBOT: usize = 4_096;
+const STATE_BYTES: usize = 1 << 18;
+
 impl Carried {
-    pub(crate) const ALL: [Self; 6] = [
+    pub(crate) const ALL: [Self; 7] = [
         Self::Forecasts,
         Self::Diagnostics,
         Self::Budgets,
         Self::PlanStates,
         Self::Ticks,
         Self::Samples,
+        Self::State,
     ];
 
     /// The code in messages: from 1, because 0 is a message without a frame.
@@ -51,12 +59,23 @@ impl Carried {
             Self::PlanStates => sizes::<PlanStateHeader, PlanState>(),
             Self::Ticks => sizes::<TickHeader, TakenFrame>(),
             Self::Samples => sizes::<SampleHeader, Sample>(),
+            Self::State => sizes::<StateHeader, u8>(),
         }
     }
 
     /// Whether elements are of one robot each, whose id they begin with.
     pub(crate) const fn is_by_robot(self) -> bool {
-        !matches!(self, Self::Ticks)
+        !matches!(self, Self::Ticks | Self::State)
+    }
+
+    /// Elements that a frame of a fleet with that capacity may have.
+    pub(crate) const fn most(self, capacity: usize) -> usize {
+        match self {
+            Self::State => capacity
+                .saturating_mul(STATE_BYTES_PER_ROBOT)
+                .saturating_add(STATE_BYTES),
+            _ => capacity,
+        }
     }
 }
 
@@ -73,7 +92,7 @@ pub(crate) struct RawFrame<'a> {
 }
 
 impl<'a> RawFrame<'a> {
-    /// A frame of these bytes, header first.
+    /// A frame of these bytes, header first. `most`: rows that a frame of the fleet may have.
     ///
     /// # Errors
     /// [`FrameError`]: the bytes are no frame of the service.
@@ -84,11 +103,11 @@ impl<'a> RawFrame<'a> {
         bytes: &'a [u8],
     ) -> Result<Self, FrameError> {
         let (header_bytes, element_bytes) = service.sizes();
-        let count = count as usize;
-        if count > most {
+        let (count, allowed) = (count as usize, service.most(most));
+        if count > allowed {
             return Err(FrameError::TooLong {
                 found: count,
-                allowed: most,
+                allowed,
             });
         }
         let allowed = header_bytes + count * element_bytes;
@@ -125,6 +144,11 @@ impl<'a> RawFrame<'a> {
         pod_read_unaligned(&self.elements[at * bytes..][..bytes])
     }
 
+    /// The bytes of all elements.
+    pub(crate) const fn bytes(&self) -> &'a [u8] {
+        self.elements
+    }
+
     /// Copies the elements. `into` has room for [`RawFrame::len`] of the service's elements.
     pub(crate) fn copy_to<T: Payload>(&self, into: &mut [T]) {
         bytemuck::cast_slice_mut(into).copy_from_slice(self.elements);
@@ -157,7 +181,7 @@ mod tests {
             assert_eq!(bits & service.bit(), 0);
             bits |= service.bit();
         }
-        for code in [0, 7, u32::MAX] {
+        for code in [0, 8, u32::MAX] {
             assert_eq!(Carried::decode(code), None, "{code}");
         }
     }

@@ -151,7 +151,7 @@ impl Victim {
         let mut out = Vec::new();
         if let Some(stream) = &mut self.stream {
             let mut sent = 0;
-            while stream.due(Worker::Alive, self.now_ns, &mut out) {
+            while stream.due(Worker::Alive.into(), self.now_ns, &mut out) {
                 sent += 1;
                 assert!(sent <= 1_000, "it does not end");
             }
@@ -177,7 +177,7 @@ impl Victim {
                 header: bytes_of(&header),
                 elements: cast_slice(&rows),
             };
-            if stream.offer(frame, Worker::Alive, self.now_ns, &mut out) {
+            if stream.offer(frame, Worker::Alive.into(), self.now_ns, &mut out) {
                 assert!(read(&out, FLEET, rows.len()).is_ok());
             }
         }
@@ -216,7 +216,7 @@ fn frame(now_ns: u64, number: u64) -> Vec<u8> {
         heard_ns: START_NS,
         sent_ns: now_ns,
         dropped: 0,
-        worker: Worker::Alive,
+        voice: Worker::Alive.into(),
     };
     let sender = Sender {
         fleet: FLEET,

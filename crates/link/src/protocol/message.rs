@@ -10,7 +10,7 @@ use crate::protocol::carried::{Carried, FrameError, RawFrame};
 use crate::protocol::selection::{MOST_RANGES, Selection};
 
 /// Version of these messages.
-const PROTOCOL: u32 = 2;
+const PROTOCOL: u32 = 3;
 const MAGIC: [u8; 8] = *b"joulelnk";
 const RELEASE_BYTES: usize = 16;
 const FRAME: u32 = 1;
@@ -48,6 +48,8 @@ struct FrameHead {
     heard_ns: u64,
     sent_ns: u64,
     dropped: u64,
+    term: u64,
+    heard: u64,
 }
 
 /// A request without its ranges.
@@ -63,7 +65,7 @@ struct RequestHead {
     reserved: u32,
 }
 
-const _: () = assert!(size_of::<Prelude>() == 64 && size_of::<FrameHead>() == 48);
+const _: () = assert!(size_of::<Prelude>() == 64 && size_of::<FrameHead>() == 64);
 
 /// Which fleet messages are of: hosts that do not agree refuse each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -107,6 +109,25 @@ impl Worker {
     }
 }
 
+/// What a sender says of its worker.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct Voice {
+    pub(crate) worker: Worker,
+    /// Number of its turn to speak for its shard, greater than that of all before; 0 if it is the only one that may.
+    pub(crate) term: u64,
+    /// The greatest term that it knows of, its own or another's: so that one that has forgotten, or the store, learns it again.
+    pub(crate) heard: u64,
+}
+
+impl From<Worker> for Voice {
+    fn from(worker: Worker) -> Self {
+        Self {
+            worker,
+            ..Self::default()
+        }
+    }
+}
+
 /// Times and counts that travel with each frame, and alone where there is none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Status {
@@ -119,7 +140,7 @@ pub(crate) struct Status {
     /// Frames that were not sent to this receiver, because newer ones were there before the link was free.
     pub(crate) dropped: u64,
     /// The sender's worker.
-    pub(crate) worker: Worker,
+    pub(crate) voice: Voice,
 }
 
 /// What a receiver asks for.
@@ -165,12 +186,14 @@ pub(crate) fn write_frame(
     let mut head = FrameHead {
         service: frame.as_ref().map_or(0, |frame| frame.service.code()),
         elements: 0,
-        worker: status.worker as u32,
+        worker: status.voice.worker as u32,
         reserved: 0,
         asked_ns: status.asked_ns,
         heard_ns: status.heard_ns,
         sent_ns: status.sent_ns,
         dropped: status.dropped,
+        term: status.voice.term,
+        heard: status.voice.heard,
     };
     let at = out.len();
     out.extend_from_slice(bytes_of(&head));
@@ -264,7 +287,11 @@ fn read_frame(bytes: &[u8], most: usize) -> Result<Body<'_>, MessageError> {
         heard_ns: head.heard_ns,
         sent_ns: head.sent_ns,
         dropped: head.dropped,
-        worker: Worker::decode(head.worker),
+        voice: Voice {
+            worker: Worker::decode(head.worker),
+            term: head.term,
+            heard: head.heard,
+        },
     };
     if head.service == 0 {
         return Ok(Body::Frame(status, None));
@@ -401,7 +428,11 @@ mod tests {
             heard_ns: 2,
             sent_ns: 3,
             dropped: 4,
-            worker: Worker::Alive,
+            voice: Voice {
+                worker: Worker::Alive,
+                term: u64::MAX - 1,
+                heard: u64::MAX,
+            },
         }
     }
 

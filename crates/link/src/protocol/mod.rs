@@ -3,6 +3,7 @@
 pub(crate) mod carried;
 #[cfg(test)]
 pub(crate) mod hostile;
+pub(crate) mod lease;
 pub(crate) mod merge;
 pub(crate) mod message;
 pub(crate) mod offset;

@@ -1,7 +1,9 @@
 //! The receiving side of a stream: what has come, from which run, what is missing, and by which clock.
 
 use crate::protocol::carried::RawFrame;
-use crate::protocol::message::{Body, Message, Request, Sender, Status, Worker, write_request};
+use crate::protocol::message::{
+    Body, Message, Request, Sender, Status, Voice, Worker, write_request,
+};
 use crate::protocol::offset::{Offset, Trip, shifted};
 use crate::protocol::selection::Selection;
 use crate::protocol::stream::SILENT_AFTER_NS;
@@ -43,6 +45,8 @@ pub(crate) struct Accepted<'a> {
     pub(crate) frame: RawFrame<'a>,
     /// To be added to its times, ns.
     pub(crate) offset_ns: i128,
+    /// [`Voice::term`] of the worker that wrote it.
+    pub(crate) term: u64,
 }
 
 /// Why a message was not used; counted in [`Received`].
@@ -87,7 +91,7 @@ pub(crate) struct Receiver {
     /// The clock of the present run has been measured.
     is_measured: bool,
     is_silent: bool,
-    worker: Worker,
+    voice: Voice,
     offset: Offset,
     received: Received,
 }
@@ -104,7 +108,7 @@ impl Receiver {
             owes: false,
             is_measured: false,
             is_silent: true,
-            worker: Worker::Unknown,
+            voice: Voice::default(),
             offset: Offset::default(),
             received: Received::default(),
         }
@@ -140,7 +144,7 @@ impl Receiver {
         self.owes = true;
         self.received.bytes += bytes as u64;
         self.received.dropped = status.dropped;
-        self.worker = status.worker;
+        self.voice = status.voice;
         self.measure(status, now_ns);
         let frame = (*frame).ok_or(Unused::Status)?;
         if !self.selection.wants(frame.service) {
@@ -149,7 +153,11 @@ impl Receiver {
         let offset_ns = self.offset.used_ns().filter(|_| self.is_measured);
         let offset_ns = offset_ns.ok_or(Unused::NoClock)?;
         self.received.frames += 1;
-        Ok(Accepted { frame, offset_ns })
+        Ok(Accepted {
+            frame,
+            offset_ns,
+            term: status.voice.term,
+        })
     }
 
     /// Accounts for a message's place: by its time, since one with a false number could otherwise hide all real ones, and none
@@ -270,7 +278,17 @@ impl Receiver {
 
     /// The sender's worker, by its last message.
     pub(crate) const fn worker(&self) -> Worker {
-        self.worker
+        self.voice.worker
+    }
+
+    /// [`Voice::term`] of its worker, by its last message.
+    pub(crate) const fn term(&self) -> u64 {
+        self.voice.term
+    }
+
+    /// The greatest term that the sender knows of, by its last message.
+    pub(crate) fn heard_term(&self) -> u64 {
+        self.voice.heard.max(self.voice.term)
     }
 
     pub(crate) const fn received(&self) -> Received {

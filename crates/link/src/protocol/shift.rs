@@ -5,7 +5,7 @@
 
 use joulebus_wire::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
-    PlanStateHeader, Sample, SampleHeader, TakenFrame, TickHeader,
+    PlanStateHeader, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader,
 };
 
 use crate::protocol::offset::shifted;
@@ -50,6 +50,7 @@ instants! {
     TickHeader: start_ns, sent_ns;
     Sample: stamp_ns, measured_ns;
     SampleHeader: intended_ns, sent_ns;
+    StateHeader: taken_ns, sent_ns;
 }
 
 #[cfg(test)]
@@ -93,7 +94,7 @@ mod tests {
         let unseen = MOVED.iter().map(|(name, _)| *name);
         let unseen: Vec<&str> = unseen.filter(|name| !seen.contains(name)).collect();
         // What other languages do not read is not described: their times are all in their definitions' first lines.
-        assert_eq!(unseen, ["TakenFrame", "TickHeader"]);
+        assert_eq!(unseen, ["TakenFrame", "TickHeader", "StateHeader"]);
     }
 
     #[test]

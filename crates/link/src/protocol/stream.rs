@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use crate::protocol::carried::Carried;
-use crate::protocol::message::{FleetId, Outgoing, Request, Sender, Status, Worker, write_frame};
+use crate::protocol::message::{FleetId, Outgoing, Request, Sender, Status, Voice, write_frame};
 
 /// A receiver that has not asked for so long is no longer sent anything.
 pub(crate) const SILENT_AFTER_NS: u64 = 1_500_000_000;
@@ -146,7 +146,7 @@ impl Stream {
     pub(crate) fn offer(
         &mut self,
         frame: LocalFrame<'_>,
-        worker: Worker,
+        voice: Voice,
         now_ns: u64,
         out: &mut Vec<u8>,
     ) -> bool {
@@ -163,7 +163,7 @@ impl Stream {
         let older = lane.waiting.take();
         self.sent.dropped += u64::from(older.is_some());
         if is_free {
-            self.write((place, frame.header, frame.elements), worker, now_ns, out);
+            self.write((place, frame.header, frame.elements), voice, now_ns, out);
             return true;
         }
         let (mut header, mut elements) = older.unwrap_or_default();
@@ -177,7 +177,7 @@ impl Stream {
 
     /// Writes what is due now into `out`, a frame that waited or the status; false if nothing is. Call it until it
     /// returns false.
-    pub(crate) fn due(&mut self, worker: Worker, now_ns: u64, out: &mut Vec<u8>) -> bool {
+    pub(crate) fn due(&mut self, voice: Voice, now_ns: u64, out: &mut Vec<u8>) -> bool {
         let waits = |(place, lane): (&Place, &Lane)| lane.waiting.is_some().then_some(*place);
         let waiting: Vec<Place> = self.lanes.iter().filter_map(waits).collect();
         for place in waiting {
@@ -187,22 +187,22 @@ impl Stream {
                     .get_mut(&place)
                     .and_then(|lane| lane.waiting.take())
             {
-                self.write((place, &header, &elements), worker, now_ns, out);
+                self.write((place, &header, &elements), voice, now_ns, out);
                 return true;
             }
         }
         if now_ns.saturating_sub(self.told_ns) < STATUS_EVERY_NS {
             return false;
         }
-        self.tell(worker, now_ns, out);
+        self.tell(voice, now_ns, out);
         true
     }
 
     /// Writes the status into `out`, whenever it was told last.
-    pub(crate) fn tell(&mut self, worker: Worker, now_ns: u64, out: &mut Vec<u8>) {
+    pub(crate) fn tell(&mut self, voice: Voice, now_ns: u64, out: &mut Vec<u8>) {
         self.number += 1;
         self.told_ns = now_ns;
-        let status = self.status(worker, now_ns);
+        let status = self.status(voice, now_ns);
         write_frame(out, (self.sender, self.number), status, None);
         if self.told.len() == MOST_TOLD {
             self.told.pop_front();
@@ -229,13 +229,13 @@ impl Stream {
     fn write(
         &mut self,
         (place, header, elements): (Place, &[u8], &[u8]),
-        worker: Worker,
+        voice: Voice,
         now_ns: u64,
         out: &mut Vec<u8>,
     ) {
         self.number += 1;
         self.told_ns = now_ns;
-        let status = self.status(worker, now_ns);
+        let status = self.status(voice, now_ns);
         let mut runs = self.request.selection.runs(place.0, elements);
         let frame = Some(Outgoing {
             service: place.0,
@@ -249,13 +249,13 @@ impl Stream {
         self.sent.bytes += out.len() as u64;
     }
 
-    const fn status(&self, worker: Worker, now_ns: u64) -> Status {
+    const fn status(&self, voice: Voice, now_ns: u64) -> Status {
         Status {
             asked_ns: self.request.asked_ns,
             heard_ns: self.heard_ns,
             sent_ns: now_ns,
             dropped: self.sent.dropped,
-            worker,
+            voice,
         }
     }
 }

@@ -175,7 +175,7 @@ impl Hosts {
             let Some(stream) = &mut self.stream else {
                 continue;
             };
-            if stream.offer(frame, Worker::Alive, there_ns, &mut self.out) {
+            if stream.offer(frame, Worker::Alive.into(), there_ns, &mut self.out) {
                 self.sent += 1;
                 self.there
                     .send(&self.out, self.now_ns, weather, self.bytes_per_s);
@@ -184,7 +184,7 @@ impl Hosts {
         let Some(stream) = &mut self.stream else {
             return;
         };
-        while stream.due(Worker::Alive, there_ns, &mut self.out) {
+        while stream.due(Worker::Alive.into(), there_ns, &mut self.out) {
             self.there
                 .send(&self.out, self.now_ns, weather, self.bytes_per_s);
         }
@@ -323,7 +323,7 @@ fn a_false_number_or_run_hides_nothing_and_a_time_that_lies_ahead_is_refused() {
         let stream = hosts.stream.as_mut().unwrap();
         let mut forged = Vec::new();
         let there_ns = u64::try_from(i128::from(hosts.now_ns) - hosts.offset_ns).unwrap();
-        stream.tell(Worker::Alive, there_ns, &mut forged);
+        stream.tell(Worker::Alive.into(), there_ns, &mut forged);
         let field = match at % 3 {
             0 => RUN,
             1 => NUMBER,

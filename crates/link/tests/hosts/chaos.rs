@@ -11,14 +11,14 @@ use crate::namespaces::{Wires, listening};
 use crate::planner::Reader;
 
 /// Faults in the gate; more by this variable.
-const FAULTS: usize = 6;
-const MORE: &str = "JOULEBUS_LINK_FAULTS";
+pub(crate) const FAULTS: usize = 6;
+pub(crate) const MORE: &str = "JOULEBUS_LINK_FAULTS";
 
 /// Numbers that look random and are the same in each run.
-struct Chance(u64);
+pub(crate) struct Chance(pub(crate) u64);
 
 impl Chance {
-    fn below(&mut self, most: u64) -> u64 {
+    pub(crate) fn below(&mut self, most: u64) -> u64 {
         self.0 = self
             .0
             .wrapping_mul(6_364_136_223_846_793_005)
@@ -26,7 +26,7 @@ impl Chance {
         (self.0 >> 33) % most
     }
 
-    fn while_s(&mut self, most_ms: u64) -> Duration {
+    pub(crate) fn while_s(&mut self, most_ms: u64) -> Duration {
         Duration::from_millis(50 + self.below(most_ms))
     }
 }

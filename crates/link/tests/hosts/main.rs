@@ -4,6 +4,7 @@
 
 mod certificates;
 mod chaos;
+mod etcd;
 mod host;
 mod local;
 mod namespaces;
@@ -11,6 +12,7 @@ mod planner;
 mod router;
 mod shards;
 mod speed;
+mod standby;
 mod strangers;
 
 /// Not a test: the entry point of the processes that the tests start.

@@ -103,6 +103,15 @@ impl Reader {
         }
     }
 
+    /// The next frame, if one comes in time.
+    pub(crate) fn frame_within(&mut self, time: Duration) -> Option<Frame> {
+        let line = self.0.try_next_line(time)?;
+        match serde_json::from_str(&line).unwrap() {
+            Seen::Frame(frame) => Some(frame),
+            Seen::Gone(_) => None,
+        }
+    }
+
     /// A frame that was sent after this call.
     pub(crate) fn fresh(&mut self) -> Frame {
         let now_ns = clock::monotonic_ns();
@@ -132,6 +141,20 @@ impl Reader {
                 return how;
             }
         }
+    }
+
+    /// All frames that it has read.
+    pub(crate) fn all_frames(self) -> Vec<Frame> {
+        let lines = self.0.all_lines();
+        // It was killed, perhaps in the middle of the last one.
+        let seen = lines
+            .iter()
+            .filter_map(|line| serde_json::from_str(line).ok());
+        let frame = |seen| match seen {
+            Seen::Frame(frame) => Some(frame),
+            Seen::Gone(_) => None,
+        };
+        seen.filter_map(frame).collect()
     }
 
     pub(crate) fn leave(self) {

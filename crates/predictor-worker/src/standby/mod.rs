@@ -1,7 +1,7 @@
 //! A worker that serves with a permit only: of several that can serve the same robots, on several hosts, one does.
 //!
 //! Who may is decided elsewhere: the link of this host, or whoever writes the permit. Worker and link leave each other
-//! files beside the worker's lock, in the domain's private directory:
+//! files in the fleet's private directory:
 //!
 //! | file | written by | |
 //! |---|---|---|

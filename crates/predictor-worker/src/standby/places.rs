@@ -3,10 +3,11 @@
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
+use joulebus_bus::STANDBY_FILES;
 use joulebus_config::Config;
 use joulebus_files::disk::{self, File};
 
-/// The files, beside the worker's lock.
+/// The files, in the directory of the fleet in shared memory: the last member of the fleet on this host removes them.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Places {
     /// [`Permit`](super::Permit) of this host's worker.
@@ -23,12 +24,13 @@ impl Places {
     /// Those of the fleet of `config` on this host.
     #[must_use]
     pub fn of(config: &Config) -> Self {
-        let place = |name: &str| config.root().join(format!("{name}-{}", config.fleet()));
+        let directory = config.root().join(config.fleet());
+        let [permit, keyframe, replica, request] = STANDBY_FILES.map(|name| directory.join(name));
         Self {
-            permit: place("permit"),
-            keyframe: place("keyframe"),
-            replica: place("replica"),
-            request: place("request"),
+            permit,
+            keyframe,
+            replica,
+            request,
         }
     }
 }

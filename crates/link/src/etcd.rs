@@ -1,0 +1,359 @@
+//! etcd by its HTTP and JSON gateway (`/v3/…`, etcd 3.4 and later), for [`crate::protocol::lease`].
+//!
+//! The gateway leaves out what is false, 0 or empty, and writes numbers of 64 bits as texts.
+
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::{Context as _, anyhow, bail};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD as BASE64;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use ureq::Agent;
+use ureq::tls::{Certificate, ClientCert, PemItem, PrivateKey, RootCerts, TlsConfig, parse_pem};
+
+use crate::config::LeaseSettings;
+use crate::protocol::lease::{Call, Holder, Reply, Seen};
+
+/// All members of the store together may take this share of a lease's time for one call.
+const CALL_DIVISOR: u32 = 3;
+/// Least time for a member to answer.
+const LEAST_TIME: Duration = Duration::from_millis(100);
+/// Longest answer, bytes.
+const MOST_BYTES: u64 = 64 << 10;
+const MOST_CERTIFICATE_BYTES: u64 = 1 << 20;
+const MOST_SECRET_BYTES: u64 = 4_096;
+const NANOSECONDS: u64 = 1_000_000_000;
+
+/// The store of one shard, as one candidate uses it.
+pub(crate) struct Etcd {
+    agent: Agent,
+    endpoints: Vec<String>,
+    /// The one that answered last.
+    at: usize,
+    ttl_s: u32,
+    limit: Duration,
+    /// Encoded names of the three keys.
+    holder: String,
+    term: String,
+    wish: String,
+    own: String,
+    user: Option<(String, String)>,
+    token: Option<String>,
+    is_told: bool,
+}
+
+/// What the holder's key contains.
+#[derive(Debug, Serialize, Deserialize)]
+struct HolderValue {
+    name: String,
+    term: u64,
+}
+
+/// A number that is a text, or left out.
+#[derive(Debug, Clone, Copy, Default)]
+struct Number(u64);
+
+impl<'de> Deserialize<'de> for Number {
+    fn deserialize<D: serde::Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        #[derive(Deserialize)]
+        #[serde(untagged)]
+        enum Form {
+            Text(String),
+            Number(u64),
+        }
+        let number = match Form::deserialize(from)? {
+            Form::Number(number) => Some(number),
+            Form::Text(text) => text.parse().ok(),
+        };
+        number
+            .map(Self)
+            .ok_or_else(|| serde::de::Error::custom("not a number of 64 bits"))
+    }
+}
+
+#[derive(Debug, Deserialize)]
+struct Granted {
+    #[serde(rename = "ID")]
+    id: Number,
+    #[serde(rename = "TTL")]
+    ttl_s: Number,
+}
+
+#[derive(Debug, Deserialize)]
+struct Renewed {
+    result: RenewedResult,
+}
+
+#[derive(Debug, Deserialize)]
+struct RenewedResult {
+    /// Left out where the lease is gone.
+    #[serde(rename = "TTL", default)]
+    ttl_s: Number,
+}
+
+#[derive(Debug, Deserialize)]
+struct Done {
+    #[serde(default)]
+    succeeded: bool,
+    #[serde(default)]
+    responses: Vec<Response>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Response {
+    #[serde(alias = "responseRange")]
+    response_range: Option<Range>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+struct Range {
+    #[serde(default)]
+    kvs: Vec<KeyValue>,
+}
+
+#[derive(Debug, Deserialize)]
+struct KeyValue {
+    #[serde(alias = "modRevision", default)]
+    mod_revision: Number,
+    #[serde(default)]
+    value: String,
+    #[serde(default)]
+    lease: Number,
+}
+
+impl KeyValue {
+    fn text(&self) -> anyhow::Result<String> {
+        let bytes = BASE64.decode(&self.value)?;
+        Ok(String::from_utf8(bytes)?)
+    }
+}
+
+impl Etcd {
+    /// `own`: the name of this candidate.
+    ///
+    /// # Errors
+    /// A file of the settings cannot be read.
+    pub(crate) fn new(
+        settings: &LeaseSettings,
+        (fleet, shard, own): (&str, &str, &str),
+    ) -> anyhow::Result<Self> {
+        let key = |name: &str| BASE64.encode(format!("{}{fleet}/{shard}/{name}", settings.prefix));
+        let user = settings.user.as_ref().map(|(user, path)| {
+            let password = joulebus_files::read_secret(path, MOST_SECRET_BYTES)?;
+            let password = password.lines().next().unwrap_or_default().to_owned();
+            Ok::<_, std::io::Error>((user.clone(), password))
+        });
+        let members = settings.endpoints.len().try_into().unwrap_or(u32::MAX);
+        let ttl = Duration::from_secs(settings.ttl_s.into());
+        Ok(Self {
+            agent: agent(settings)?,
+            endpoints: settings.endpoints.clone(),
+            at: 0,
+            ttl_s: settings.ttl_s,
+            limit: (ttl / CALL_DIVISOR / members).max(LEAST_TIME),
+            holder: key("holder"),
+            term: key("term"),
+            wish: key("wish"),
+            own: own.to_owned(),
+            user: user.transpose().context("the password of etcd's user")?,
+            token: None,
+            is_told: false,
+        })
+    }
+
+    /// Calls the store. What fails is said once, until it answers again.
+    pub(crate) fn call(&mut self, call: &Call) -> Reply {
+        match self.try_call(call) {
+            Ok(reply) => {
+                if self.is_told {
+                    tracing::info!("etcd answers again");
+                }
+                self.is_told = false;
+                reply
+            }
+            Err(error) => {
+                if !self.is_told {
+                    tracing::warn!("etcd does not answer: {error:#}");
+                }
+                self.is_told = true;
+                Reply::Failed
+            }
+        }
+    }
+
+    fn try_call(&mut self, call: &Call) -> anyhow::Result<Reply> {
+        match call {
+            Call::Grant => {
+                let body = json!({"TTL": self.ttl_s.to_string()});
+                let granted: Granted = self.post("lease/grant", &body)?;
+                Ok(Reply::Granted {
+                    lease: granted.id.0,
+                    ttl_ns: granted.ttl_s.0.saturating_mul(NANOSECONDS),
+                })
+            }
+            Call::Renew { lease } => {
+                let body = json!({"ID": lease.to_string()});
+                let renewed: Renewed = self.post("lease/keepalive", &body)?;
+                let ttl_ns = renewed.result.ttl_s.0.saturating_mul(NANOSECONDS);
+                Ok(Reply::Renewed { ttl_ns })
+            }
+            Call::Look => self.look().map(Reply::Seen),
+            Call::Acquire {
+                lease,
+                term,
+                term_revision,
+            } => {
+                let body = self.acquisition(*lease, *term, *term_revision)?;
+                let done: Done = self.post("kv/txn", &body)?;
+                Ok(Reply::Acquired(done.succeeded))
+            }
+        }
+    }
+
+    /// All three keys at one instant, from a quorum.
+    fn look(&mut self) -> anyhow::Result<Seen> {
+        let range = |key: &str| json!({"requestRange": {"key": key}});
+        let all = [&self.holder, &self.term, &self.wish].map(|key| range(key));
+        let done: Done = self.post("kv/txn", &json!({"success": all}))?;
+        let mut ranges = done.responses.into_iter().map(|it| it.response_range);
+        let mut key = || -> anyhow::Result<Option<KeyValue>> {
+            let range = ranges.next().flatten();
+            let range = range.ok_or_else(|| anyhow!("an answer is missing"))?;
+            Ok(range.kvs.into_iter().next())
+        };
+        let (holder, term, wish) = (key()?, key()?, key()?);
+        let holder = holder.map(|it| {
+            let value: HolderValue =
+                serde_json::from_str(&it.text()?).context("the holder's key")?;
+            Ok::<_, anyhow::Error>(Holder {
+                name: value.name,
+                term: value.term,
+                lease: it.lease.0,
+            })
+        });
+        let number = |it: &KeyValue| it.text()?.parse().context("the term's key");
+        Ok(Seen {
+            holder: holder.transpose()?,
+            term: term.as_ref().map_or(Ok(0), number)?,
+            term_revision: term.map_or(0, |it| it.mod_revision.0),
+            wish: wish.map(|it| it.text()).transpose()?,
+        })
+    }
+
+    fn acquisition(&self, lease: u64, term: u64, term_revision: u64) -> anyhow::Result<Value> {
+        let value = HolderValue {
+            name: self.own.clone(),
+            term,
+        };
+        let value = BASE64.encode(serde_json::to_vec(&value)?);
+        Ok(json!({
+            "compare": [
+                {"key": self.holder, "target": "CREATE", "result": "EQUAL", "createRevision": "0"},
+                {"key": self.term, "target": "MOD", "result": "EQUAL", "modRevision": term_revision.to_string()},
+            ],
+            "success": [
+                {"requestPut": {"key": self.holder, "value": value, "lease": lease.to_string()}},
+                {"requestPut": {"key": self.term, "value": BASE64.encode(term.to_string())}},
+                {"requestDeleteRange": {"key": self.wish}},
+            ],
+        }))
+    }
+
+    /// Has the present holder leave the shard to this candidate.
+    ///
+    /// # Errors
+    /// No member answers.
+    pub(crate) fn wish(&mut self) -> anyhow::Result<()> {
+        let body = json!({"key": self.wish, "value": BASE64.encode(&self.own)});
+        self.post::<Value>("kv/put", &body).map(drop)
+    }
+
+    /// Posts to the member that answered last, then to the others.
+    fn post<T: DeserializeOwned>(&mut self, verb: &str, body: &Value) -> anyhow::Result<T> {
+        let mut failed = anyhow!("etcd has no member");
+        for _ in 0..self.endpoints.len() {
+            match self.post_to(verb, body) {
+                Ok(answer) => return Ok(answer),
+                Err(error) => failed = error.context(self.endpoints[self.at].clone()),
+            }
+            // Who comes next has to log in again, too.
+            self.token = None;
+            self.at = (self.at + 1) % self.endpoints.len();
+        }
+        Err(failed)
+    }
+
+    fn post_to<T: DeserializeOwned>(&mut self, verb: &str, body: &Value) -> anyhow::Result<T> {
+        if self.token.is_none()
+            && let Some((user, password)) = &self.user
+        {
+            let body = json!({"name": user, "password": password});
+            let answer = self.send("auth/authenticate", &body)?;
+            let token = answer["token"].as_str().context("it gives no token")?;
+            self.token = Some(token.to_owned());
+        }
+        Ok(serde_json::from_value(self.send(verb, body)?)?)
+    }
+
+    fn send(&self, verb: &str, body: &Value) -> anyhow::Result<Value> {
+        let address = format!("{}/v3/{verb}", self.endpoints[self.at]);
+        let request = self.agent.post(&address).config();
+        let mut request = request.timeout_global(Some(self.limit)).build();
+        if let Some(token) = &self.token {
+            request = request.header("Authorization", token);
+        }
+        let bytes = serde_json::to_vec(body)?;
+        let sent = request.content_type("application/json").send(&bytes[..]);
+        let mut answer = sent?;
+        let text = answer
+            .body_mut()
+            .with_config()
+            .limit(MOST_BYTES)
+            .read_to_string()?;
+        if !answer.status().is_success() {
+            bail!("{}: {}", answer.status(), text.trim());
+        }
+        Ok(serde_json::from_str(&text)?)
+    }
+}
+
+fn agent(settings: &LeaseSettings) -> anyhow::Result<Agent> {
+    let roots = settings.ca.as_deref().map(certificates).transpose()?;
+    let roots = roots.map_or(RootCerts::WebPki, |found| RootCerts::new_with_certs(&found));
+    let own = settings.own.as_ref().map(|(certificate, key)| {
+        let pem = joulebus_files::read_secret(key, MOST_CERTIFICATE_BYTES)?;
+        let key = PrivateKey::from_pem(pem.as_bytes())?;
+        Ok::<_, anyhow::Error>(ClientCert::new_with_certs(&certificates(certificate)?, key))
+    });
+    let tls = TlsConfig::builder().root_certs(roots);
+    let config = Agent::config_builder()
+        .max_redirects(0)
+        .max_redirects_will_error(false)
+        .http_status_as_error(false)
+        .tls_config(tls.client_cert(own.transpose()?).build())
+        .user_agent(concat!("joulebus/", env!("CARGO_PKG_VERSION")))
+        .build();
+    Ok(config.into())
+}
+
+/// The certificates in a file.
+fn certificates(path: &Path) -> anyhow::Result<Vec<Certificate<'static>>> {
+    let named = || path.display().to_string();
+    let bytes = joulebus_files::read(path, MOST_CERTIFICATE_BYTES).with_context(named)?;
+    let mut found = Vec::new();
+    for item in parse_pem(&bytes) {
+        if let PemItem::Certificate(certificate) = item.with_context(named)? {
+            found.push(certificate);
+        }
+    }
+    if found.is_empty() {
+        bail!(
+            "{}: no certificate is in it; expected PEM, -----BEGIN CERTIFICATE-----",
+            named()
+        );
+    }
+    Ok(found)
+}

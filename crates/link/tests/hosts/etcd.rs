@@ -1,0 +1,108 @@
+//! A real etcd server: `JOULEBUS_ETCD`, or the one that is installed. Without one these tests say so and pass, and with
+//! `CI=true` they fail.
+
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
+use std::process::Command;
+
+use joulebus_test_processes::{Child, eventually};
+use rustix::process::Signal;
+
+/// A server with data of its own, which survive its restarts.
+pub(crate) struct Etcd {
+    directory: tempfile::TempDir,
+    host: String,
+    port: u16,
+    around: Box<dyn Fn(&Command) -> Command>,
+    server: Option<Child>,
+}
+
+impl Etcd {
+    /// Starts one on `host`, an address; `around`: what makes a command one of that host.
+    pub(crate) fn start(
+        host: &str,
+        port: u16,
+        around: impl Fn(&Command) -> Command + 'static,
+    ) -> Option<Self> {
+        let named = std::env::var_os("JOULEBUS_ETCD").filter(|named| !named.is_empty());
+        let program = named.unwrap_or_else(|| "etcd".into());
+        let is_there = Command::new(&program).arg("--version").output();
+        if !is_there.is_ok_and(|shown| shown.status.success()) {
+            let why = "there is no etcd (JOULEBUS_ETCD=$(tools/etcd.sh))";
+            assert!(
+                std::env::var_os("CI").is_none_or(|ci| ci != "true"),
+                "{why}"
+            );
+            eprintln!("skipped: {why}");
+            return None;
+        }
+        let mut etcd = Self {
+            directory: tempfile::tempdir().unwrap(),
+            host: host.to_owned(),
+            port,
+            around: Box::new(around),
+            server: None,
+        };
+        etcd.again();
+        Some(etcd)
+    }
+
+    pub(crate) fn endpoint(&self) -> String {
+        format!("http://{}:{}", self.host, self.port)
+    }
+
+    /// Starts the server again, with its data.
+    pub(crate) fn again(&mut self) {
+        let named = std::env::var_os("JOULEBUS_ETCD").filter(|named| !named.is_empty());
+        let endpoint = self.endpoint();
+        let mut command = Command::new(named.unwrap_or_else(|| "etcd".into()));
+        command.args(["--listen-client-urls", &endpoint]);
+        command.args(["--advertise-client-urls", &endpoint]);
+        // Alone, and still it wants a port for others: one that the system chooses.
+        command.args(["--listen-peer-urls", "http://127.0.0.1:0"]);
+        command.arg("--data-dir").arg(self.directory.path());
+        let mut server = Child::spawn("etcd", (self.around)(&command));
+        server.wait_for_line("ready to serve client requests");
+        self.server = Some(server);
+    }
+
+    /// The server dies.
+    pub(crate) fn kill(&mut self) {
+        if let Some(server) = &mut self.server {
+            server.kill();
+        }
+    }
+
+    pub(crate) fn pause(&mut self) {
+        self.signal(Signal::STOP);
+    }
+
+    pub(crate) fn resume(&mut self) {
+        self.signal(Signal::CONT);
+    }
+
+    fn signal(&mut self, signal: Signal) {
+        if let Some(server) = &mut self.server {
+            server.signal(signal);
+        }
+    }
+
+    /// Posts to its gateway, on this host.
+    pub(crate) fn post(&self, verb: &str, body: &str) -> String {
+        let mut answer = String::new();
+        eventually("etcd answers", || {
+            let Ok(mut stream) = TcpStream::connect((self.host.as_str(), self.port)) else {
+                return false;
+            };
+            let length = body.len();
+            let request = format!(
+                "POST /v3/{verb} HTTP/1.0\r\nHost: etcd\r\nContent-Length: {length}\r\n\r\n{body}"
+            );
+            answer.clear();
+            stream.write_all(request.as_bytes()).is_ok()
+                && stream.read_to_string(&mut answer).is_ok()
+                && answer.contains(" 200 ")
+        });
+        answer
+    }
+}

@@ -1,0 +1,648 @@
+//! A shard whose worker's host dies: another host's worker goes on, and never do two speak.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::os::unix::fs::PermissionsExt as _;
+use std::sync::Arc;
+use std::time::Duration;
+
+use joulebus_bus::clock;
+use joulebus_test_processes::Child;
+use rustix::process::Signal;
+use serde_json::Value;
+
+use crate::chaos::{Chance, FAULTS, MORE};
+use crate::etcd::Etcd;
+use crate::host::{Host, free_address};
+use crate::namespaces::Wires;
+use crate::planner::{Frame, Reader};
+
+/// Time to live of the lease, s.
+const TTL_S: u64 = 2;
+/// Within which another serves after the lease's end.
+const TAKEOVER_NS: u64 = 3_000_000_000;
+const SECOND_NS: u64 = 1_000_000_000;
+const ROBOTS: u32 = 4;
+const SHARDS: &str = "[[shard]]\nname = \"hall\"\nworkers = [\"base-1\", \"base-2\"]\n";
+const NAMES: [&str; 2] = ["base-1", "base-2"];
+
+/// Two hosts with a worker each that may serve, and one with robots and planners.
+struct Scene {
+    bases: [Host; 2],
+    field: Host,
+    /// Where the links of the first two listen.
+    addresses: [String; 2],
+    lease: String,
+    wires: Option<Arc<Wires>>,
+}
+
+impl Scene {
+    /// On this host; an operator decides who serves.
+    fn by_hand() -> Self {
+        Self::with(
+            [Host::new(), Host::new()],
+            Host::new(),
+            [0, 1].map(|_| free_address()),
+        )
+    }
+
+    /// On this host, with an etcd.
+    fn with_lease() -> Option<(Self, Etcd)> {
+        let port = free_port();
+        let etcd = Etcd::start("127.0.0.1", port, copy)?;
+        let mut scene = Self::by_hand();
+        scene.leased(&etcd, "");
+        Some((scene, etcd))
+    }
+
+    /// Four hosts with a cable each: the two workers', the robots', and that of etcd.
+    fn wired() -> Option<(Self, Etcd)> {
+        let wires = Arc::new(Wires::new(4)?);
+        let store = Arc::clone(&wires);
+        let etcd = Etcd::start(&Wires::address(3), 2379, move |command| {
+            store.within(3, command)
+        })?;
+        let addresses = [0, 1].map(|at| format!("tcp/{}:7447", Wires::address(at)));
+        let mut scene = Self::with([wires.host(0), wires.host(1)], wires.host(2), addresses);
+        scene.leased(&etcd, "");
+        scene.wires = Some(wires);
+        Some((scene, etcd))
+    }
+
+    fn with(bases: [Host; 2], field: Host, addresses: [String; 2]) -> Self {
+        for host in bases.iter().chain([&field]) {
+            host.write("shards.toml", SHARDS);
+        }
+        Self {
+            bases,
+            field,
+            addresses,
+            lease: String::new(),
+            wires: None,
+        }
+    }
+
+    fn leased(&mut self, etcd: &Etcd, more: &str) {
+        let endpoint = etcd.endpoint();
+        self.lease = format!("[lease]\nendpoints = [\"{endpoint}\"]\nttl_s = {TTL_S}\n{more}");
+    }
+
+    fn base_file(&self, at: usize) -> String {
+        let (name, lease) = (NAMES[at], &self.lease);
+        let (own, other) = (&self.addresses[at], &self.addresses[1 - at]);
+        format!(
+            "name = \"{name}\"\nshards = \"shards.toml\"\n[network]\nlisten = [\"{own}\"]\nconnect = [\"{other}\"]\n\
+             unencrypted = true\n[worker]\n[[worker.take]]\nfrom = \"field\"\n{lease}"
+        )
+    }
+
+    fn base_link(&self, at: usize) -> Child {
+        self.bases[at].link(&self.base_file(at))
+    }
+
+    /// A worker that has begun to stand by.
+    fn worker(&self, at: usize) -> Child {
+        let words = ["run", "--standby", "--format", "json"];
+        let mut worker = Child::spawn(NAMES[at], self.bases[at].joulebus(&words));
+        worker.wait_for_line("standing by:");
+        worker
+    }
+
+    fn field_link(&self) -> Child {
+        let addresses = &self.addresses;
+        self.field.link(&format!(
+            "name = \"field\"\nshards = \"shards.toml\"\n[network]\nconnect = {addresses:?}\nunencrypted = true\n\
+             [samples]\n[follow]\n"
+        ))
+    }
+
+    fn robots(&self) -> Child {
+        self.field
+            .robots(&["--format", "json", "--robots", &ROBOTS.to_string()])
+    }
+
+    /// Has the worker of a host serve.
+    fn take_over(&self, at: usize) {
+        let mut command = self.bases[at].link_command(&self.base_file(at));
+        command.arg("--take-over");
+        let ended = Child::spawn("take over", command).wait();
+        assert_eq!(ended.code(), Some(0), "{ended:?}");
+    }
+
+    fn set_cable(&self, host: usize, is_whole: bool) {
+        self.wires.as_ref().unwrap().set(host, is_whole);
+    }
+
+    fn assert_nothing_is_left(&self) {
+        for host in self.bases.iter().chain([&self.field]) {
+            assert_eq!(host.stale_files(), Vec::<std::path::PathBuf>::new());
+        }
+    }
+}
+
+fn free_port() -> u16 {
+    let address = free_address();
+    address.rsplit(':').next().unwrap().parse().unwrap()
+}
+
+fn copy(command: &std::process::Command) -> std::process::Command {
+    let mut copied = std::process::Command::new(command.get_program());
+    copied.args(command.get_args());
+    copied
+}
+
+/// Whether all robots have a forecast of a sample that was taken after `after_ns`.
+fn is_fresh(frame: &Frame, after_ns: u64) -> bool {
+    let fresh = frame
+        .rows
+        .iter()
+        .filter(|row| row.has_power && row.stamp_ns > after_ns);
+    let robots: BTreeSet<u32> = fresh.map(|row| row.robot).collect();
+    robots == (0..ROBOTS).collect()
+}
+
+/// Reads on until all robots have a forecast of a sample taken after `after_ns`.
+fn fresh_after(planner: &mut Reader, after_ns: u64) -> Frame {
+    loop {
+        let frame = planner.frame();
+        if is_fresh(&frame, after_ns) {
+            return frame;
+        }
+    }
+}
+
+fn fresh(planner: &mut Reader) -> Frame {
+    fresh_after(planner, clock::monotonic_ns())
+}
+
+/// A robot's ledger, J and s.
+#[derive(Debug, Clone, Copy)]
+struct Account {
+    drawn_j: f64,
+    metered_s: f64,
+    unmetered_s: f64,
+}
+
+/// What a host says of each robot's ledger.
+fn accounts(host: &Host) -> Vec<Account> {
+    let words = ["watch", "--once", "--format", "json"];
+    let watched = Child::spawn("watch", host.joulebus(&words)).wait();
+    let report = watched.json();
+    let robots = report["robots"]
+        .as_array()
+        .unwrap_or_else(|| panic!("{watched:?}"));
+    let account = |robot: &Value| {
+        let number = |key: &str| robot[key].as_f64().unwrap_or_else(|| panic!("{robot}"));
+        Account {
+            drawn_j: number("drawn_j"),
+            metered_s: number("metered_s"),
+            unmetered_s: number("unmetered_s"),
+        }
+    };
+    robots.iter().map(account).collect()
+}
+
+/// What a host says of the accounts, and between which instants it was asked.
+fn asked(host: &Host) -> (Vec<Account>, [u64; 2]) {
+    let begun_ns = clock::monotonic_ns();
+    let accounts = accounts(host);
+    (accounts, [begun_ns, clock::monotonic_ns()])
+}
+
+/// All energy and time of before is in the accounts of now, and of the time between at most 1.1 s is unmetered.
+fn assert_continues((before, first): &(Vec<Account>, [u64; 2]), now: &(Vec<Account>, [u64; 2])) {
+    let (now, last) = now;
+    assert_eq!(
+        (before.len(), now.len()),
+        (ROBOTS as usize, ROBOTS as usize)
+    );
+    for (before, now) in before.iter().zip(now) {
+        let both = format!("{before:?}, {now:?}");
+        assert!(now.drawn_j > before.drawn_j, "{both}");
+        assert!(now.metered_s > before.metered_s, "{both}");
+        let unmetered_s = now.unmetered_s - before.unmetered_s;
+        assert!((0.0..1.1).contains(&unmetered_s), "{both}");
+        let time_s = now.metered_s - before.metered_s + unmetered_s;
+        let between_s = |from: u64, to: u64| (to - from) as f64 * 1e-9;
+        // What is told may be older by a second.
+        let allowed_s = between_s(first[1], last[0]) - 1.0..=between_s(first[0], last[1]) + 1.0;
+        assert!(allowed_s.contains(&time_s), "{both}: {allowed_s:?}");
+    }
+}
+
+/// Each with the run of the worker that sent it, in the order in which they were sent: no two workers speak in turn.
+fn assert_one_spoke_at_a_time(planners: Vec<Reader>) {
+    let mut sent = Vec::new();
+    for (at, planner) in planners.into_iter().enumerate() {
+        let frames = planner.all_frames();
+        sent.extend(frames.iter().map(|frame| (frame.sent_ns, at, frame.epoch)));
+    }
+    sent.sort_unstable();
+    let mut turns: Vec<(usize, u64)> = sent.iter().map(|(_, at, epoch)| (*at, *epoch)).collect();
+    turns.dedup();
+    let distinct: BTreeSet<&(usize, u64)> = turns.iter().collect();
+    assert_eq!(distinct.len(), turns.len(), "{turns:?}");
+    assert!(!turns.is_empty());
+}
+
+/// The permit has run out: it says so, and ends.
+fn assert_gave_way(worker: &mut Child, term: u64) {
+    let ended = worker.wait();
+    assert_eq!(ended.code(), Some(1), "{ended:?}");
+    let why = format!("the permit to serve in term {term} has ended");
+    assert!(ended.errors().contains(&why), "{ended:?}");
+}
+
+#[test]
+fn when_the_host_that_serves_dies_another_goes_on_within_its_bound_with_warm_windows_and_whole_ledgers()
+ {
+    let Some((scene, _etcd)) = Scene::with_lease() else {
+        return;
+    };
+    let mut workers = [0, 1].map(|at| scene.worker(at));
+    let mut links = [0, 1].map(|at| scene.base_link(at));
+    let mut field = scene.field_link();
+    let mut robots = scene.robots();
+    let mut planner = scene.field.planner();
+    // The first of the list begins.
+    workers[0].wait_for_line("ready:");
+    fresh(&mut planner);
+    // The other one has its state.
+    std::thread::sleep(Duration::from_millis(2_500));
+    fresh(&mut planner);
+    let before = asked(&scene.field);
+    let killed_ns = clock::monotonic_ns();
+    links[0].kill();
+    workers[0].kill();
+    let frame = fresh_after(&mut planner, killed_ns);
+    let took_ns = frame.read_ns - killed_ns;
+    println!(
+        "figure: takeover, lease {TTL_S} s: {:.2} s after the kill",
+        took_ns as f64 * 1e-9
+    );
+    assert!(took_ns < TTL_S * SECOND_NS + TAKEOVER_NS, "{took_ns}");
+    workers[1].wait_for_line("ready:");
+    fresh(&mut planner);
+    assert_continues(&before, &asked(&scene.field));
+    // The host comes back, and stands by.
+    let mut first = scene.worker(0);
+    let mut link = scene.base_link(0);
+    std::thread::sleep(Duration::from_secs(TTL_S + 1));
+    fresh(&mut planner);
+    planner.leave();
+    robots.end();
+    let first = first.end();
+    assert_eq!(
+        (first.code(), &first.json()["ticks"]),
+        (Some(0), &Value::from(0)),
+        "{first:?}"
+    );
+    assert!(!first.errors().contains("ready:"), "{first:?}");
+    let report = field.end().json();
+    let served: Vec<u64> = report["taken"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|taken| taken["frames"].as_u64().unwrap())
+        .collect();
+    assert!(served.iter().all(|frames| *frames > 0), "{report}");
+    link.end();
+    links[1].end();
+    workers[1].end();
+    scene.assert_nothing_is_left();
+}
+
+#[test]
+fn a_worker_that_is_cut_off_with_its_planners_is_silent_before_another_speaks_and_comes_back_by_command()
+ {
+    let Some((scene, _etcd)) = Scene::wired() else {
+        return;
+    };
+    let mut workers = [0, 1].map(|at| scene.worker(at));
+    let _links = [0, 1].map(|at| scene.base_link(at));
+    let _field = scene.field_link();
+    let _robots = scene.robots();
+    let mut planner = scene.field.planner();
+    let mut beside = vec![scene.bases[0].planner(), scene.bases[1].planner()];
+    workers[0].wait_for_line("ready:");
+    fresh(&mut planner);
+    std::thread::sleep(Duration::from_millis(2_500));
+    let before = asked(&scene.field);
+    let cut_ns = clock::monotonic_ns();
+    scene.set_cable(0, false);
+    assert_eq!(beside[0].gone(), "Ended");
+    assert_gave_way(&mut workers[0], 1);
+    let took_ns = fresh_after(&mut planner, cut_ns).read_ns - cut_ns;
+    println!(
+        "figure: takeover, lease {TTL_S} s: {:.2} s after the cut",
+        took_ns as f64 * 1e-9
+    );
+    assert!(took_ns < TTL_S * SECOND_NS + TAKEOVER_NS, "{took_ns}");
+    fresh(&mut planner);
+    assert_continues(&before, &asked(&scene.field));
+    // It comes back, and another serves: it stands by, and follows.
+    workers[0] = scene.worker(0);
+    scene.set_cable(0, true);
+    std::thread::sleep(Duration::from_secs(2 * TTL_S));
+    let before = asked(&scene.field);
+    scene.take_over(0);
+    workers[0].wait_for_line("ready:");
+    assert_gave_way(&mut workers[1], 2);
+    fresh(&mut planner);
+    assert_continues(&before, &asked(&scene.field));
+    assert!(fresh(&mut beside[0]).epoch > 0);
+    assert_one_spoke_at_a_time(beside);
+}
+
+#[test]
+fn a_host_that_was_stopped_and_goes_on_too_late_sends_nothing_any_more() {
+    let Some((scene, _etcd)) = Scene::with_lease() else {
+        return;
+    };
+    let mut workers = [0, 1].map(|at| scene.worker(at));
+    let mut links = [0, 1].map(|at| scene.base_link(at));
+    let mut field = scene.field_link();
+    let _robots = scene.robots();
+    let mut planner = scene.field.planner();
+    let beside = vec![scene.bases[0].planner(), scene.bases[1].planner()];
+    workers[0].wait_for_line("ready:");
+    fresh(&mut planner);
+    std::thread::sleep(Duration::from_millis(1_500));
+    for stopped in [&mut workers[0], &mut links[0]] {
+        stopped.signal(Signal::STOP);
+    }
+    let stopped_ns = clock::monotonic_ns();
+    fresh_after(&mut planner, stopped_ns);
+    for stopped in [&mut links[0], &mut workers[0]] {
+        stopped.signal(Signal::CONT);
+    }
+    assert_gave_way(&mut workers[0], 1);
+    std::thread::sleep(Duration::from_secs(1));
+    fresh(&mut planner);
+    planner.leave();
+    assert_one_spoke_at_a_time(beside);
+    let report = field.end().json();
+    assert_eq!(report["taken"].as_array().unwrap().len(), 2, "{report}");
+}
+
+#[test]
+fn without_a_lease_operators_command_who_serves() {
+    let scene = Scene::by_hand();
+    let mut workers = [0, 1].map(|at| scene.worker(at));
+    let mut links = [0, 1].map(|at| scene.base_link(at));
+    let _field = scene.field_link();
+    let _robots = scene.robots();
+    let mut planner = scene.field.planner();
+    let beside = vec![scene.bases[0].planner(), scene.bases[1].planner()];
+    std::thread::sleep(Duration::from_secs(2));
+    assert!(workers[0].is_running() && workers[1].is_running());
+    for (term, at) in [(1, 1), (2, 0), (3, 1)] {
+        let before = (term > 1).then(|| asked(&scene.field));
+        scene.take_over(at);
+        workers[at].wait_for_line("ready:");
+        if let Some(before) = before {
+            assert_gave_way(&mut workers[1 - at], term - 1);
+            workers[1 - at] = scene.worker(1 - at);
+            fresh(&mut planner);
+            assert_continues(&before, &asked(&scene.field));
+        }
+        fresh(&mut planner);
+        // Of the state that the other one gets each second.
+        std::thread::sleep(Duration::from_millis(2_500));
+    }
+    // A link that starts again goes on with the permit.
+    links[1].kill();
+    links[1] = scene.base_link(1);
+    fresh(&mut planner);
+    assert!(workers[1].is_running());
+    // Commanded once more, it is so already.
+    scene.take_over(1);
+    planner.leave();
+    assert_one_spoke_at_a_time(beside);
+}
+
+#[test]
+fn while_the_store_is_away_nobody_serves_and_when_it_is_back_one_does() {
+    let Some((scene, mut etcd)) = Scene::with_lease() else {
+        return;
+    };
+    let mut workers = [0, 1].map(|at| scene.worker(at));
+    let mut links = [0, 1].map(|at| scene.base_link(at));
+    let _field = scene.field_link();
+    let _robots = scene.robots();
+    let mut planner = scene.field.planner();
+    let beside = vec![scene.bases[0].planner(), scene.bases[1].planner()];
+    workers[0].wait_for_line("ready:");
+    fresh(&mut planner);
+    // Dead, and hanging.
+    let all = [
+        (Etcd::kill as fn(&mut Etcd), Etcd::again as fn(&mut Etcd)),
+        (Etcd::pause, Etcd::resume),
+    ];
+    let mut serving = 0;
+    for (term, (away, back)) in (1..).zip(all) {
+        away(&mut etcd);
+        links[serving].wait_for_line("etcd does not answer");
+        assert_gave_way(&mut workers[serving], term);
+        workers[serving] = scene.worker(serving);
+        std::thread::sleep(Duration::from_secs(1));
+        back(&mut etcd);
+        links[serving].wait_for_line("etcd answers again");
+        fresh(&mut planner);
+        // Either: both are free to.
+        let serves = workers.iter().position(|it| it.errors().contains("ready:"));
+        serving = serves.unwrap();
+    }
+    planner.leave();
+    assert_one_spoke_at_a_time(beside);
+}
+
+#[test]
+fn etcd_with_users_and_passwords_is_logged_into_and_a_wrong_password_is_told() {
+    let port = free_port();
+    let Some(etcd) = Etcd::start("127.0.0.1", port, copy) else {
+        return;
+    };
+    for (verb, body) in [
+        (
+            "auth/user/add",
+            r#"{"name": "root", "password": "for-the-test"}"#,
+        ),
+        ("auth/role/add", r#"{"name": "root"}"#),
+        ("auth/user/grant", r#"{"user": "root", "role": "root"}"#),
+        ("auth/enable", "{}"),
+    ] {
+        etcd.post(verb, body);
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let password = folder.path().join("password");
+    for text in ["for-the-test\n", "another\n"] {
+        fs::write(&password, text).unwrap();
+        fs::set_permissions(&password, fs::Permissions::from_mode(0o600)).unwrap();
+        let mut scene = Scene::by_hand();
+        scene.leased(
+            &etcd,
+            &format!("user = \"root\"\npassword = {password:?}\n"),
+        );
+        let mut worker = scene.worker(0);
+        let mut link = scene.base_link(0);
+        if text.starts_with("for") {
+            worker.wait_for_line("ready:");
+        } else {
+            let why = link.wait_for_line("etcd does not answer");
+            assert!(why.contains("authentication failed"), "{why}");
+        }
+        link.end();
+        worker.end();
+        scene.assert_nothing_is_left();
+    }
+}
+
+/// The two hosts under a supervisor that starts again what has ended, and the faults.
+struct Supervised {
+    scene: Scene,
+    etcd: Etcd,
+    workers: [Child; 2],
+    links: [Child; 2],
+    field: Child,
+    /// Exits of workers whose permit had run out.
+    gave_way: u64,
+}
+
+impl Supervised {
+    fn fault(&mut self, chance: &mut Chance) -> &'static str {
+        let at = usize::from(chance.below(2) == 1);
+        let short = chance.while_s(900);
+        let long = chance.while_s(4_000);
+        match chance.below(8) {
+            0 => self.cut(at, short, "a short cut of a worker's host"),
+            1 => self.cut(at, long, "a cut of a worker's host"),
+            2 => self.cut(2, long, "a cut of the robots' host"),
+            3 => self.cut(3, long, "a cut of etcd's host"),
+            4 => {
+                self.workers[at].kill();
+                "a worker killed"
+            }
+            5 => {
+                self.links[at].kill();
+                std::thread::sleep(short);
+                "a worker's link killed"
+            }
+            6 => {
+                for process in [&mut self.workers[at], &mut self.links[at]] {
+                    process.signal(Signal::STOP);
+                }
+                std::thread::sleep(long);
+                for process in [&mut self.links[at], &mut self.workers[at]] {
+                    process.signal(Signal::CONT);
+                }
+                "a worker's host stopped"
+            }
+            _ => {
+                self.etcd.kill();
+                std::thread::sleep(short);
+                self.etcd.again();
+                "etcd killed"
+            }
+        }
+    }
+
+    fn cut(&self, host: usize, time: Duration, what: &'static str) -> &'static str {
+        self.scene.set_cable(host, false);
+        std::thread::sleep(time);
+        self.scene.set_cable(host, true);
+        what
+    }
+
+    /// Starts again what has ended.
+    fn supervise(&mut self) {
+        for at in 0..2 {
+            if !self.workers[at].is_running() {
+                let ended = self.workers[at].wait();
+                let killed = ended.signal().is_some();
+                assert!(killed || ended.code() == Some(1), "{ended:?}");
+                self.gave_way += u64::from(!killed);
+                assert!(
+                    killed || ended.errors().contains("the permit to serve"),
+                    "{ended:?}"
+                );
+                self.workers[at] = self.scene.worker(at);
+            }
+            if !self.links[at].is_running() {
+                let ended = self.links[at].wait();
+                assert!(ended.signal().is_some(), "{ended:?}");
+                self.links[at] = self.scene.base_link(at);
+            }
+        }
+    }
+
+    /// Reads until the fleet is served again.
+    fn settles(&mut self, planner: &mut Reader, last: &mut (u64, u64), fault: &str) {
+        // What the fault has ended may end late: the permit of a host that was cut off, say.
+        for _ in 0..2 {
+            let now_ns = clock::monotonic_ns();
+            loop {
+                self.supervise();
+                let Some(frame) = planner.frame_within(Duration::from_millis(200)) else {
+                    continue;
+                };
+                let place = (frame.epoch, frame.tick);
+                assert!(place > *last, "after {fault}: {last:?}, then {place:?}");
+                *last = place;
+                if is_fresh(&frame, now_ns) {
+                    break;
+                }
+            }
+            std::thread::sleep(Duration::from_millis(300));
+        }
+    }
+}
+
+#[test]
+fn through_cuts_kills_and_stops_no_two_workers_speak_and_no_account_loses_what_it_had() {
+    let Some((scene, etcd)) = Scene::wired() else {
+        return;
+    };
+    let workers = [0, 1].map(|at| scene.worker(at));
+    let links = [0, 1].map(|at| scene.base_link(at));
+    let field = scene.field_link();
+    let mut all = Supervised {
+        scene,
+        etcd,
+        workers,
+        links,
+        field,
+        gave_way: 0,
+    };
+    let _robots = all.scene.robots();
+    let mut planner = all.scene.field.planner();
+    let beside = vec![all.scene.bases[0].planner(), all.scene.bases[1].planner()];
+    let (mut chance, mut last) = (Chance(11), (0, 0));
+    let faults = std::env::var(MORE).map_or(FAULTS, |count| count.parse().unwrap());
+    all.settles(&mut planner, &mut last, "the start");
+    let (mut before, mut lost_s) = (accounts(&all.scene.field), 0.0_f64);
+    for at in 0..faults {
+        let fault = all.fault(&mut chance);
+        all.settles(&mut planner, &mut last, fault);
+        let now = accounts(&all.scene.field);
+        for (before, now) in before.iter().zip(&now) {
+            let lost = [
+                before.metered_s + before.unmetered_s - now.metered_s - now.unmetered_s,
+                before.metered_s - now.metered_s,
+            ];
+            lost_s = lost.into_iter().fold(lost_s, f64::max);
+            assert!(lost_s < 1.1, "after {fault}: {before:?}, {now:?}");
+        }
+        before = now;
+        if faults > FAULTS {
+            println!("figure: {} of {faults}: {fault}", at + 1);
+        }
+    }
+    let gave_way = all.gave_way;
+    println!(
+        "figure: {faults} faults, {gave_way} workers gave way, at most {lost_s:.2} s of an account went back"
+    );
+    planner.leave();
+    assert_one_spoke_at_a_time(beside);
+    all.field.end();
+}
