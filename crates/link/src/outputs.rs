@@ -31,6 +31,9 @@ const OPEN_EVERY_NS: u64 = 1_000_000_000;
 const BEHIND: Duration = Duration::from_millis(1);
 /// How often is looked for a newer state of the worker, which writes one a second.
 const STATE_EVERY_NS: u64 = 100_000_000;
+/// Frames in a row without a permit after which a worker is told to be none that stands by: one whose permit has ended sends
+/// for 50 ms at most.
+const UNPERMITTED: u32 = 100;
 
 /// Gives until `stop`. Calls `ready` when the fleet is joined.
 ///
@@ -48,12 +51,20 @@ pub(crate) fn run(
     let mut state = turn.map(StateFeed::new);
     ready();
     let mut wait = LOOK_EVERY;
+    let mut unpermitted = 0_u32;
     while !stop.load(Ordering::Relaxed) {
         let told = giving.voice;
         wait = match planner.wait_next(wait) {
             Ok(Event::Frame(frame)) => {
                 giving.voice = voice(Worker::Alive, turn);
-                if turn.is_none() || giving.voice.term > 0 {
+                let is_permitted = turn.is_none() || giving.voice.term > 0;
+                unpermitted = if is_permitted { 0 } else { unpermitted + 1 };
+                if unpermitted == UNPERMITTED {
+                    tracing::error!(
+                        "the worker of this host serves without a permit, and other hosts do not hear it: start it with --standby"
+                    );
+                }
+                if is_permitted {
                     if let Some(turn) = turn {
                         turn.worker_works();
                     }

@@ -12,7 +12,7 @@ use zenoh::Wait as _;
 use crate::host::{FOLLOW, Host, SAMPLES, free_address};
 
 /// Makes certificates as the documentation says, valid for `days`.
-fn certificates(folder: &Path, days: u32, hosts: &[&str]) -> bool {
+pub(crate) fn certificates(folder: &Path, days: u32, hosts: &[&str]) -> bool {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tools/fleet_certificates.sh");
     let hosts = hosts.iter().map(|name| format!("{name}=127.0.0.1"));
     let made = Command::new(script)

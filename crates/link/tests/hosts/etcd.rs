@@ -3,6 +3,7 @@
 
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
+use std::path::PathBuf;
 use std::process::Command;
 
 use joulebus_test_processes::{Child, eventually};
@@ -14,6 +15,8 @@ pub(crate) struct Etcd {
     host: String,
     port: u16,
     around: Box<dyn Fn(&Command) -> Command>,
+    /// Folder with `fleet-ca.pem`, `etcd.pem` and `etcd.key`, where it talks to those with a certificate of that authority only.
+    certificates: Option<PathBuf>,
     server: Option<Child>,
 }
 
@@ -23,6 +26,16 @@ impl Etcd {
         host: &str,
         port: u16,
         around: impl Fn(&Command) -> Command + 'static,
+    ) -> Option<Self> {
+        Self::start_with(host, port, around, None)
+    }
+
+    /// As [`Etcd::start`], with certificates.
+    pub(crate) fn start_with(
+        host: &str,
+        port: u16,
+        around: impl Fn(&Command) -> Command + 'static,
+        certificates: Option<PathBuf>,
     ) -> Option<Self> {
         let named = std::env::var_os("JOULEBUS_ETCD").filter(|named| !named.is_empty());
         let program = named.unwrap_or_else(|| "etcd".into());
@@ -41,6 +54,7 @@ impl Etcd {
             host: host.to_owned(),
             port,
             around: Box::new(around),
+            certificates,
             server: None,
         };
         etcd.again();
@@ -48,7 +62,8 @@ impl Etcd {
     }
 
     pub(crate) fn endpoint(&self) -> String {
-        format!("http://{}:{}", self.host, self.port)
+        let scheme = self.certificates.as_ref().map_or("http", |_| "https");
+        format!("{scheme}://{}:{}", self.host, self.port)
     }
 
     /// Starts the server again, with its data.
@@ -61,6 +76,14 @@ impl Etcd {
         // Alone, and still it wants a port for others: one that the system chooses.
         command.args(["--listen-peer-urls", "http://127.0.0.1:0"]);
         command.arg("--data-dir").arg(self.directory.path());
+        if let Some(folder) = &self.certificates {
+            command.arg("--client-cert-auth");
+            command
+                .arg("--trusted-ca-file")
+                .arg(folder.join("fleet-ca.pem"));
+            command.arg("--cert-file").arg(folder.join("etcd.pem"));
+            command.arg("--key-file").arg(folder.join("etcd.key"));
+        }
         let mut server = Child::spawn("etcd", (self.around)(&command));
         server.wait_for_line("ready to serve client requests");
         self.server = Some(server);

@@ -3,14 +3,16 @@
 use std::collections::BTreeSet;
 use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
 use joulebus_bus::clock;
-use joulebus_test_processes::Child;
+use joulebus_test_processes::{Child, eventually};
 use rustix::process::Signal;
 use serde_json::Value;
 
+use crate::certificates::certificates;
 use crate::chaos::{Chance, FAULTS, MORE};
 use crate::etcd::Etcd;
 use crate::host::{Host, free_address};
@@ -458,6 +460,65 @@ fn while_the_store_is_away_nobody_serves_and_when_it_is_back_one_does() {
 }
 
 #[test]
+fn etcd_is_reached_with_certificates_of_its_authority_and_with_no_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let (own, other) = (folder.path().join("own"), folder.path().join("other"));
+    if !certificates(&own, 30, &["etcd", "base-1"]) {
+        return;
+    }
+    certificates(&other, 30, &["base-1"]);
+    let with = Some(own.clone());
+    let Some(etcd) = Etcd::start_with("127.0.0.1", free_port(), copy, with) else {
+        return;
+    };
+    for (ca, certificate, is_let_in) in [
+        (&own, &own, true),
+        (&own, &other, false),
+        (&other, &own, false),
+    ] {
+        let mut scene = Scene::by_hand();
+        let path = |folder: &Path, name: &str| folder.join(name).display().to_string();
+        let more = format!(
+            "ca = {:?}\ncertificate = {:?}\nkey = {:?}\n",
+            path(ca, "fleet-ca.pem"),
+            path(certificate, "base-1.pem"),
+            path(certificate, "base-1.key")
+        );
+        scene.leased(&etcd, &more);
+        let mut worker = scene.worker(0);
+        let mut link = scene.base_link(0);
+        if is_let_in {
+            worker.wait_for_line("ready:");
+        } else {
+            // Perhaps before the link said that it is open.
+            eventually("it is told", || {
+                link.errors().contains("etcd does not answer")
+            });
+        }
+        link.end();
+        let worker = worker.end();
+        assert_eq!(worker.errors().contains("ready:"), is_let_in, "{worker:?}");
+    }
+}
+
+#[test]
+fn a_worker_without_standby_is_told_and_not_heard_elsewhere() {
+    let scene = Scene::by_hand();
+    let _worker = scene.bases[0].worker();
+    let mut link = scene.base_link(0);
+    let mut field = scene.field_link();
+    let _robots = scene.robots();
+    link.wait_for_line("start it with --standby");
+    let report = field.end().json();
+    let frames = report["taken"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|taken| &taken["frames"]);
+    assert!(frames.clone().all(|frames| *frames == 0), "{report}");
+}
+
+#[test]
 fn etcd_with_users_and_passwords_is_logged_into_and_a_wrong_password_is_told() {
     let port = free_port();
     let Some(etcd) = Etcd::start("127.0.0.1", port, copy) else {
@@ -489,8 +550,9 @@ fn etcd_with_users_and_passwords_is_logged_into_and_a_wrong_password_is_told() {
         if text.starts_with("for") {
             worker.wait_for_line("ready:");
         } else {
-            let why = link.wait_for_line("etcd does not answer");
-            assert!(why.contains("authentication failed"), "{why}");
+            eventually("it is told", || {
+                link.errors().contains("authentication failed")
+            });
         }
         link.end();
         worker.end();
