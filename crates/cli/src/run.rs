@@ -61,7 +61,10 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     };
     worker.count_turns_in(turns);
     if args.standby {
-        let waits = format!("standing by: {}", described(&config));
+        let waits = format!(
+            "standing by: {}; it serves when the link of this host permits it",
+            described(&config)
+        );
         service.ready(&waits);
         say(&waits);
     }

@@ -28,9 +28,11 @@ use crate::turn::Turn;
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 /// How often is looked whether the worker lives.
 const WORKER_EVERY_NS: u64 = 200_000_000;
-/// A worker that has been away for so long is not started again soon; one that serves and has sent nothing for so long hangs.
+/// A worker that has been away for so long is not started again soon; one that serves and has sent nothing for so long, and so
+/// many ticks, hangs.
 const AWAY_NS: u64 = 2_000_000_000;
 const HANGS_NS: u64 = 5_000_000_000;
+const HANGS_TICKS: u64 = 5;
 /// Nanoseconds of a second.
 const NANOSECONDS: u64 = 1_000_000_000;
 
@@ -63,7 +65,8 @@ pub(crate) fn hold(
     let mut candidate = Candidate::new(&settings.name, standby.rank, ttl_ns, right);
     let mut holding = Holding { turn, right };
     let mut holder = None;
-    let mut worker = HostsWorker::new(config.domain()?);
+    let hangs_ns = HANGS_NS.max(HANGS_TICKS * config.tick_period_ns());
+    let mut worker = HostsWorker::new(config.domain()?, hangs_ns);
     ready();
     while !stop.load(Ordering::Relaxed) {
         candidate.hears(turn.heard());
@@ -97,6 +100,7 @@ pub(crate) fn hold(
 /// Whether the worker of this host can serve.
 struct HostsWorker {
     domain: Domain,
+    hangs_ns: u64,
     look_ns: u64,
     /// When it was seen last, monotonic ns.
     seen_ns: Option<u64>,
@@ -104,9 +108,10 @@ struct HostsWorker {
 }
 
 impl HostsWorker {
-    const fn new(domain: Domain) -> Self {
+    const fn new(domain: Domain, hangs_ns: u64) -> Self {
         Self {
             domain,
+            hangs_ns,
             look_ns: 0,
             seen_ns: None,
             is_able: false,
@@ -124,7 +129,7 @@ impl HostsWorker {
                 Err(error) => tracing::debug!(%error, "the worker's lock cannot be read"),
             }
             let away_ns = self.seen_ns.map(|seen_ns| now_ns - seen_ns);
-            let hangs = turn.term() > 0 && turn.idle_ns() > HANGS_NS;
+            let hangs = turn.term() > 0 && turn.idle_ns() > self.hangs_ns;
             let is_able = away_ns.is_some_and(|away_ns| away_ns <= AWAY_NS) && !hangs;
             if self.is_able && !is_able {
                 let what = if hangs { "sends nothing" } else { "is gone" };

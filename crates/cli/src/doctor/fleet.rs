@@ -2,9 +2,11 @@
 
 use std::path::Path;
 
-use joulebus_bus::{CapacityError, Domain, Inspection, NodeInfo, Ports, RootError, check_capacity};
+use joulebus_bus::{
+    CapacityError, Domain, Inspection, NodeInfo, Ports, RootError, check_capacity, clock,
+};
 use joulebus_config::Config;
-use joulebus_predictor_worker::load_models;
+use joulebus_predictor_worker::{Permit, Places, load_models};
 use rustix::fs::{Access, access, statfs};
 
 use super::{Check, Status};
@@ -162,6 +164,32 @@ pub(super) fn worker(inspection: &Inspection) -> Check {
         Some(Some(pid)) => Check::ok("worker", format!("runs, pid {pid}")),
         Some(None) => Check::ok("worker", "runs, in another container or unseen from here"),
         None => Check::ok("worker", "none runs (`joulebus run` starts one)"),
+    }
+}
+
+/// The permit of a worker that stands by; nothing where no link of several workers' hosts runs.
+pub(super) fn permit(config: &Config) -> Option<Check> {
+    let name = "permit";
+    let now_ns = clock::monotonic_ns();
+    match Permit::read(&Places::of(config).permit) {
+        Ok(permit) => permit.map(|Permit { term, until_ns, .. }| match until_ns {
+            None => Check::ok(
+                name,
+                format!("to serve in term {term}, until it is withdrawn"),
+            ),
+            Some(until_ns) if now_ns < until_ns => {
+                let seconds = (until_ns - now_ns) as f64 * 1e-9;
+                Check::ok(
+                    name,
+                    format!("to serve in term {term}, {seconds:.1} s more"),
+                )
+            }
+            Some(_) => Check::ok(
+                name,
+                format!("that of term {term} has ended: another host may serve"),
+            ),
+        }),
+        Err(error) => Some(Check::new(name, Status::Fail, error.to_string(), "")),
     }
 }
 

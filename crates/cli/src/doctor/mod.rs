@@ -109,6 +109,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         fleet::removed_files(&inspection),
         fleet::stale_files(&inspection),
     ];
+    checks.extend(fleet::permit(&config));
     checks.extend(host::clocks());
     checks.push(rights::scheduling(config.scheduling()));
     if let Some(error) = trouble {

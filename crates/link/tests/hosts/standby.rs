@@ -412,6 +412,16 @@ fn without_a_lease_operators_command_who_serves() {
         // Of the state that the other one gets each second.
         std::thread::sleep(Duration::from_millis(2_500));
     }
+    let words = ["doctor", "--format", "json"];
+    let seen = Child::spawn("doctor", scene.bases[1].joulebus(&words)).wait();
+    let checks = seen.json()["checks"].clone();
+    let permit = checks
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|it| it["name"] == "permit");
+    let found = permit.unwrap()["found"].as_str().unwrap();
+    assert_eq!(found, "to serve in term 3, until it is withdrawn");
     // A link that starts again goes on with the permit.
     links[1].kill();
     links[1] = scene.base_link(1);
@@ -499,6 +509,20 @@ fn etcd_is_reached_with_certificates_of_its_authority_and_with_no_others() {
         let worker = worker.end();
         assert_eq!(worker.errors().contains("ready:"), is_let_in, "{worker:?}");
     }
+}
+
+#[test]
+fn while_no_robot_sends_the_one_that_serves_goes_on() {
+    let Some((scene, _etcd)) = Scene::with_lease() else {
+        return;
+    };
+    let mut workers = [0, 1].map(|at| scene.worker(at));
+    let _links = [0, 1].map(|at| scene.base_link(at));
+    workers[0].wait_for_line("ready:");
+    std::thread::sleep(Duration::from_secs(12));
+    let [first, second] = &mut workers;
+    assert!(first.is_running(), "{}", first.errors());
+    assert!(!second.errors().contains("ready:"), "{}", second.errors());
 }
 
 #[test]
