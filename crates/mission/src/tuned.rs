@@ -19,7 +19,7 @@ pub const CHOSEN: [Policy; 4] = [
     },
     Policy::Joulebus {
         coverage: 0.98,
-        reserve: 0.05,
+        reserve: 0.025,
     },
 ];
 
