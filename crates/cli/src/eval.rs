@@ -6,8 +6,7 @@ mod subject;
 use std::path::{Path, PathBuf};
 
 use joulebus_eval::EvalReport;
-use joulebus_eval::evaluate::Evaluation;
-use joulebus_eval::score::{ScoreError, score};
+use joulebus_eval::score::{ScoreError, score_reported};
 use joulebus_predictor::Model;
 use joulebus_predictor_worker::load_models;
 use joulebus_program::exit::Outcome;
@@ -65,7 +64,6 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         return part::run(args, &asked, (&sections, &models), output);
     }
     let mut evaluations = Vec::new();
-    let mut live = Evaluation { robots: Vec::new() };
     let options = args.asked.options()?;
     let mut refused = None;
     for section in &sections {
@@ -73,12 +71,10 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         let models = std::slice::from_ref(model);
         let design = args.asked.design(section, models)?;
         let subject = section.subject(models, &design);
-        match score(subject, &options).map_err(usage) {
-            Ok(scored) => {
-                warn(&scored.report.warnings);
-                evaluations.push(scored.report);
-                let robots = scored.live.into_iter().flat_map(|live| live.robots);
-                live.robots.extend(robots);
+        match score_reported(subject, &options).map_err(usage) {
+            Ok(reported) => {
+                warn(&reported.report.warnings);
+                evaluations.push(reported);
             }
             // A platform without rows must not hide the others.
             Err(error) if sections.len() > 1 && is_without_rows(&error) => {
@@ -91,7 +87,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     if let (true, Some(error)) = (evaluations.is_empty(), refused) {
         return Err(error);
     }
-    output.report(&EvalReport::new(&live, evaluations))?;
+    output.report(&EvalReport::of_reported(evaluations))?;
     Ok(Outcome::Done)
 }
 

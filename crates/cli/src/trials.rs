@@ -4,6 +4,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use joulebus_dataset::archive::{is_archive, listings};
 use joulebus_dataset::inspect::is_recording;
 use joulebus_dataset::trial::{ColumnMap, Table, Trial};
 use joulebus_program::exit::UsageError;
@@ -199,9 +200,15 @@ pub(crate) fn read_one(file: &Path, map: &ColumnMap) -> anyhow::Result<Trial> {
     Ok(Table::only_of(file, map)?.into_trial()?)
 }
 
-/// The recordings in a directory, sorted by name.
+/// The recordings in a directory, sorted by name; those of an archive in the order in which they were exported.
 pub(crate) fn recordings(directory: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let failed = || format!("cannot read the directory {}", directory.display());
+    if is_archive(directory) {
+        let files = listings(directory).with_context(failed)?;
+        if !files.is_empty() {
+            return Ok(files);
+        }
+    }
     let mut files = Vec::new();
     for entry in std::fs::read_dir(directory).with_context(failed)? {
         let path = entry.with_context(failed)?.path();

@@ -8,6 +8,7 @@
 
 mod head;
 mod listing;
+mod quiet;
 mod read;
 mod schema;
 mod write;

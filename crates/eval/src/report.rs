@@ -5,7 +5,7 @@ use std::fmt;
 use serde::Serialize;
 
 use crate::evaluate::{Evaluation, EvaluationReport};
-use crate::score::ScoreReport;
+use crate::score::{Reported, ScoreReport};
 
 /// Maximum number of trials whose live scores are listed; of more, one line per platform.
 const LISTED: usize = 24;
@@ -24,6 +24,17 @@ impl EvalReport {
     #[must_use]
     pub fn new(live: &Evaluation, evaluations: Vec<ScoreReport>) -> Self {
         Self::of(live.report(), evaluations)
+    }
+
+    /// The same of each platform's evaluation.
+    #[must_use]
+    pub fn of_reported(reported: Vec<Reported>) -> Self {
+        let (mut live, mut evaluations) = (Vec::new(), Vec::new());
+        for one in reported {
+            live.extend(one.live);
+            evaluations.push(one.report);
+        }
+        Self::of(EvaluationReport::of(&live), evaluations)
     }
 
     pub(crate) const fn of(live: EvaluationReport, evaluations: Vec<ScoreReport>) -> Self {

@@ -48,6 +48,6 @@ pub(crate) use portion::Misfit;
 pub use portion::{Portion, score_portion};
 pub use recording::{Recording, check_apart, read_recordings, recorded_platform};
 pub use report::{ModelReport, ScoreReport};
-pub use run::{Scored, score, score_watched};
+pub use run::{Reported, Scored, score, score_reported, score_watched};
 pub use subject::Subject;
 pub use trained_on::{ScoredRows, TrainedOn};

@@ -1,7 +1,6 @@
 //! Reads a trial from a Parquet file. Anybody may have written it.
 
 use std::fs::File;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
 use parquet::basic::Compression;
@@ -12,6 +11,7 @@ use parquet::file::metadata::{FileMetaData, RowGroupMetaData};
 use parquet::file::reader::{FileReader, RowGroupReader, SerializedFileReader};
 
 use super::head::Head;
+use super::quiet::caught;
 use super::schema::{Field, HEAD_KEY, Kind, SCHEMA, SCHEMA_KEY, fields, schema};
 use crate::trial::{Cell, Column, MAX_ROWS, Table, TrialError};
 
@@ -43,10 +43,10 @@ pub(crate) fn table(path: &Path) -> Result<(Table, Head), TrialError> {
         detail,
     };
     // The crate's decoders check what they read, but promise nothing for hostile input.
-    let read = catch_unwind(AssertUnwindSafe(|| columns(file)));
+    let read = caught(|| columns(file));
     let (head, columns) = match read {
-        Ok(read) => read.map_err(refused)?,
-        Err(_) => {
+        Some(read) => read.map_err(refused)?,
+        None => {
             let detail = "damaged: its pages contradict each other; export the recording again";
             return Err(refused(Refused(detail.to_owned())));
         }

@@ -9,7 +9,7 @@ use super::blocks::{Block, Draws, HorizonSums, Set, Tallied};
 use super::cell::Role;
 use super::design::DesignReport;
 use super::report::ModelReport;
-use super::run::{Scored, score};
+use super::run::tallied;
 use super::trained_on::ScoredRows;
 use super::{Options, ScoreError, Subject};
 use joulebus_statistics::bootstrap::{Bootstrap, Estimate};
@@ -165,7 +165,7 @@ impl Verdict {
 /// Its linear baselines are ignored.
 ///
 /// # Errors
-/// [`ScoreError`], as [`score`].
+/// [`ScoreError`], as [`score`](super::score).
 ///
 /// # Panics
 /// If the subject has not exactly two models.
@@ -179,7 +179,7 @@ pub fn compare(subject: Subject<'_>, options: &Options) -> Result<Comparison, Sc
         baselines: Vec::new(),
         ..options.clone()
     };
-    let Scored { report, blocks, .. } = score(subject, &options)?;
+    let (report, blocks) = tallied(subject, &options)?;
     let differences = |sets: Vec<Set>| -> Vec<Difference> {
         let sets = if sets.len() > 1 { sets } else { Vec::new() };
         let each = sets.par_iter();

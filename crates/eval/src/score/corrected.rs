@@ -23,16 +23,27 @@ struct Column {
 }
 
 /// Results of one recording; empty without rows to evaluate.
-#[derive(Default)]
-pub(super) struct Found {
+pub(super) struct Found<T = RobotEvaluation> {
     /// Of the evaluated rows.
     pub(super) sums: Sums,
     /// Of the rows that a model was trained on, without open loop.
     pub(super) trained_on: Sums,
     /// The live path of each model.
-    pub(super) live: Vec<RobotEvaluation>,
+    pub(super) live: Vec<T>,
     /// The energy forecasts of each model; empty if not [asked for](Options::energy).
     pub(super) energy: Vec<EnergyScores>,
+}
+
+impl Found {
+    /// With what `keep` makes of the live path of each model.
+    pub(super) fn keeping<T>(self, keep: impl Fn(RobotEvaluation) -> T) -> Found<T> {
+        Found {
+            sums: self.sums,
+            trained_on: self.trained_on,
+            live: self.live.into_iter().map(keep).collect(),
+            energy: self.energy,
+        }
+    }
 }
 
 /// Sums of one recording, and the live path of each model.
@@ -46,7 +57,12 @@ pub(super) fn one(
     let parts: Vec<_> = subject.design.evaluated(at).collect();
     let apart: Vec<_> = subject.design.apart(at).collect();
     if parts.iter().chain(&apart).all(|(_, rows)| rows.is_empty()) {
-        return Ok(Found::default());
+        return Ok(Found {
+            sums: Sums::default(),
+            trained_on: Sums::default(),
+            live: Vec::new(),
+            energy: Vec::new(),
+        });
     }
     let mut live = live(subject, recording)?;
     let columns: Vec<Column> = live.iter().map(|live| column(recording, live)).collect();

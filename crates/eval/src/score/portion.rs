@@ -56,7 +56,8 @@ pub fn score_portion(
     let places: Vec<usize> = (0..subject.recordings.len())
         .filter(|at| is_own(*at))
         .collect();
-    let all = prepared.run(places.clone(), |_| ControlFlow::Continue(()))?;
+    let watch = |_| ControlFlow::Continue(());
+    let all = prepared.run(places.clone(), watch, |robot| LiveTrial::from(&robot))?;
     let recordings = places
         .into_iter()
         .zip(all)
@@ -64,7 +65,7 @@ pub fn score_portion(
             place,
             evaluated: found.sums,
             trained_on: found.trained_on,
-            live: found.live.iter().map(LiveTrial::from).collect(),
+            live: found.live,
             energy: found.energy,
         });
     Ok(Portion {

@@ -13,7 +13,7 @@ use super::design::fit_lines;
 use super::report::{ScoreReport, report};
 use super::{Options, ScoreError, Subject};
 use crate::energy::EnergyScores;
-use crate::evaluate::Evaluation;
+use crate::evaluate::{Evaluation, LiveTrial, RobotEvaluation};
 
 /// Result of an evaluation.
 #[derive(Debug, Clone)]
@@ -22,7 +22,15 @@ pub struct Scored {
     pub report: ScoreReport,
     /// The live path of each model, step by step; readings of rows that are not evaluated are not scored.
     pub live: Vec<Evaluation>,
-    pub(crate) blocks: Tallied,
+}
+
+/// What is reported of an evaluation, without the steps of the live path.
+#[derive(Debug, Clone)]
+pub struct Reported {
+    /// All scores.
+    pub report: ScoreReport,
+    /// The live path: by model, in the recordings' order.
+    pub(crate) live: Vec<LiveTrial>,
 }
 
 /// Evaluates the models on the recordings, in parallel.
@@ -70,22 +78,58 @@ pub fn score_watched(
     options: &Options,
     watch: impl Fn(usize) -> ControlFlow<()> + Sync,
 ) -> Result<Scored, ScoreError> {
+    let (report, _, live) = run_all(subject, options, watch, Some)?;
+    let live = live.into_iter().map(|robots| Evaluation { robots });
+    Ok(Scored {
+        report,
+        live: live.collect(),
+    })
+}
+
+/// As [`score`], for reports. The steps of a recording's live path, which are most of what [`Scored`] holds, are gone when
+/// the recording is done.
+///
+/// # Errors
+/// As [`score`].
+pub fn score_reported(subject: Subject<'_>, options: &Options) -> Result<Reported, ScoreError> {
+    let watch = |_| ControlFlow::Continue(());
+    let keep = |robot| Some(LiveTrial::from(&robot));
+    let (report, _, live) = run_all(subject, options, watch, keep)?;
+    Ok(Reported {
+        report,
+        live: live.into_iter().flatten().collect(),
+    })
+}
+
+/// The tables, and their sums, without the live path.
+pub(super) fn tallied(
+    subject: Subject<'_>,
+    options: &Options,
+) -> Result<(ScoreReport, Tallied), ScoreError> {
+    let watch = |_| ControlFlow::Continue(());
+    let (report, blocks, _) = run_all(subject, options, watch, |_| None::<()>)?;
+    Ok((report, blocks))
+}
+
+/// The tables, their sums, and what `keep` makes of the live path of each model, in the recordings' order.
+fn run_all<T: Send>(
+    subject: Subject<'_>,
+    options: &Options,
+    watch: impl Fn(usize) -> ControlFlow<()> + Sync,
+    keep: impl Fn(RobotEvaluation) -> Option<T> + Sync,
+) -> Result<(ScoreReport, Tallied, Vec<Vec<T>>), ScoreError> {
     let prepared = Prepared::new(subject, options)?;
     let recordings = prepared.common.recordings.len();
-    let mut live = vec![Evaluation { robots: Vec::new() }; subject.models.len()];
+    let mut live: Vec<Vec<T>> = subject.models.iter().map(|_| Vec::new()).collect();
     let mut sums = SumsOfAll::default();
-    for found in prepared.run(0..recordings, watch)? {
-        for (evaluation, robot) in live.iter_mut().zip(found.live) {
-            evaluation.robots.push(robot);
+    for found in prepared.run(0..recordings, watch, keep)? {
+        for (all, one) in live.iter_mut().zip(found.live) {
+            all.extend(one);
         }
         sums.push(found.sums, found.trained_on, found.energy);
     }
     let (report, blocks) = sums.report(&prepared.common)?;
-    Ok(Scored {
-        report,
-        live,
-        blocks,
-    })
+    Ok((report, blocks, live))
 }
 
 /// An evaluation before its recordings are run.
@@ -114,15 +158,18 @@ impl<'a> Prepared<'a> {
         })
     }
 
-    /// Runs some recordings, in parallel. Results are in the order of `places`.
-    pub(super) fn run(
+    /// Runs some recordings, in parallel. Results are in the order of `places`; of the live path they have what `keep`
+    /// makes of it as soon as a recording is done.
+    pub(super) fn run<T: Send>(
         &self,
         places: impl IntoParallelIterator<Item = usize, Iter: IndexedParallelIterator>,
         watch: impl Fn(usize) -> ControlFlow<()> + Sync,
-    ) -> Result<Vec<Found>, ScoreError> {
+        keep: impl Fn(RobotEvaluation) -> T + Sync,
+    ) -> Result<Vec<Found<T>>, ScoreError> {
         let done = AtomicUsize::new(0);
         let each = places.into_par_iter().map(|at| {
             let found = corrected::one(self.subject, self.options, &self.lines, at)?;
+            let found = found.keeping(&keep);
             match watch(done.fetch_add(1, Ordering::Relaxed) + 1) {
                 ControlFlow::Continue(()) => Ok(found),
                 ControlFlow::Break(()) => Err(ScoreError::Ended),

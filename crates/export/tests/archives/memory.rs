@@ -1,10 +1,13 @@
 //! What an export has in memory.
 
 use std::fs;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use crate::{EXPORT, parquet, recordings};
+use joulebus_test_processes::joulebus_beside;
+
+use crate::{EXPORT, export, parquet, recordings};
 
 /// Largest resident set of a process so far, bytes; none once it has ended.
 fn peak_bytes(pid: u32) -> Option<u64> {
@@ -12,6 +15,21 @@ fn peak_bytes(pid: u32) -> Option<u64> {
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
     let kib: u64 = line.split_whitespace().nth(1)?.parse().ok()?;
     Some(kib << 10)
+}
+
+/// Largest resident set of a program, bytes, which must end well.
+fn peak_of(command: &mut Command) -> u64 {
+    let mut program = command.stdout(Stdio::null()).spawn().unwrap();
+    let mut peak = 0;
+    let ended = loop {
+        peak = peak.max(peak_bytes(program.id()).unwrap_or_default());
+        if let Some(ended) = program.try_wait().unwrap() {
+            break ended;
+        }
+        std::thread::sleep(Duration::from_millis(2));
+    };
+    assert!(ended.success());
+    peak
 }
 
 #[test]
@@ -26,21 +44,52 @@ fn an_export_of_a_long_capture_holds_a_part_of_its_samples() {
     let archive = place.path().join("archive");
     let mut command = Command::new(EXPORT);
     command.arg(&run).args(["--to", "parquet"]).arg(&archive);
-    let mut export = command.stdout(Stdio::null()).spawn().unwrap();
-    let mut peak = 0;
-    let ended = loop {
-        peak = peak.max(peak_bytes(export.id()).unwrap_or_default());
-        if let Some(ended) = export.try_wait().unwrap() {
-            break ended;
-        }
-        std::thread::sleep(Duration::from_millis(2));
-    };
-    assert!(ended.success());
+    let peak = peak_of(&mut command);
     // One run of each robot, and another of the one that began again.
     assert_eq!(parquet(&archive).len(), ROBOTS as usize + 1);
     println!("figure: {samples} samples, {peak} bytes of memory at most");
     assert!(
         peak > 0 && peak < MOST_BYTES,
         "{peak} bytes for {samples} samples"
+    );
+}
+
+/// An archive of some trials of as many rows each.
+fn archive_of(trials: u64, rows: u64, place: &Path) -> PathBuf {
+    let runs = place.join(format!("runs_{trials}"));
+    fs::create_dir(&runs).unwrap();
+    for number in 0..trials {
+        recordings::full(&runs, &format!("{number:03}.csv"), rows, number);
+    }
+    let archive = place.join(format!("archive_{trials}"));
+    let ended = export(&[&runs], &archive);
+    assert_eq!(ended.code(), Some(0), "{}", ended.errors());
+    archive
+}
+
+#[test]
+fn an_evaluation_of_more_trials_holds_their_rows_and_sums_but_not_their_live_path() {
+    const TRIALS: u64 = 24;
+    const ROWS: u64 = 6_000;
+    // 282 measured; the live path's steps are 40 more.
+    const MOST_BYTES_A_ROW: u64 = 310;
+    let place = tempfile::tempdir().unwrap();
+    let model = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let model = model.join("../../configs/models/gternal-sim.safetensors");
+    let peak = |trials: u64| {
+        let archive = archive_of(trials, ROWS, place.path());
+        let mut eval = Command::new(joulebus_beside(EXPORT));
+        // The buffers of one thread.
+        eval.env("RAYON_NUM_THREADS", "1");
+        eval.args(["eval", "--resamples", "0", "--horizons", "1", "--model"]);
+        peak_of(eval.arg(&model).arg(&archive))
+    };
+    let [few, many] = [TRIALS, 4 * TRIALS].map(peak);
+    let more_rows = 3 * TRIALS * ROWS;
+    let a_row = many.saturating_sub(few) / more_rows;
+    println!("figure: {few} and {many} bytes of memory at most, {a_row} a row");
+    assert!(
+        0 < few && a_row < MOST_BYTES_A_ROW,
+        "{few} and {many} bytes, {a_row} a row"
     );
 }

@@ -183,3 +183,52 @@ fn real_recordings_report_the_same_from_an_archive() {
     assert_eq!(recordings.code(), Some(0), "{}", recordings.errors());
     assert_eq!(read.text(), recordings.text(), "{}", read.errors());
 }
+
+#[test]
+fn an_archive_is_played_as_the_recordings_in_their_order() {
+    let place = tempfile::tempdir().unwrap();
+    let from = place.path().join("runs");
+    fs::create_dir_all(&from).unwrap();
+    for number in 0..3 {
+        full(&from, &format!("run_{number}.csv"), 60 + number, number);
+    }
+    let archive = exported(&from, place.path());
+    let root = format!("/dev/shm/jbarc-{}", std::process::id());
+    let fleet = place.path().join("fleet.toml");
+    let text = format!(
+        "[fleet]\nname = \"archive\"\ncapacity = 20\n[domain]\nroot = \"{root}\"\nprefix = \"jbarc_\"\n\
+         [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n"
+    );
+    fs::write(&fleet, text).unwrap();
+    let played = |folder: &Path| {
+        let words = "publish trial --no-wait --rate 1000 --format json --first-robot 4 --config";
+        let ended = joulebus(words, &[&fleet, folder]);
+        assert_eq!(ended.code(), Some(0), "{}", ended.errors());
+        let report = ended.json();
+        (report["trials"].clone(), report["samples_sent"].clone())
+    };
+    let expected = played(&from);
+    assert_eq!(expected.1, 60 + 61 + 62);
+    assert_eq!(played(&archive), expected);
+    let _ = fs::remove_dir_all(root);
+}
+
+#[test]
+fn simulated_trials_in_arrays_are_exported_whole() {
+    let place = tempfile::tempdir().unwrap();
+    let from = place.path().join("runs");
+    let made = joulebus("data simulate --steps 500", &[&from]);
+    assert_eq!(made.code(), Some(0), "{}", made.errors());
+    let arrays = crate::files(&from);
+    assert_eq!(arrays.len(), 6 + 7);
+    let archive = exported(&from, place.path());
+    let listed = listings(&archive).unwrap();
+    assert_eq!(listed.len(), arrays.len());
+    for listing in listed {
+        let read = Table::read(&listing).unwrap();
+        let original = Table::read(read.path()).unwrap();
+        assert!(original.path().extension().is_some_and(|end| end == "npy"));
+        assert_eq!(format!("{read:?}"), format!("{original:?}"));
+    }
+    same("analyze --format json", &from, &archive, &[]);
+}
