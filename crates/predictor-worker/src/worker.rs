@@ -308,6 +308,22 @@ impl Worker {
         }
     }
 
+    /// Leaves the last state of a worker that has served with a permit to the next one on this host, which may be itself: as after
+    /// a lease that ran out because the store was away.
+    fn leave_state(&self) {
+        let term = self.speaking.term();
+        if let Some(standby) = &self.standby
+            && term > 0
+        {
+            let mut bytes = Vec::new();
+            self.fleet.state().encode_into(&mut bytes);
+            let of = (term, clock::monotonic_ns(), 0);
+            if let Err(error) = SavedState::write(&standby.places.keyframe, of, &bytes) {
+                tracing::warn!("the next worker begins with an older state: {error}");
+            }
+        }
+    }
+
     /// Begins to serve.
     fn take_over(
         &mut self,
@@ -399,11 +415,7 @@ impl Worker {
         if let Err(error) = self.checkpointer.finish() {
             tracing::error!("{error}");
         }
-        if let Some(standby) = self.standby.take()
-            && let Err(error) = SavedState::remove(&standby.places.keyframe)
-        {
-            tracing::warn!("{error}");
-        }
+        self.leave_state();
         self.report()
     }
 

@@ -272,7 +272,9 @@ fn without_a_permit_nothing_is_sent_and_with_one_it_goes_on_where_the_one_before
             "{gap_ns} ns are unmetered, {lost} frames were lost"
         );
         let _ = worker.finish();
-        assert!(!scene.places.keyframe.exists());
+        // What the next one on this host begins with.
+        let last = SavedState::read(&scene.places.keyframe).unwrap().unwrap();
+        assert_eq!(last.term, 2);
     });
 }
 
@@ -284,6 +286,7 @@ fn when_its_permit_has_run_out_it_sends_nothing_more_and_ends_and_a_later_permit
     let scene = Scene::new();
     let never = AtomicBool::new(false);
     scene.play(|| {
+        let mut accounts = (0, 0, 0);
         for (term, how) in [
             (1, "it runs out"),
             (2, "it is withdrawn"),
@@ -297,6 +300,14 @@ fn when_its_permit_has_run_out_it_sends_nothing_more_and_ends_and_a_later_permit
             scene.until(&mut worker, how, |_| {
                 scene.frames.load(Ordering::Relaxed) > before + 3
             });
+            // It goes on where it ended itself, as when the store of leases was away.
+            scene.until(&mut worker, "budgets", |_| scene.accounts() != accounts);
+            let now = scene.accounts();
+            assert!(now.0 >= accounts.0, "{accounts:?}, {now:?}");
+            assert!(
+                now.1 >= accounts.1 && now.2 >= accounts.2,
+                "{accounts:?}, {now:?}"
+            );
             match how {
                 "it is withdrawn" => Permit::withdraw(&scene.places.permit).unwrap(),
                 "another term" => scene.permit(term + 1, None),
@@ -317,7 +328,9 @@ fn when_its_permit_has_run_out_it_sends_nothing_more_and_ends_and_a_later_permit
             let frames = scene.frames.load(Ordering::Relaxed);
             assert!(worker.turn().is_err());
             assert_eq!(scene.frames.load(Ordering::Relaxed), frames);
-            drop(worker);
+            accounts = scene.accounts();
+            assert!(accounts.0 > 0, "{accounts:?}");
+            let _report = worker.finish();
             Permit::withdraw(&scene.places.permit).unwrap();
         }
     });

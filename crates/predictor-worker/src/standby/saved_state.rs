@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use joulebus_bus::clock;
 use joulebus_wire::fnv1a;
 
-use super::places::{remove, replace};
+use super::places::replace;
 
 /// First bytes of the file; the last of them is its version.
 const MAGIC: [u8; 8] = *b"jbsaved\x01";
@@ -79,17 +79,6 @@ impl SavedState {
             replace(path, &[&head, bytes])
         });
         written.map_err(|source| SavedStateError::Io {
-            path: path.to_owned(),
-            source,
-        })
-    }
-
-    /// Removes the file, if it is there.
-    ///
-    /// # Errors
-    /// [`SavedStateError::Io`].
-    pub fn remove(path: &Path) -> Result<(), SavedStateError> {
-        remove(path).map_err(|source| SavedStateError::Io {
             path: path.to_owned(),
             source,
         })
@@ -208,9 +197,6 @@ mod tests {
             fs::write(&path, &whole[..at]).unwrap();
             assert!(SavedState::read(&path).is_err(), "{at} bytes");
         }
-        write();
-        SavedState::remove(&path).unwrap();
-        assert_eq!(SavedState::read(&path).unwrap(), None);
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 }
