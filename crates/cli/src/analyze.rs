@@ -4,9 +4,10 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use joulebus_dataset::split::Split;
-use joulebus_dataset::trial::{Resample, Trial};
+use joulebus_dataset::trial::Resample;
 use joulebus_eval::analyze::{
-    Ablation, Analysis, AnalysisSettings, Member, Series, TrialAutocorrelation, analyze,
+    Ablation, Analysis, AnalysisSettings, AnalyzeError, Member, Series, TrialAutocorrelation,
+    analyze,
 };
 use joulebus_predictor::Model;
 use joulebus_program::exit::{Outcome, UsageError};
@@ -14,7 +15,7 @@ use joulebus_program::model_source;
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-use crate::recordings::{Recordings, Resampling};
+use crate::recordings::{Recordings, Resampling, open};
 use crate::split_unit::SplitUnit;
 
 /// Analyse a dataset: autocorrelation, the gain of each input, and the share of a score that comes
@@ -83,13 +84,12 @@ struct AnalyzeReport {
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let models = args.models()?;
-    let mut trials = Vec::new();
-    let map = args.recordings.map();
-    for file in args.recordings.find()? {
-        trials.extend(Trial::read_mapped(file, &map)?);
-    }
-    let analysis = analyze(&trials, &args.settings(), &models);
-    let analysis = analysis.map_err(|error| UsageError(error.to_string()))?;
+    let recordings = open(args.recordings.find()?, &args.recordings.map())?;
+    let analysis = analyze(&recordings, &args.settings(), &models);
+    let analysis = analysis.map_err(|error| match error {
+        AnalyzeError::Trial(error) => anyhow::Error::from(error),
+        error => UsageError(error.to_string()).into(),
+    })?;
     output.report(&AnalyzeReport {
         analysis,
         each: args.each,

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use joulebus_dataset::inspect::find;
-use joulebus_dataset::trial::{ColumnMap, MappedColumn, Method};
+use joulebus_dataset::trial::{ColumnMap, MappedColumn, Method, TrialError};
+use joulebus_eval::score::{ROWS_IN_MEMORY, Recording, open_recordings};
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::say;
 
@@ -59,6 +60,20 @@ pub(crate) fn find_recordings(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>>
     })?;
     found.remarks().for_each(|remark| say(&remark));
     Ok(found.files)
+}
+
+/// Opens recordings: the first rows stay in memory, the others are read when they are needed. Ids are consecutive.
+pub(crate) fn open(files: Vec<PathBuf>, map: &ColumnMap) -> Result<Vec<Recording>, TrialError> {
+    let files: Vec<(u32, PathBuf)> = (0..).zip(files).collect();
+    open_with_ids(&files, map)
+}
+
+/// The same with the ids of their robots.
+pub(crate) fn open_with_ids(
+    files: &[(u32, PathBuf)],
+    map: &ColumnMap,
+) -> Result<Vec<Recording>, TrialError> {
+    open_recordings(files, map, ROWS_IN_MEMORY)
 }
 
 /// Resampling method.

@@ -21,5 +21,5 @@ pub use listing::{
 pub use schema::{Field, Kind, SCHEMA, fields};
 pub use write::{Exported, WriteArchiveError, write};
 
-pub(crate) use listing::tables;
+pub(crate) use listing::{open, table as listed, tables};
 pub(crate) use read::{MAGIC, table};

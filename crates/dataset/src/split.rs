@@ -9,6 +9,8 @@
 //! rows fall into two parts, the split is refused. Dropping one file silently would change the set
 //! of units, and so the whole split.
 
+mod source;
+
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
 use std::ops::Range;
@@ -16,15 +18,21 @@ use std::str::FromStr;
 
 use joulebus_predictor::LAGS;
 use serde::{Deserialize, Serialize};
-use sha2::{Digest as _, Sha256};
 
-use crate::rows::{Dataset, Row, TrialRows, trial_rows};
-use crate::trial::Trial;
+use crate::rows::{Dataset, TrialRows};
 use joulebus_statistics::noise::Noise;
+
+use source::median_s;
+pub use source::{Placed, Source, SourceInfo, describe, digest, group_of, median_period_s};
 
 /// Minimum number of rows left out at each cut in time: the lag window and the target reading,
 /// twice.
 pub const PAUSE_ROWS: usize = 2 * (LAGS + 1);
+
+/// Most consecutive rows that are taken of a part of which not all rows are: 18 minutes at 30 Hz.
+pub const STRETCH_ROWS: usize = 32_768;
+/// Least stretches that such rows come in.
+const LEAST_STRETCHES: usize = 64;
 
 /// Unit of the split: what stays in one part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -109,57 +117,20 @@ impl fmt::Display for Split {
     }
 }
 
-/// To three decimals.
-fn percent(share: f64) -> f64 {
-    (share * 1e5).round() / 1e3
-}
-
-/// A trial's rows with the names of its units.
-#[derive(Debug, Clone)]
-pub struct Source {
-    /// Name of the trial: its file.
-    pub trial: String,
-    /// Name of the robot.
-    pub robot: String,
-    /// Name of the group: [`group_of`] its file.
-    pub group: String,
-    /// The trial's rows.
-    pub rows: TrialRows,
-}
-
-impl Source {
-    /// A trial, with names derived from its file. Robots that share a file belong to one group.
+impl Split {
+    /// As a model's file states it: `split by trial, seed 0`.
     #[must_use]
-    pub fn of(trial: &Trial) -> Self {
-        let file = trial.path().file_name().and_then(|name| name.to_str());
-        let file = file.unwrap_or_default();
-        Self {
-            trial: trial.path().display().to_string(),
-            robot: trial.robot_name().unwrap_or(file).to_owned(),
-            group: group_of(file),
-            rows: trial_rows(trial),
+    pub fn origin(&self) -> String {
+        match self.by {
+            By::Time => format!("split by {}", self.by),
+            by => format!("split by {by}, seed {}", self.seed),
         }
     }
 }
 
-/// A trial in one of several parts that must not share a row.
-#[derive(Debug, Clone, Copy)]
-pub struct Placed<'a> {
-    /// Name of the trial: its file.
-    pub trial: &'a str,
-    /// The trial's rows.
-    pub rows: &'a TrialRows,
-    /// Name of the part in messages.
-    pub part: &'static str,
-}
-
-impl<'a> Placed<'a> {
-    /// A source in a part.
-    #[must_use]
-    pub fn new(source: &'a Source, part: &'static str) -> Self {
-        let Source { trial, rows, .. } = source;
-        Self { trial, rows, part }
-    }
+/// To three decimals.
+fn percent(share: f64) -> f64 {
+    (share * 1e5).round() / 1e3
 }
 
 /// The rows of each trial in each part.
@@ -169,6 +140,15 @@ pub struct Assignment {
     pub ranges: Vec<[Range<usize>; 3]>,
     /// Names of the units in each part.
     pub summary: SplitSummary,
+}
+
+/// The rows of each trial that are taken of each part.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Thinned {
+    /// For each source in order, its row ranges, ascending: training, validation, held out.
+    pub ranges: Vec<[Vec<Range<usize>>; 3]>,
+    /// Rows per part.
+    pub rows: [usize; 3],
 }
 
 /// Names of the units in each part, and numbers of rows.
@@ -249,16 +229,6 @@ fn in_two_parts([first, second]: &[String; 2]) -> String {
     }
 }
 
-/// The group of a file: its name without trailing numbers. `ICE_03.csv.gz` and `ICE_04.csv.gz`
-/// belong to the group `ICE`.
-#[must_use]
-pub fn group_of(file_name: &str) -> String {
-    let stem = file_name.split('.').next().unwrap_or(file_name);
-    let name = stem.trim_end_matches(|c: char| c.is_ascii_digit());
-    let name = name.trim_end_matches(['_', '-', ' ']);
-    if name.is_empty() { stem } else { name }.to_owned()
-}
-
 /// Refuses rows that are in two parts: a recording may exist twice, under two names. Trials without
 /// rows are ignored.
 ///
@@ -266,34 +236,17 @@ pub fn group_of(file_name: &str) -> String {
 /// [`SplitError::Copy`] with the first duplicate.
 pub fn check_copies<'a>(placed: impl IntoIterator<Item = Placed<'a>>) -> Result<(), SplitError> {
     let mut first_with: HashMap<[u8; 32], Placed<'a>> = HashMap::new();
-    for one in placed {
-        let rows = one.rows.rows.len();
-        if rows == 0 {
-            continue;
-        }
-        let first = *first_with.entry(digest(one.rows)).or_insert(one);
+    for one in placed.into_iter().filter(|one| one.rows > 0) {
+        let first = *first_with.entry(one.digest).or_insert(one);
         if first.part != one.part {
             return Err(SplitError::Copy {
                 trials: [first, one].map(|placed| placed.trial.to_owned()),
                 parts: [first.part, one.part],
-                rows,
+                rows: one.rows,
             });
         }
     }
     Ok(())
-}
-
-/// Hash of everything that is learned from the rows.
-pub fn digest(rows: &TrialRows) -> [u8; 32] {
-    let mut digest = Sha256::new();
-    let mut bytes = Vec::new();
-    for row in &rows.rows {
-        let values = row.features.iter().chain([&row.target_w]);
-        bytes.extend(values.flat_map(|value| value.to_le_bytes()));
-        digest.update(&bytes);
-        bytes.clear();
-    }
-    digest.finalize().into()
 }
 
 /// Splits the rows. `description` states their origin; the split is appended to it.
@@ -306,64 +259,42 @@ pub fn split(
     description: &str,
 ) -> Result<(Dataset, SplitSummary), SplitError> {
     let assignment = assign(sources, split)?;
-    let seed = match split.by {
-        By::Time => String::new(),
-        _ => format!(", seed {}", split.seed),
-    };
-    let description = format!("{description}; split by {}{seed}", split.by);
+    let description = format!("{description}; {}", split.origin());
     Ok((assignment.dataset(sources, description), assignment.summary))
 }
 
-/// Rows whose parts are given individually: training, validation, held out. `description` states their origin.
+/// Assigns whole trials, whose parts are given: training, validation, held out. The ranges are of the trials in this order.
 ///
 /// # Errors
 /// [`SplitError::Copy`]: the same rows are in two parts.
-pub fn given(
-    parts: [&[Source]; 3],
-    description: &str,
-) -> Result<(Dataset, SplitSummary), SplitError> {
+pub fn assign_given(parts: [&[SourceInfo]; 3]) -> Result<Assignment, SplitError> {
     let placed = parts.into_iter().zip(PARTS).flat_map(|(sources, part)| {
         let place = move |source| Placed::new(source, part);
         sources.iter().map(place)
     });
     check_copies(placed)?;
-    let [training, validation, held_out] = parts
-        .map(|part| -> Vec<String> { part.iter().map(|source| source.trial.clone()).collect() });
-    let rows = parts.map(|part| -> Vec<Row> {
-        let rows = part.iter().flat_map(|source| &source.rows.rows);
-        rows.copied().collect()
+    let [training, validation, held_out] =
+        parts.map(|part| part.iter().map(|source| source.trial.clone()).collect());
+    let rows = parts.map(|part| part.iter().map(|source| source.rows).sum());
+    let ranges = parts.into_iter().enumerate().flat_map(|(part, sources)| {
+        sources.iter().map(move |source| {
+            let mut ranges = [0..0, 0..0, 0..0];
+            ranges[part] = 0..source.rows;
+            ranges
+        })
     });
-    let summary = SplitSummary {
-        by: By::Trial,
-        rows: [rows[0].len(), rows[1].len(), rows[2].len()],
-        training,
-        validation,
-        held_out,
-        pause_rows: 0,
-        name: "given individually".to_owned(),
-    };
-    let [training, validation, held_out] = rows;
-    let dataset = Dataset {
-        training,
-        validation,
-        held_out,
-        description: format!("{description}; parts given individually"),
-        period_s: median_period_s(parts[0]),
-    };
-    Ok((dataset, summary))
-}
-
-/// Number and groups of recordings, as a model's file states them.
-#[must_use]
-pub fn describe(sources: &[Source]) -> String {
-    let mut groups: Vec<&str> = sources.iter().map(|source| source.group.as_str()).collect();
-    groups.sort_unstable();
-    groups.dedup();
-    let named = match groups.len() {
-        ..=8 => groups.join(", "),
-        more => format!("{}, … ({more} groups)", groups[..8].join(", ")),
-    };
-    format!("{} recorded trials of {named}", sources.len())
+    Ok(Assignment {
+        ranges: ranges.collect(),
+        summary: SplitSummary {
+            by: By::Trial,
+            training,
+            validation,
+            held_out,
+            rows,
+            pause_rows: 0,
+            name: "given individually".to_owned(),
+        },
+    })
 }
 
 /// Assigns the rows of each source to the parts.
@@ -371,10 +302,30 @@ pub fn describe(sources: &[Source]) -> String {
 /// # Errors
 /// [`SplitError`].
 pub fn assign(sources: &[Source], split: Split) -> Result<Assignment, SplitError> {
+    let infos = SourceInfo::of(sources);
+    assign_unread(&infos, split, |at, cuts| {
+        Ok(resume(&sources[at].rows, cuts))
+    })
+}
+
+/// The same of trials whose rows are elsewhere. `resume_at` is asked only by a split in time, once for each trial that has
+/// rows: with its index and its two cuts, it gives where the rows go on after them ([`resume`]).
+///
+/// # Errors
+/// [`SplitError`], and those of `resume_at`.
+pub fn assign_unread<E: From<SplitError>>(
+    sources: &[SourceInfo],
+    split: Split,
+    resume_at: impl FnMut(usize, [usize; 2]) -> Result<[usize; 2], E>,
+) -> Result<Assignment, E> {
     check(split)?;
-    if split.by == By::Time {
-        return Ok(in_time(sources, split));
+    match split.by {
+        By::Time => in_time(sources, split, resume_at),
+        _ => Ok(assign_units(sources, split)?),
     }
+}
+
+fn assign_units(sources: &[SourceInfo], split: Split) -> Result<Assignment, SplitError> {
     let mut names = units(sources, split.by);
     let found = names.len();
     if found < 3 {
@@ -401,6 +352,18 @@ pub fn assign(sources: &[Source], split: Split) -> Result<Assignment, SplitError
 /// time, which has no units.
 pub fn assign_leaving_out(
     sources: &[Source],
+    split: Split,
+    held_out: &[String],
+) -> Result<Assignment, SplitError> {
+    assign_unread_leaving_out(&SourceInfo::of(sources), split, held_out)
+}
+
+/// The same of trials whose rows are elsewhere.
+///
+/// # Errors
+/// As [`assign_leaving_out`].
+pub fn assign_unread_leaving_out(
+    sources: &[SourceInfo],
     split: Split,
     held_out: &[String],
 ) -> Result<Assignment, SplitError> {
@@ -437,6 +400,38 @@ pub fn assign_leaving_out(
 }
 
 impl Assignment {
+    /// All rows, or, if they are more than `most_rows`, about as many of each part as its share of them: stretches of
+    /// [`STRETCH_ROWS`] or fewer consecutive rows, evenly spread over the part; at least one of each part.
+    #[must_use]
+    pub fn thin(&self, most_rows: usize) -> Thinned {
+        let found: usize = self.summary.rows.iter().sum();
+        let stretch = match found > most_rows {
+            true => (most_rows / LEAST_STRETCHES).clamp(1, STRETCH_ROWS),
+            false => found.max(1),
+        };
+        let mut rows = [0; 3];
+        let mut ranges = vec![[Vec::new(), Vec::new(), Vec::new()]; self.ranges.len()];
+        for (part, count) in rows.iter_mut().enumerate() {
+            let of_part = self.ranges.iter().map(|ranges| ranges[part].clone());
+            let each = of_part.enumerate().flat_map(|(source, range)| {
+                let starts = range.clone().step_by(stretch);
+                starts.map(move |start| (source, start..range.end.min(start + stretch)))
+            });
+            let each: Vec<(usize, Range<usize>)> = each.collect();
+            let wanted = match found > most_rows {
+                true => (each.len() * most_rows / found).max(1),
+                false => each.len(),
+            };
+            for (at, (source, range)) in each.iter().enumerate() {
+                if at * wanted / each.len() < (at + 1) * wanted / each.len() {
+                    *count += range.len();
+                    ranges[*source][part].push(range.clone());
+                }
+            }
+        }
+        Thinned { ranges, rows }
+    }
+
     /// The rows themselves.
     #[must_use]
     pub fn dataset(&self, sources: &[Source], description: String) -> Dataset {
@@ -451,17 +446,9 @@ impl Assignment {
             validation: rows(1),
             held_out: rows(2),
             description,
-            period_s: median_period_s(sources),
+            period_s: median_s(sources.iter().map(|source| source.rows.period_s)),
         }
     }
-}
-
-/// The median period of some recordings, s; 0 without any.
-#[must_use]
-pub fn median_period_s(sources: &[Source]) -> f32 {
-    let mut periods_s: Vec<f32> = sources.iter().map(|source| source.rows.period_s).collect();
-    periods_s.sort_by(f32::total_cmp);
-    periods_s.get(periods_s.len() / 2).copied().unwrap_or(0.0)
 }
 
 fn check(split: Split) -> Result<(), SplitError> {
@@ -479,7 +466,7 @@ fn check(split: Split) -> Result<(), SplitError> {
     })
 }
 
-fn unit(source: &Source, by: By) -> &str {
+fn unit(source: &SourceInfo, by: By) -> &str {
     match by {
         By::Robot => &source.robot,
         By::Group => &source.group,
@@ -488,7 +475,7 @@ fn unit(source: &Source, by: By) -> &str {
 }
 
 /// Names of the units, sorted.
-fn units(sources: &[Source], by: By) -> Vec<String> {
+fn units(sources: &[SourceInfo], by: By) -> Vec<String> {
     let mut names: Vec<String> = sources.iter().map(|s| unit(s, by).to_owned()).collect();
     names.sort();
     names.dedup();
@@ -506,7 +493,7 @@ fn shuffle(names: &mut [String], seed: u64) {
 pub const PARTS: [&str; 3] = ["training", "validation", "held out"];
 
 fn by_unit(
-    sources: &[Source],
+    sources: &[SourceInfo],
     by: By,
     parts: [Vec<String>; 3],
     name: String,
@@ -516,15 +503,15 @@ fn by_unit(
         part_of.extend(names.iter().map(|name| (name.clone(), part)));
     }
     // Every unit is in a part.
-    let part = |source: &Source| part_of.get(unit(source, by)).map(|part| PARTS[*part]);
+    let part = |source: &SourceInfo| part_of.get(unit(source, by)).map(|part| PARTS[*part]);
     let placed = sources.iter();
     check_copies(placed.filter_map(|source| Some(Placed::new(source, part(source)?))))?;
     let mut rows = [0; 3];
     let ranges = sources.iter().map(|source| {
         let mut ranges = [0..0, 0..0, 0..0];
         if let Some(part) = part_of.get(unit(source, by)) {
-            ranges[*part] = 0..source.rows.rows.len();
-            rows[*part] += source.rows.rows.len();
+            ranges[*part] = 0..source.rows;
+            rows[*part] += source.rows;
         }
         ranges
     });
@@ -549,25 +536,32 @@ fn by_unit(
 
 /// Duplicates of a recording are cut at the same rows, so no training row of one is held out in
 /// another.
-fn in_time(sources: &[Source], split: Split) -> Assignment {
+fn in_time<E>(
+    sources: &[SourceInfo],
+    split: Split,
+    mut resume_at: impl FnMut(usize, [usize; 2]) -> Result<[usize; 2], E>,
+) -> Result<Assignment, E> {
     let mut rows = [0; 3];
     let mut ranges = Vec::with_capacity(sources.len());
-    for source in sources {
-        let found = source.rows.rows.len();
+    for (at, source) in sources.iter().enumerate() {
+        let found = source.rows;
         let usable = found.saturating_sub(2 * PAUSE_ROWS);
         let count = |share: f64| (share * usable as f64).floor() as usize;
         let (validation, held_out) = (count(split.validation), count(split.held_out));
         let training = usable - validation - held_out;
         let cuts = [training, (training + PAUSE_ROWS + validation).min(found)];
-        let [first, second] = cuts.map(|cut| resume(&source.rows, cut));
+        let [first, second] = match found {
+            0 => [0, 0],
+            _ => resume_at(at, cuts)?,
+        };
         let parts = [0..cuts[0], first..cuts[1].max(first), second..found];
         for (count, part) in rows.iter_mut().zip(&parts) {
             *count += part.len();
         }
         ranges.push(parts);
     }
-    let found: usize = sources.iter().map(|source| source.rows.rows.len()).sum();
-    Assignment {
+    let found: usize = sources.iter().map(|source| source.rows).sum();
+    Ok(Assignment {
         ranges,
         summary: SplitSummary {
             by: By::Time,
@@ -578,13 +572,18 @@ fn in_time(sources: &[Source], split: Split) -> Assignment {
             pause_rows: found - rows.iter().sum::<usize>(),
             name: split.to_string(),
         },
-    }
+    })
 }
 
-/// The first row after a cut that shares no reading with the rows before it: a pause of
+/// The first rows after two cuts that share no reading with the rows before them: a pause of
 /// [`PAUSE_ROWS`] has passed, and no window holds the reading at the cut, which a sensor that is
 /// read once a second repeats for thirty rows.
-fn resume(rows: &TrialRows, cut: usize) -> usize {
+#[must_use]
+pub fn resume(rows: &TrialRows, cuts: [usize; 2]) -> [usize; 2] {
+    cuts.map(|cut| resume_after(rows, cut))
+}
+
+fn resume_after(rows: &TrialRows, cut: usize) -> usize {
     let found = rows.rows.len();
     let earliest = (cut + PAUSE_ROWS).min(found);
     let Some(before) = cut.checked_sub(1).and_then(|last| rows.rows.get(last)) else {

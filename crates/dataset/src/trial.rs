@@ -16,6 +16,7 @@ mod npy;
 mod read;
 mod resample;
 mod sample;
+mod stored;
 mod table;
 mod text;
 mod write;
@@ -29,6 +30,7 @@ pub use limits::MAX_ROWS;
 pub use names::{ColumnMap, MapError, MappedColumn, Quantity, column_names};
 pub use note::{Gap, TrialNotes};
 pub use resample::{Method, Resample, ResampleError, Resampled};
+pub use stored::Stored;
 pub use table::{Column, Table};
 pub use write::{Form, Row, WriteError};
 

@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use joulebus_dataset::rows::Row;
 use joulebus_dataset::rows::{sample_rows, write_rows};
 use joulebus_dataset::split::{
-    By, PAUSE_ROWS, Source, Split, SplitError, assign_leaving_out, group_of, split,
+    By, PAUSE_ROWS, Source, Split, SplitError, assign, assign_leaving_out, group_of, split,
 };
 use joulebus_predictor::{FEATURE_NAMES, FEATURES, FeatureSet};
 use joulebus_wire::{Sample, sample_flag};
@@ -320,5 +320,50 @@ fn a_group_is_the_file_name_without_its_number() {
         ("plain", "plain"),
     ] {
         assert_eq!(group_of(name), group);
+    }
+}
+
+proptest! {
+    #[test]
+    fn of_too_many_rows_evenly_spread_stretches_of_every_part_are_taken(
+        trials in 3usize..12, rows in 20usize..400, most_rows in 60usize..3_000, by_time in any::<bool>()
+    ) {
+        let sources = sources(trials, rows);
+        let wanted = Split {
+            by: if by_time { By::Time } else { By::Trial },
+            ..Split::default()
+        };
+        let assignment = assign(&sources, wanted).expect("three trials or more");
+        let thinned = assignment.thin(most_rows);
+        let found: usize = assignment.summary.rows.iter().sum();
+        let taken: usize = thinned.rows.iter().sum();
+        let mut counted = [0; 3];
+        for (whole, ranges) in assignment.ranges.iter().zip(&thinned.ranges) {
+            for part in 0..3 {
+                let mut end = whole[part].start;
+                for range in &ranges[part] {
+                    prop_assert!(end <= range.start && range.end <= whole[part].end);
+                    end = range.end;
+                    counted[part] += range.len();
+                }
+            }
+        }
+        prop_assert_eq!(counted, thinned.rows);
+        if found <= most_rows {
+            prop_assert_eq!(thinned.rows, assignment.summary.rows);
+        } else {
+            let stretch = (most_rows / 64).max(1);
+            prop_assert!(taken <= most_rows + 3 * stretch, "{} of {}", taken, most_rows);
+            for part in 0..3 {
+                let of_part = assignment.summary.rows[part];
+                prop_assert_eq!(of_part > 0, thinned.rows[part] > 0);
+                // Ends of trials are stretches that are not full.
+                let ends = stretch * (trials + 1);
+                let share = of_part * most_rows / found;
+                prop_assert!(thinned.rows[part] <= share + stretch);
+                prop_assert!(thinned.rows[part] + 2 * ends >= share.min(of_part), "part {}", part);
+            }
+        }
+        prop_assert_eq!(thinned, assignment.thin(most_rows));
     }
 }

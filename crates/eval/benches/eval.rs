@@ -77,7 +77,7 @@ fn median<T>(mut run: impl FnMut() -> T) -> (f64, T) {
 fn run(files: &[(u32, PathBuf)], model: &Model, threads: usize) -> String {
     let (reading_s, found) =
         median(|| read_recordings(files, &ColumnMap::default()).expect("they can be read"));
-    let rows: usize = found.iter().map(|one| one.trial.rows()).sum();
+    let rows: usize = found.iter().map(|one| one.trial_rows()).sum();
     println!("{threads} thread(s): reading {rows} rows and making features {reading_s:.3} s");
     let everything = Options::default();
     let corrected = Options {

@@ -4,21 +4,26 @@
 
 mod ablation;
 mod autocorrelation;
-
-use std::path::Path;
+mod error;
+mod view;
 
 use joulebus_predictor::{LAGS, Model};
-use rayon::iter::{IntoParallelRefIterator as _, ParallelIterator as _};
 use serde::{Deserialize, Serialize};
 
-use joulebus_dataset::rows::trial_rows;
+use crate::score::{Contents, Recording};
 use joulebus_dataset::split::{
-    Assignment, Source, Split, SplitError, SplitSummary, assign, assign_leaving_out, group_of,
+    Assignment, SourceInfo, Split, SplitSummary, assign_unread, assign_unread_leaving_out, digest,
+    resume,
 };
-use joulebus_dataset::trial::{Method, Resample, ResampleError, Trial};
+use joulebus_dataset::trial::{Method, Resample};
 
 pub use ablation::{Ablation, Member, Part};
 pub use autocorrelation::{Autocorrelation, autocorrelation, pooled};
+pub use error::AnalyzeError;
+
+use ablation::velocities_known;
+use autocorrelation::LagSums;
+use view::View;
 
 /// What to analyse.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -53,31 +58,6 @@ impl Default for AnalysisSettings {
             leave_out: Vec::new(),
         }
     }
-}
-
-/// Why a dataset could not be analysed.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum AnalyzeError {
-    /// No trial.
-    #[error("found no trial to analyse; name one or more files")]
-    NoTrial,
-    /// A number is out of range.
-    #[error("{what} = {found}; allowed: {allowed}")]
-    Setting {
-        /// Name of the setting.
-        what: &'static str,
-        /// Its value.
-        found: usize,
-        /// Allowed values.
-        allowed: &'static str,
-    },
-    /// The data cannot be split as configured.
-    #[error(transparent)]
-    Split(#[from] SplitError),
-    /// The data cannot be resampled as configured.
-    #[error(transparent)]
-    Resample(#[from] ResampleError),
 }
 
 /// Result of the analysis. Shares are from 0 to 1, power is in W.
@@ -137,39 +117,44 @@ pub struct TrialAutocorrelation {
     pub found: Autocorrelation,
 }
 
-/// Analyses trials. `models` have names and are scored on the same rows.
+/// Analyses recordings, each of which is read four times where it is not in memory. `models` have names and are scored on
+/// the same rows.
 ///
 /// # Errors
 /// [`AnalyzeError`].
 pub fn analyze(
-    trials: &[Trial],
+    recordings: &[Recording],
     settings: &AnalysisSettings,
     models: &[(String, Model)],
 ) -> Result<Analysis, AnalyzeError> {
-    check(trials, settings)?;
-    let mut series = vec![analyze_series(trials, settings, models, None, Vec::new())?];
+    check(recordings, settings)?;
+    let mut series = vec![analyze_series(
+        View::native(recordings),
+        settings,
+        models,
+        None,
+    )?];
     for grid in &settings.grids {
-        let (seen, left_out) = resample(trials, *grid)?;
-        let grid = Some(*grid);
-        series.push(analyze_series(&seen, settings, models, grid, left_out)?);
+        let view = View::on(recordings, *grid);
+        series.push(analyze_series(view, settings, models, Some(*grid))?);
     }
-    let names = |of: fn(&Trial) -> String| {
-        let mut names: Vec<String> = trials.iter().map(of).collect();
+    let names = |of: fn(&Recording) -> &String| {
+        let mut names: Vec<String> = recordings.iter().map(|one| of(one).clone()).collect();
         names.sort();
         names.dedup();
         names
     };
     Ok(Analysis {
-        trials: trials.len(),
-        robots: names(robot_of),
-        groups: names(|trial| group_of(file_name(trial.path()))),
+        trials: recordings.len(),
+        robots: names(|recording| &recording.robot),
+        groups: names(|recording| &recording.group),
         series,
         settings: settings.clone(),
     })
 }
 
-fn check(trials: &[Trial], settings: &AnalysisSettings) -> Result<(), AnalyzeError> {
-    if trials.is_empty() {
+fn check(recordings: &[Recording], settings: &AnalysisSettings) -> Result<(), AnalyzeError> {
+    if recordings.is_empty() {
         return Err(AnalyzeError::NoTrial);
     }
     if settings.lags == 0 {
@@ -189,67 +174,82 @@ fn check(trials: &[Trial], settings: &AnalysisSettings) -> Result<(), AnalyzeErr
     Ok(())
 }
 
-/// Each trial on the grid; trials that cannot be resampled are named.
-fn resample(trials: &[Trial], grid: Resample) -> Result<(Vec<Trial>, Vec<String>), AnalyzeError> {
-    let (mut seen, mut left_out) = (Vec::with_capacity(trials.len()), Vec::new());
-    for trial in trials {
-        match trial.resampled(grid) {
-            Ok((trial, _)) => seen.push(trial),
-            Err(error @ ResampleError::Rate { .. }) => return Err(error.into()),
-            Err(error) => left_out.push(format!("{}: {error}", trial.path().display())),
+/// What the first reading of a trial tells.
+struct Seen {
+    info: SourceInfo,
+    rows: usize,
+    held: usize,
+    sums: LagSums,
+    has_velocities: bool,
+}
+
+impl Seen {
+    fn of(recording: &Recording, contents: &Contents, lags: usize) -> Self {
+        let Contents { trial, rows, .. } = contents;
+        Self {
+            info: SourceInfo {
+                trial: recording.file().to_owned(),
+                rows: rows.rows.len(),
+                digest: digest(rows),
+                period_s: rows.period_s,
+                ..recording.info()
+            },
+            rows: trial.rows(),
+            held: trial.notes().held_readings,
+            sums: LagSums::of(trial, lags),
+            has_velocities: rows.rows.iter().any(|row| velocities_known(&row.features)),
         }
     }
-    if seen.is_empty() {
-        return Err(AnalyzeError::NoTrial);
-    }
-    Ok((seen, left_out))
 }
 
 fn analyze_series(
-    trials: &[Trial],
+    view: View<'_>,
     settings: &AnalysisSettings,
     models: &[(String, Model)],
     grid: Option<Resample>,
-    mut left_out: Vec<String>,
 ) -> Result<Series, AnalyzeError> {
-    let sources: Vec<Source> = trials.par_iter().map(source).collect();
-    let assignment: Assignment = if settings.leave_out.is_empty() {
-        assign(&sources, settings.split)?
-    } else {
-        assign_leaving_out(&sources, settings.split, &settings.leave_out)?
-    };
-    let found: Vec<Autocorrelation> = trials
-        .par_iter()
-        .map(|trial| autocorrelation(trial, settings.lags))
-        .collect();
-    let name = match grid {
-        None => "native".to_owned(),
-        Some(Resample { method, rate_hz }) => match method {
-            Method::Hold => format!("held at {rate_hz} Hz"),
-            Method::Mean => format!("means at {rate_hz} Hz"),
-            Method::Linear => format!("interpolated at {rate_hz} Hz"),
+    let (mut seen, mut left_out) = (Vec::new(), Vec::new());
+    let mut is_left_out = vec![false; view.recordings().len()];
+    view.each_that_fits(
+        |at, contents| Seen::of(view.recordings()[at], contents, settings.lags),
+        |at, found| match found {
+            Ok(found) => seen.push(found),
+            Err(reason) => {
+                is_left_out[at] = true;
+                left_out.push(reason);
+            }
         },
-    };
-    let readings: usize = found.iter().map(|found| found.readings).sum();
-    let held: usize = trials.iter().map(|trial| trial.notes().held_readings).sum();
-    let ablation = ablation::ablation(trials, &sources, &assignment, settings.window, models);
+    )?;
+    if seen.is_empty() {
+        return Err(AnalyzeError::NoTrial);
+    }
+    let view = view.without(&is_left_out);
+    let infos: Vec<SourceInfo> = seen.iter().map(|seen| seen.info.clone()).collect();
+    let assignment = assigned(&view, &infos, settings)?;
+    let has_velocities = seen.iter().any(|seen| seen.has_velocities);
+    let ranges = &assignment.ranges;
+    let ablation = ablation::ablation(&view, ranges, has_velocities, settings.window, models)?;
     let (ablation, skipped) = ablation;
     left_out.extend(skipped);
+    let sums: Vec<LagSums> = seen.iter().map(|seen| seen.sums.clone()).collect();
+    let found: Vec<Autocorrelation> = sums.iter().map(LagSums::alone).collect();
+    let readings: usize = sums.iter().map(LagSums::readings).sum();
+    let held: usize = seen.iter().map(|seen| seen.held).sum();
     Ok(Series {
-        name,
+        name: name_of(grid),
         grid,
-        rows: trials.iter().map(Trial::rows).sum(),
+        rows: seen.iter().map(|seen| seen.rows).sum(),
         readings,
         held_share: held as f64 / readings.max(1) as f64,
         mean_autocorrelation: mean(&found, settings.lags),
-        pooled_autocorrelation: pooled(trials, settings.lags).at_lag,
-        autocorrelations: sources
-            .iter()
+        pooled_autocorrelation: LagSums::pooled(&sums, settings.lags).at_lag,
+        autocorrelations: infos
+            .into_iter()
             .zip(found)
-            .map(|(source, found)| TrialAutocorrelation {
-                trial: source.trial.clone(),
-                robot: source.robot.clone(),
-                group: source.group.clone(),
+            .map(|(info, found)| TrialAutocorrelation {
+                trial: info.trial,
+                robot: info.robot,
+                group: info.group,
                 found,
             })
             .collect(),
@@ -257,6 +257,30 @@ fn analyze_series(
         split: assignment.summary,
         left_out,
     })
+}
+
+fn assigned(
+    view: &View<'_>,
+    infos: &[SourceInfo],
+    settings: &AnalysisSettings,
+) -> Result<Assignment, AnalyzeError> {
+    match settings.leave_out.as_slice() {
+        [] => assign_unread(infos, settings.split, |at, cuts| {
+            Ok(resume(&view.contents(at)?.rows, cuts))
+        }),
+        names => Ok(assign_unread_leaving_out(infos, settings.split, names)?),
+    }
+}
+
+fn name_of(grid: Option<Resample>) -> String {
+    let Some(Resample { method, rate_hz }) = grid else {
+        return "native".to_owned();
+    };
+    match method {
+        Method::Hold => format!("held at {rate_hz} Hz"),
+        Method::Mean => format!("means at {rate_hz} Hz"),
+        Method::Linear => format!("interpolated at {rate_hz} Hz"),
+    }
 }
 
 fn mean(found: &[Autocorrelation], lags: usize) -> Vec<Option<f64>> {
@@ -268,23 +292,4 @@ fn mean(found: &[Autocorrelation], lags: usize) -> Vec<Option<f64>> {
         (count > 0).then(|| sum / count as f64)
     };
     (0..lags).map(at).collect()
-}
-
-fn file_name(path: &Path) -> &str {
-    let name = path.file_name().and_then(|name| name.to_str());
-    name.unwrap_or_default()
-}
-
-fn robot_of(trial: &Trial) -> String {
-    let name = trial.robot_name();
-    name.unwrap_or(file_name(trial.path())).to_owned()
-}
-
-fn source(trial: &Trial) -> Source {
-    Source {
-        trial: trial.path().display().to_string(),
-        robot: robot_of(trial),
-        group: group_of(file_name(trial.path())),
-        rows: trial_rows(trial),
-    }
 }

@@ -15,6 +15,7 @@ use joulebus_wire::{DropCounts, Quality, SCHEMA_VERSION, Sample, SampleHeader, d
 use serde::{Deserialize, Serialize};
 
 pub(crate) use live_trial::LiveTrial;
+pub(crate) use report::LivePool;
 pub use report::{EvaluationReport, PlatformReport, RobotReport, ScoreReport};
 pub use series::Series;
 

@@ -10,6 +10,7 @@ pub mod online_learning;
 mod part;
 mod report;
 pub mod score;
+pub mod training_data;
 
 pub use part::{EvalPart, Merged, PartError};
 pub use report::EvalReport;

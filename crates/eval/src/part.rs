@@ -4,9 +4,8 @@
 use joulebus_wire::fnv1a;
 use serde::{Deserialize, Serialize};
 
-use crate::evaluate::EvaluationReport;
 use crate::report::EvalReport;
-use crate::score::{Misfit, Portion, ScoreError};
+use crate::score::{Misfit, Portion, Reported, ScoreError};
 
 /// What a file begins with; the last byte is the version of what follows the hash.
 const MAGIC: &[u8; 16] = b"joulebus.eval.1\n";
@@ -195,33 +194,28 @@ impl EvalPart {
                 all.push(portion);
             }
         }
-        let (mut evaluations, mut live, mut refused) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut evaluations, mut refused) = (Vec::new(), Vec::new());
         for portions in by_platform {
             let platform = portions[0].platform().to_owned();
             match merged(platform.clone(), portions)? {
-                Ok((report, trials)) => {
-                    evaluations.push(report);
-                    live.extend(trials);
-                }
+                Ok(reported) => evaluations.push(reported),
                 Err(error) => refused.push((platform, error)),
             }
         }
         match refused.pop_if(|_| evaluations.is_empty()) {
             Some((_, error)) => Err(error.into()),
             None => Ok(Merged {
-                report: EvalReport::of(EvaluationReport::of(&live), evaluations),
+                report: EvalReport::of_reported(evaluations),
                 refused,
             }),
         }
     }
 }
 
-type OfPlatform = (crate::score::ScoreReport, Vec<crate::evaluate::LiveTrial>);
-
 fn merged(
     platform: String,
     portions: Vec<Portion>,
-) -> Result<Result<OfPlatform, ScoreError>, PartError> {
+) -> Result<Result<Reported, ScoreError>, PartError> {
     Portion::merged(portions).map_err(|misfit| match misfit {
         Misfit::Different | Misfit::Size => PartError::Different { platform },
         Misfit::Recording(place) => PartError::Recording {

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use crate::evaluate::{Evaluation, EvaluationReport};
+use crate::evaluate::{Evaluation, EvaluationReport, LivePool};
 use crate::score::{Reported, ScoreReport};
 
 /// Maximum number of trials whose live scores are listed; of more, one line per platform.
@@ -23,22 +23,24 @@ impl EvalReport {
     /// Of the live path of all trials, and the scores of each platform.
     #[must_use]
     pub fn new(live: &Evaluation, evaluations: Vec<ScoreReport>) -> Self {
-        Self::of(live.report(), evaluations)
+        Self {
+            live: live.report(),
+            evaluations,
+        }
     }
 
     /// The same of each platform's evaluation.
     #[must_use]
     pub fn of_reported(reported: Vec<Reported>) -> Self {
-        let (mut live, mut evaluations) = (Vec::new(), Vec::new());
+        let (mut live, mut evaluations) = (LivePool::default(), Vec::new());
         for one in reported {
-            live.extend(one.live);
+            one.live.into_iter().for_each(|pool| live.append(pool));
             evaluations.push(one.report);
         }
-        Self::of(EvaluationReport::of(&live), evaluations)
-    }
-
-    pub(crate) const fn of(live: EvaluationReport, evaluations: Vec<ScoreReport>) -> Self {
-        Self { live, evaluations }
+        Self {
+            live: live.report(),
+            evaluations,
+        }
     }
 }
 

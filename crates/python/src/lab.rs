@@ -101,7 +101,7 @@ impl Choice {
                 Design::fitted_on(recordings, fit)
             }
         };
-        Ok(design.hold_apart(recordings, models))
+        design.hold_apart(recordings, models).map_err(refused)
     }
 }
 

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use super::document::{Cell, Column, Part, Section, Table};
 use super::material::{Material, label};
 use crate::figure::{Axis, Colour, Direction, Figure, Interval, Layer, Mark, Panel};
+use joulebus_dataset::trial::Trial;
 use joulebus_eval::evaluate::{EvaluateError, RobotEvaluation, Series, evaluate_trial};
 use joulebus_eval::score::{Cell as Scores, Design, Recording, recorded_platform};
 use joulebus_statistics::metrics::CoverageTally;
@@ -29,7 +30,7 @@ pub(super) struct Level {
     fixed: CoverageTally,
 }
 
-/// Runs the live path with intervals of every level on every recording; `design` names the rows that are
+/// Runs the live path with intervals of every level on every recording, which are in memory; `design` names the rows that are
 /// evaluated, else all are.
 ///
 /// # Errors
@@ -44,10 +45,12 @@ pub(super) fn levels(
     let std_w = f64::from(model.residual().std_w);
     let level = |coverage: f32| {
         let reach_w = std_w * normal_reach(coverage.into());
-        let each = recordings.par_iter().enumerate().map(|(at, recording)| {
-            let mut robot = live(settings, platform, model, recording, coverage)?;
+        let in_memory = recordings.par_iter().enumerate();
+        let in_memory = in_memory.filter_map(|(at, one)| Some((at, one.id, one.in_memory()?)));
+        let each = in_memory.map(|(at, id, contents)| {
+            let mut robot = live(settings, platform, model, (id, &contents.trial), coverage)?;
             if let Some(design) = design {
-                design.restrict(at, recording, &mut robot);
+                design.restrict(at, contents, &mut robot);
             }
             let series = Series::of(&robot);
             let (mut live, mut fixed) = (CoverageTally::default(), CoverageTally::default());
@@ -76,18 +79,18 @@ fn live(
     settings: &FleetSettings,
     platform: Option<&Platform>,
     model: &Model,
-    recording: &Recording,
+    (robot, trial): (u32, &Trial),
     coverage: f32,
 ) -> Result<RobotEvaluation, EvaluateError> {
     let mut settings = settings.clone();
     settings.interval.coverage = coverage;
     let platform = platform.cloned();
-    let platform = platform.unwrap_or_else(|| recorded_platform(recording.id, &recording.trial));
+    let platform = platform.unwrap_or_else(|| recorded_platform(robot, trial));
     let leave_after_ns = &mut settings.intake.leave_after_ns;
     *leave_after_ns = platform.stale_after_ns.max(*leave_after_ns);
     settings.platforms = vec![platform];
     let models = std::slice::from_ref(model);
-    evaluate_trial(&settings, models, recording.id, &recording.trial)
+    evaluate_trial(&settings, models, robot, trial)
 }
 
 /// Quantile of the normal distribution for a central share, by bisection.

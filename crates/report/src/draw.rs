@@ -3,7 +3,7 @@
 use std::ops::ControlFlow;
 
 use joulebus_dataset::rows::{Dataset, Row};
-use joulebus_eval::score::{Design, Options, Recording, Scored, Subject, score};
+use joulebus_eval::score::{Contents, Design, Options, Recording, Scored, Subject, score};
 use joulebus_predictor::{Model, Network};
 use joulebus_settings::FleetSettings;
 use joulebus_sim::parts::Parts;
@@ -48,7 +48,8 @@ impl Recordings {
         mut progress: impl FnMut(Epoch) -> ControlFlow<()>,
     ) -> Result<Trained, ReportError> {
         let rows = |trials: &[Recording]| -> Vec<Row> {
-            let rows = trials.iter().flat_map(|trial| &trial.rows.rows);
+            let contents = trials.iter().filter_map(Recording::in_memory);
+            let rows = contents.flat_map(|contents| &contents.rows.rows);
             rows.copied().collect()
         };
         let (seed, samples) = (self.seed, experiment.samples);
@@ -95,8 +96,8 @@ impl Recordings {
         };
         let (alone, together) = (scored(&self.trials)?, scored(&self.robots)?);
         let plain = |recordings: &[Recording]| -> Vec<Plain> {
-            let recordings = recordings.iter();
-            recordings.map(|one| Plain::of(network, one)).collect()
+            let contents = recordings.iter().filter_map(Recording::in_memory);
+            contents.map(|one| Plain::of(network, one)).collect()
         };
         Ok(Draw {
             plain_alone: plain(&self.trials),
@@ -128,12 +129,12 @@ pub(super) struct Plain {
 }
 
 impl Plain {
-    fn of(network: &Network, recording: &Recording) -> Self {
-        let rows = &recording.rows.rows;
+    fn of(network: &Network, contents: &Contents) -> Self {
+        let rows = &contents.rows.rows;
         let inputs: Vec<_> = rows.iter().map(|row| row.features).collect();
         let mut forecasts_w = vec![0.0; rows.len()];
         network.predict(&inputs, &mut forecasts_w);
-        let step_s = recording.trial.period_ns() as f64 * 1e-9;
+        let step_s = contents.trial.period_ns() as f64 * 1e-9;
         let mut tally = Tally::default();
         let mut residuals_w = Vec::with_capacity(rows.len());
         for (row, forecast_w) in rows.iter().zip(forecasts_w) {

@@ -4,9 +4,9 @@ use super::document::{Cell, Column, Part, Section, Table};
 use super::material::{Material, label};
 use super::paper;
 use crate::figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel, bins};
-use joulebus_dataset::trial::Column as Recorded;
+use joulebus_dataset::trial::{Column as Recorded, Trial};
 use joulebus_eval::analyze::autocorrelation;
-use joulebus_eval::score::Recording;
+use joulebus_eval::score::{Contents, Recording};
 use joulebus_statistics::metrics::{quantile, sorted};
 
 /// Maximum lag shown, rows.
@@ -29,14 +29,21 @@ struct Readings {
 }
 
 impl Readings {
-    fn of(recording: &Recording) -> Self {
-        let power_w = readings_w(recording);
+    /// Of recordings in memory.
+    fn of_all(recordings: &[Recording]) -> impl Iterator<Item = Self> + '_ {
+        let in_memory = recordings.iter();
+        in_memory.filter_map(|recording| Some(Self::of(&recording.name, recording.in_memory()?)))
+    }
+
+    fn of(name: &str, contents: &Contents) -> Self {
+        let trial = &contents.trial;
+        let power_w: Vec<f64> = readings_w(trial).collect();
         let (mean_w, std_w) = mean_and_std(&power_w);
-        let found = autocorrelation(&recording.trial, LAGS);
+        let found = autocorrelation(trial, LAGS);
         let known = found.at_lag.iter().map(|value| value.unwrap_or(f64::NAN));
         let from_zero = std::iter::once(1.0).chain(known);
         Self {
-            name: recording.name.clone(),
+            name: name.to_owned(),
             count: power_w.len() as u64,
             mean_w,
             std_w,
@@ -44,8 +51,8 @@ impl Readings {
                 power_w.iter().copied().fold(f64::NAN, f64::min),
                 power_w.iter().copied().fold(f64::NAN, f64::max),
             ],
-            held: recording.trial.notes().held_readings as f64 / power_w.len() as f64,
-            rate_hz: recording.trial.notes().rate_hz,
+            held: trial.notes().held_readings as f64 / power_w.len() as f64,
+            rate_hz: trial.notes().rate_hz,
             correlation: from_zero.collect(),
         }
     }
@@ -55,13 +62,9 @@ impl Readings {
     }
 }
 
-fn readings_w(recording: &Recording) -> Vec<f64> {
-    let power = recording.trial.column(Recorded::Power).unwrap_or_default();
-    power
-        .iter()
-        .copied()
-        .filter(|power_w| power_w.is_finite())
-        .collect()
+fn readings_w(trial: &Trial) -> impl Iterator<Item = f64> + '_ {
+    let power = trial.column(Recorded::Power).unwrap_or_default();
+    power.iter().copied().filter(|power_w| power_w.is_finite())
 }
 
 /// Mean, and standard deviation (divided by the number); NaN without a value.
@@ -82,23 +85,20 @@ pub(super) struct Pooled {
 }
 
 pub(super) fn pooled(recordings: &[Recording]) -> Pooled {
-    let power_w = sorted(recordings.iter().flat_map(readings_w));
+    let contents = recordings.iter().filter_map(Recording::in_memory);
+    let power_w = sorted(contents.flat_map(|contents| readings_w(&contents.trial)));
     let (mean_w, std_w) = mean_and_std(&power_w);
     Pooled {
         mean_w,
         std_w,
         ends_w: [quantile(&power_w, 0.0), quantile(&power_w, 1.0)],
-        lag1: ends(
-            recordings
-                .iter()
-                .map(|recording| Readings::of(recording).at(1)),
-        ),
+        lag1: ends(Readings::of_all(recordings).map(|readings| readings.at(1))),
     }
 }
 
 /// The section, with the table of the figure's data.
 pub(super) fn section(material: &Material<'_>) -> Section {
-    let found: Vec<Readings> = material.recordings.iter().map(Readings::of).collect();
+    let found: Vec<Readings> = Readings::of_all(material.recordings).collect();
     let mut parts = vec![
         Part::Words(
             "Distribution and autocorrelation of the power readings. A slow monitor that repeats its \
@@ -128,7 +128,8 @@ fn figure(material: &Material<'_>, found: &[Readings]) -> Figure {
 
 fn distribution(material: &Material<'_>) -> Panel {
     let unit = material.unit;
-    let power_w = sorted(material.recordings.iter().flat_map(readings_w));
+    let contents = material.recordings.iter().filter_map(Recording::in_memory);
+    let power_w = sorted(contents.flat_map(|contents| readings_w(&contents.trial)));
     let ends = [quantile(&power_w, 0.0005), quantile(&power_w, 0.9995)];
     let counted = bins(
         power_w.iter().map(|power_w| unit.scaled_w(*power_w)),

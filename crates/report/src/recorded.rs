@@ -8,7 +8,10 @@ use super::material::{BASELINES, Material};
 use super::robots::Grouping;
 use super::unit::Unit;
 use super::{ReportError, ablation, calibration, forecast, horizons, power, robots, scores};
-use joulebus_eval::score::{Design, Options, Recording, Scored, ScoredRows, Subject, score};
+use joulebus_dataset::trial::TrialError;
+use joulebus_eval::score::{
+    Design, Options, Recording, ScoreError, Scored, ScoredRows, Subject, score,
+};
 
 /// Inputs of a report on recordings.
 #[derive(Debug, Clone)]
@@ -41,7 +44,12 @@ pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
         published,
         ..
     } = *what;
-    let design = what.design.clone().hold_apart(recordings, models);
+    // Every section needs them.
+    let loaded: Result<Vec<Recording>, TrialError> =
+        recordings.iter().map(Recording::loaded).collect();
+    let recordings = loaded.map_err(ScoreError::from)?;
+    let recordings = recordings.as_slice();
+    let design = what.design.clone().hold_apart(recordings, models)?;
     let subject = Subject {
         settings,
         platform,
@@ -126,7 +134,7 @@ fn shown_trial(recordings: &[Recording], published: bool) -> String {
         .iter()
         .find(|recording| recording.name.contains("trial6"));
     let longest = || {
-        let longest = |recording: &&Recording| recording.rows.rows.len();
+        let longest = |recording: &&Recording| recording.rows();
         recordings.iter().rev().max_by_key(longest)
     };
     let shown = sixth.filter(|_| published).or_else(longest);

@@ -5,4 +5,5 @@
 pub mod bootstrap;
 pub mod metrics;
 pub mod noise;
+pub mod order;
 pub mod poisson;

@@ -134,6 +134,19 @@ impl Tally {
         }
     }
 
+    /// Sum of the squared differences of the readings from a value, W².
+    #[must_use]
+    pub fn squares_about_w2(&self, centre_w: f64) -> f64 {
+        let apart_w = self.reading_mean_w - centre_w;
+        self.reading_scatter_w2 + self.count as f64 * apart_w * apart_w
+    }
+
+    /// Sum of the squared residuals, W².
+    #[must_use]
+    pub const fn squared_residuals_w2(&self) -> f64 {
+        self.sum_sq_w2
+    }
+
     /// Pairs that were scored.
     #[must_use]
     pub const fn count(&self) -> u64 {
@@ -472,14 +485,23 @@ impl ResidualQuantiles {
     /// From ascending, finite residuals, W.
     #[must_use]
     pub fn of_sorted(ascending: &[f64]) -> Self {
+        Self::at_shares(Self::SHARES.map(|share| quantile(ascending, share)))
+    }
+
+    /// Where the quantiles lie, ascending.
+    pub(crate) const SHARES: [f64; 7] = [0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0];
+
+    /// From the quantiles at [`ResidualQuantiles::SHARES`].
+    pub(crate) const fn at_shares(at: [f64; 7]) -> Self {
+        let [min_w, q05_w, q25_w, q50_w, q75_w, q95_w, max_w] = at;
         Self {
-            min_w: quantile(ascending, 0.0),
-            q05_w: quantile(ascending, 0.05),
-            q25_w: quantile(ascending, 0.25),
-            q50_w: quantile(ascending, 0.5),
-            q75_w: quantile(ascending, 0.75),
-            q95_w: quantile(ascending, 0.95),
-            max_w: quantile(ascending, 1.0),
+            min_w,
+            q05_w,
+            q25_w,
+            q50_w,
+            q75_w,
+            q95_w,
+            max_w,
         }
     }
 }

@@ -82,8 +82,14 @@ impl Terms {
         self.0.count_ones() as usize
     }
 
-    fn without(self, feature: usize) -> Terms {
-        Terms(self.0 & !(1 << feature))
+    /// Those of either.
+    #[must_use]
+    pub const fn or(self, other: Terms) -> Terms {
+        Terms(self.0 | other.0)
+    }
+
+    const fn with(self, feature: usize) -> Terms {
+        Terms(self.0 | 1 << feature)
     }
 }
 
@@ -187,24 +193,23 @@ impl Moments {
     /// are counted ([`Moments::unusable_rows`]).
     #[must_use]
     pub fn of(rows: &[Row], terms: Terms) -> Moments {
+        let usable = || {
+            let values = rows.iter().map(|row| values(row, terms));
+            values.filter(|values| values.iter().all(|value| value.is_finite()))
+        };
         let mut moments = Moments::new(terms);
         moments.rows = rows.len();
-        let usable: Vec<Columns> = rows
-            .iter()
-            .map(|row| values(row, terms))
-            .filter(|values| values.iter().all(|value| value.is_finite()))
-            .collect();
-        moments.count = usable.len();
-        if usable.is_empty() {
+        for values in usable() {
+            moments.count += 1;
+            moments.mean += values;
+            moments.least = moments.least.inf(&values);
+            moments.greatest = moments.greatest.sup(&values);
+        }
+        if moments.count == 0 {
             return moments;
         }
-        for values in &usable {
-            moments.mean += values;
-            moments.least = moments.least.inf(values);
-            moments.greatest = moments.greatest.sup(values);
-        }
-        moments.mean /= usable.len() as f64;
-        for values in &usable {
+        moments.mean /= moments.count as f64;
+        for values in usable() {
             let apart = values - moments.mean;
             moments.products.ger(1.0, &apart, &apart, 1.0);
         }
@@ -237,6 +242,12 @@ impl Moments {
         self.greatest = self.greatest.sup(&other.greatest);
         self.count += other.count;
         Ok(())
+    }
+
+    /// All rows.
+    #[must_use]
+    pub const fn rows(&self) -> usize {
+        self.rows
     }
 
     /// Rows in which a feature or the reading is not finite.
@@ -464,16 +475,45 @@ impl Linear {
     }
 }
 
+/// Which features are finite in any of some rows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct KnownFeatures(Terms);
+
+impl KnownFeatures {
+    /// Of no rows.
+    pub const NONE: KnownFeatures = KnownFeatures(Terms(0));
+
+    /// Of some rows; of `asked`, the others are not looked at.
+    #[must_use]
+    pub fn of(rows: &[Row], asked: Terms) -> KnownFeatures {
+        let is_known = |feature: &usize| {
+            let mut rows = rows.iter();
+            rows.any(|row| row.features[*feature].is_finite())
+        };
+        let known = asked.features().filter(is_known);
+        KnownFeatures(known.fold(Terms(0), Terms::with))
+    }
+
+    /// Of both.
+    #[must_use]
+    pub const fn or(self, other: KnownFeatures) -> KnownFeatures {
+        KnownFeatures(Terms(self.0.0 | other.0.0))
+    }
+
+    /// The known ones of some terms, and the positions of the others.
+    #[must_use]
+    pub fn split(self, terms: Terms) -> (Terms, Vec<usize>) {
+        let missing = terms.features().filter(|feature| !self.0.has(*feature));
+        (Terms(terms.0 & self.0.0), missing.collect())
+    }
+}
+
 /// The terms that are finite in any row of some parts, and the positions of the others.
 #[must_use]
 pub fn known_terms(parts: &[&[Row]], terms: Terms) -> (Terms, Vec<usize>) {
-    let is_known = |feature: &usize| {
-        let mut rows = parts.iter().copied().flatten();
-        rows.any(|row| row.features[*feature].is_finite())
-    };
-    let missing: Vec<usize> = terms.features().filter(|i| !is_known(i)).collect();
-    let known = missing.iter().fold(terms, |terms, i| terms.without(*i));
-    (known, missing)
+    let each = parts.iter().map(|rows| KnownFeatures::of(rows, terms));
+    let known = each.fold(KnownFeatures::NONE, KnownFeatures::or);
+    known.split(terms)
 }
 
 /// A fitted linear model as names and numbers.

@@ -4,16 +4,14 @@ use std::path::{Path, PathBuf};
 
 use joulebus_config::Config;
 use joulebus_dataset::split::Split;
-use joulebus_eval::score::{
-    Design, Options, Recording, ScoreError, Subject, check_apart, read_recordings,
-};
+use joulebus_eval::score::{Design, Options, Recording, ScoreError, Subject, check_apart};
 use joulebus_predictor::Model;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::UsageError;
 use joulebus_settings::{FleetSettings, Platform};
 use joulebus_statistics::bootstrap::Bootstrap;
 
-use crate::recordings::find_recordings;
+use crate::recordings::{find_recordings, open, open_with_ids};
 use crate::split_unit::SplitUnit;
 use crate::trials::TrialFiles;
 
@@ -137,11 +135,11 @@ impl Selection {
             recordings,
         };
         if model_named && self.config.config.is_none() && !self.trials.names_robots() {
-            let recordings = read_recordings(&numbered(self.trials.files()?), &map)?;
+            let recordings = open(self.trials.files()?, &map)?;
             return Ok(vec![section(None, 0, recordings)]);
         }
         let mut sections = Vec::new();
-        let mut recordings = read_recordings(&self.trials.assigned(settings)?, &map)?;
+        let mut recordings = open_with_ids(&self.trials.assigned(settings)?, &map)?;
         for (place, platform) in settings.platforms.iter().enumerate() {
             let is_its =
                 |one: &mut Recording| platform.robots.iter().any(|ids| ids.contains(&one.id));
@@ -164,7 +162,7 @@ impl Selection {
     /// The evaluated rows; those that a model was trained on are apart.
     pub(crate) fn design(&self, section: &Section, models: &[Model]) -> anyhow::Result<Design> {
         let design = self.wanted_design(section)?;
-        Ok(design.hold_apart(&section.recordings, models))
+        Ok(design.hold_apart(&section.recordings, models)?)
     }
 
     fn wanted_design(&self, section: &Section) -> anyhow::Result<Design> {
@@ -185,7 +183,7 @@ impl Selection {
         if self.fit.is_empty() {
             return Ok(Design::folds(recordings));
         }
-        let others = read_recordings(&numbered(find_recordings(&self.fit)?), &self.trials.map())?;
+        let others = open(find_recordings(&self.fit)?, &self.trials.map())?;
         check_apart(recordings, (&others, "after --fit"))
             .map_err(|error| UsageError(error.to_string()))?;
         Ok(Design::fitted_on(recordings, others))
@@ -200,11 +198,6 @@ pub(crate) fn usage(error: ScoreError) -> anyhow::Error {
         }
         error => error.into(),
     }
-}
-
-/// Assigns ids to recordings without one.
-fn numbered(files: Vec<PathBuf>) -> Vec<(u32, PathBuf)> {
-    (0..).zip(files).collect()
 }
 
 fn ticks(text: &str) -> Result<usize, UsageError> {

@@ -1,12 +1,15 @@
 //! `joulebus train trials`: trains on recordings.
 
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context as _;
 use joulebus_dataset::rows::{Dataset, write_rows};
-use joulebus_dataset::split::{Source, SplitSummary, describe, given, split};
-use joulebus_dataset::trial::{ColumnMap, Trial};
+use joulebus_dataset::split::SplitSummary;
+use joulebus_dataset::trial::ColumnMap;
+use joulebus_eval::score::Recording;
+use joulebus_eval::training_data::{MOST_ROWS, Parts, TrainingDataError, training_data};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, say};
 use joulebus_train::{Recipe, TrainReport, TrainSettings};
@@ -14,7 +17,7 @@ use joulebus_train::{Recipe, TrainReport, TrainSettings};
 use super::FeatureChoice;
 use super::run::RunArguments;
 use crate::next_command::{recordings, word};
-use crate::recordings::{ColumnArguments, find_recordings};
+use crate::recordings::{ColumnArguments, find_recordings, open};
 use crate::split_unit::SplitUnit;
 
 #[derive(Debug, clap::Args)]
@@ -57,6 +60,10 @@ pub(super) struct Args {
     /// reading, W
     #[arg(long, value_name = "DIR")]
     rows: Option<PathBuf>,
+    /// Rows to train, validate and score on at most: of more, stretches that are spread evenly over all recordings are
+    /// taken
+    #[arg(long, value_name = "N", default_value_t = MOST_ROWS)]
+    most_rows: NonZeroUsize,
     #[command(flatten)]
     columns: ColumnArguments,
     #[command(flatten)]
@@ -111,6 +118,7 @@ impl Args {
             name: None,
             features: Some(features),
             rows: None,
+            most_rows: MOST_ROWS,
             columns: columns.clone(),
             run: RunArguments::new(out),
         }
@@ -159,15 +167,19 @@ impl Args {
 
     fn dataset(&self, recipe: &Recipe) -> anyhow::Result<(Dataset, SplitSummary)> {
         let map = self.columns.map();
-        let sources = read(&self.paths, &map)?;
-        let description = describe(&sources);
-        if self.hold_out.is_empty() {
-            return split(&sources, recipe.split, &description)
-                .map_err(|error| UsageError(error.to_string()).into());
-        }
-        let (validation, held_out) = (read(&self.validate, &map)?, read(&self.hold_out, &map)?);
-        given([&sources, &validation, &held_out], &description)
-            .map_err(|error| UsageError(error.to_string()).into())
+        let [paths, validation, held_out] =
+            [&self.paths, &self.validate, &self.hold_out].map(|paths| read(paths, &map));
+        let (paths, validation, held_out) = (paths?, validation?, held_out?);
+        let parts = match held_out.is_empty() {
+            true => Parts::Split(&paths, recipe.split),
+            false => Parts::Given([&paths, &validation, &held_out]),
+        };
+        let made = training_data(parts, self.most_rows.get());
+        let (dataset, summary) = made.map_err(|error| match error {
+            TrainingDataError::Split(error) => UsageError(error.to_string()).into(),
+            error => anyhow::Error::from(error),
+        })?;
+        Ok((dataset, summary))
     }
 }
 
@@ -181,16 +193,15 @@ fn read_recipe(path: &Path) -> anyhow::Result<Recipe> {
     Recipe::parse(&text).map_err(|error| UsageError(format!("the recipe {name}: {error}")).into())
 }
 
-fn read(paths: &[PathBuf], map: &ColumnMap) -> anyhow::Result<Vec<Source>> {
-    let mut sources = Vec::new();
-    for file in find_recordings(paths)? {
-        let trials = Trial::read_mapped(&file, map)?;
-        for trial in &trials {
-            say(&format!("{}: {}", file.display(), trial.notes()));
-        }
-        sources.extend(trials.iter().map(Source::of));
+fn read(paths: &[PathBuf], map: &ColumnMap) -> anyhow::Result<Vec<Recording>> {
+    if paths.is_empty() {
+        return Ok(Vec::new());
     }
-    Ok(sources)
+    let recordings = open(find_recordings(paths)?, map)?;
+    for recording in &recordings {
+        say(&format!("{}: {}", recording.file(), recording.notes()));
+    }
+    Ok(recordings)
 }
 
 #[cfg(test)]

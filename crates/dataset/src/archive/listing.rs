@@ -120,7 +120,14 @@ impl Listing {
 
 /// The trials of a listing, under the name of their recording.
 pub(crate) fn tables(path: &Path) -> Result<Vec<Table>, TrialError> {
-    let listing = Listing::read(path).map_err(|error| match error {
+    let listing = open(path)?;
+    let each = 0..listing.trials.len();
+    each.map(|number| table(path, &listing, number)).collect()
+}
+
+/// Reads the listing at `path`.
+pub(crate) fn open(path: &Path) -> Result<Listing, TrialError> {
+    Listing::read(path).map_err(|error| match error {
         ListingError::Io(source) => TrialError::Io {
             path: path.to_owned(),
             source,
@@ -129,21 +136,17 @@ pub(crate) fn tables(path: &Path) -> Result<Vec<Table>, TrialError> {
             path: path.to_owned(),
             detail,
         },
-    })?;
-    let folder = path.parent().and_then(Path::parent);
-    let folder = folder.unwrap_or(Path::new(""));
-    let each = listing.trials.iter().zip(0..);
-    each.map(|(trial, number)| table(folder, &listing, trial, number))
-        .collect()
+    })
 }
 
-fn table(
-    folder: &Path,
-    listing: &Listing,
-    trial: &ListedTrial,
-    number: u32,
-) -> Result<Table, TrialError> {
-    let path = folder.join(&trial.file);
+/// Trial `number` of the listing at `at`, from 0.
+///
+/// # Panics
+/// If the listing has fewer trials.
+pub(crate) fn table(at: &Path, listing: &Listing, number: usize) -> Result<Table, TrialError> {
+    let trial = &listing.trials[number];
+    let folder = at.parent().and_then(Path::parent);
+    let path = folder.unwrap_or(Path::new("")).join(&trial.file);
     let refused = |detail: String| TrialError::Archive {
         path: path.clone(),
         detail,
@@ -166,7 +169,7 @@ fn table(
     let Head {
         recording, trial, ..
     } = &head;
-    if *recording != listing.name || *trial != number {
+    if *recording != listing.name || *trial as usize != number {
         return Err(refused(format!(
             "is trial {trial} of {recording}; its listing has it as trial {number} of {}",
             listing.name

@@ -180,6 +180,20 @@ pub enum TrialError {
         /// What was found, what is allowed, and what to do.
         detail: String,
     },
+    /// A file that is read a second time has other contents than before.
+    #[error(
+        "{path}: changed while it was used: {found} rows, or other ones, where {before} were read before; run the \
+         command again when it is complete",
+        path = path.display()
+    )]
+    Changed {
+        /// The file.
+        path: PathBuf,
+        /// Rows now.
+        found: usize,
+        /// Rows before.
+        before: usize,
+    },
     /// Two columns have the same meaning.
     #[error(
         "{path}: columns {first} and {second} are synonyms; keep one, or name it with --map",

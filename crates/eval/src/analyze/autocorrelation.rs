@@ -23,7 +23,7 @@ pub struct Autocorrelation {
 /// Autocorrelation at lags from 1 to `lags`.
 #[must_use]
 pub fn autocorrelation(trial: &Trial, lags: usize) -> Autocorrelation {
-    pooled(std::slice::from_ref(trial), lags)
+    LagSums::of(trial, lags).alone()
 }
 
 /// Autocorrelation over all trials: deviations from the mean of all readings, pairs within trials.
@@ -31,34 +31,112 @@ pub fn autocorrelation(trial: &Trial, lags: usize) -> Autocorrelation {
 /// scores over many trials depend on it.
 #[must_use]
 pub fn pooled(trials: &[Trial], lags: usize) -> Autocorrelation {
-    let power_of = |trial| Trial::column(trial, Column::Power).unwrap_or_default();
-    let known = || {
-        let values = trials.iter().flat_map(power_of);
-        values.filter(|value| !value.is_nan())
-    };
-    let readings = known().count();
-    let mean_w = known().sum::<f64>() / readings as f64;
-    let square = |value: &f64| (value - mean_w) * (value - mean_w);
-    let variance = known().map(square).sum::<f64>() / readings as f64;
-    let runs: Vec<&[f64]> = trials.iter().flat_map(runs).collect();
-    let mut found = Autocorrelation {
-        at_lag: Vec::with_capacity(lags),
-        pairs: Vec::with_capacity(lags),
-        readings,
-    };
-    for lag in 1..=lags {
-        let (mut sum, mut pairs) = (0.0, 0_usize);
-        for run in &runs {
-            for (before, after) in run.iter().zip(run.iter().skip(lag)) {
-                sum += (before - mean_w) * (after - mean_w);
-                pairs += 1;
+    let each = trials.iter().map(|trial| LagSums::of(trial, lags));
+    LagSums::pooled(&each.collect::<Vec<_>>(), lags)
+}
+
+/// Sums over one trial's readings, from which its autocorrelation and that of several trials follow.
+#[derive(Debug, Clone)]
+pub(super) struct LagSums {
+    readings: usize,
+    /// Of the readings; deviations are from it. 0 without a reading.
+    mean_w: f64,
+    sum_w: f64,
+    sum_squares_w2: f64,
+    /// At lag 1, 2, …
+    lags: Vec<Pairs>,
+}
+
+/// Pairs of readings at a lag.
+#[derive(Debug, Clone, Copy, Default)]
+struct Pairs {
+    count: usize,
+    /// Of the products of their deviations.
+    sum_w2: f64,
+    /// Of the deviations of both.
+    sum_w: f64,
+}
+
+impl LagSums {
+    pub(super) fn of(trial: &Trial, lags: usize) -> Self {
+        let power_w = trial.column(Column::Power).unwrap_or_default();
+        let known = || power_w.iter().copied().filter(|value| !value.is_nan());
+        let readings = known().count();
+        let mean_w = known().sum::<f64>() / readings.max(1) as f64;
+        let runs = runs(trial);
+        let pairs = |lag: usize| {
+            let mut pairs = Pairs::default();
+            for run in &runs {
+                for (before, after) in run.iter().zip(run.iter().skip(lag)) {
+                    pairs.sum_w2 += (before - mean_w) * (after - mean_w);
+                    pairs.sum_w += (before - mean_w) + (after - mean_w);
+                    pairs.count += 1;
+                }
             }
+            pairs
+        };
+        Self {
+            readings,
+            mean_w,
+            sum_w: known().map(|value| value - mean_w).sum(),
+            sum_squares_w2: known()
+                .map(|value| (value - mean_w) * (value - mean_w))
+                .sum(),
+            lags: (1..=lags).map(pairs).collect(),
         }
-        let at_lag = sum / pairs as f64 / variance;
-        found.at_lag.push(at_lag.is_finite().then_some(at_lag));
-        found.pairs.push(pairs);
     }
-    found
+
+    pub(super) const fn readings(&self) -> usize {
+        self.readings
+    }
+
+    /// About the trial's own mean.
+    pub(super) fn alone(&self) -> Autocorrelation {
+        let variance = self.sum_squares_w2 / self.readings as f64;
+        Autocorrelation {
+            at_lag: self
+                .lags
+                .iter()
+                .map(|pairs| known(pairs.sum_w2 / pairs.count as f64 / variance))
+                .collect(),
+            pairs: self.lags.iter().map(|pairs| pairs.count).collect(),
+            readings: self.readings,
+        }
+    }
+
+    /// About the mean of all readings of some trials.
+    pub(super) fn pooled(all: &[Self], lags: usize) -> Autocorrelation {
+        let readings: usize = all.iter().map(|one| one.readings).sum();
+        let mean_w = all
+            .iter()
+            .map(|one| one.mean_w * one.readings as f64)
+            .sum::<f64>()
+            / readings as f64;
+        // Of deviations from another mean, `apart_w` below the trial's own.
+        let squares = all.iter().map(|one| {
+            let apart_w = one.mean_w - mean_w;
+            one.sum_squares_w2 + apart_w * (2.0 * one.sum_w + one.readings as f64 * apart_w)
+        });
+        let variance = squares.sum::<f64>() / readings as f64;
+        let at_lag = |lag: usize| {
+            let of_lag = || all.iter().map(|one| (one.mean_w - mean_w, one.lags[lag]));
+            let sums = of_lag().map(|(apart_w, pairs)| {
+                pairs.sum_w2 + apart_w * (pairs.sum_w + pairs.count as f64 * apart_w)
+            });
+            let count: usize = of_lag().map(|(_, pairs)| pairs.count).sum();
+            (known(sums.sum::<f64>() / count as f64 / variance), count)
+        };
+        let (at_lag, pairs) = (0..lags).map(at_lag).unzip();
+        Autocorrelation {
+            at_lag,
+            pairs,
+            readings,
+        }
+    }
+}
+
+fn known(value: f64) -> Option<f64> {
+    value.is_finite().then_some(value)
 }
 
 /// Runs of readings without a gap or a missing reading.

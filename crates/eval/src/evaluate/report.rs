@@ -95,45 +95,76 @@ impl Evaluation {
     /// The evaluation without its steps.
     #[must_use]
     pub fn report(&self) -> EvaluationReport {
-        let trials: Vec<LiveTrial> = self.robots.iter().map(LiveTrial::from).collect();
-        EvaluationReport::of(&trials)
+        let mut pool = LivePool::default();
+        let robots = self.robots.iter();
+        robots.for_each(|robot| pool.push(&LiveTrial::from(robot)));
+        pool.report()
     }
 }
 
-impl EvaluationReport {
-    /// Of trials in their order.
-    pub(crate) fn of(trials: &[LiveTrial]) -> Self {
-        let mut groups = BTreeMap::<_, Vec<_>>::new();
-        for trial in trials {
-            let key = (&trial.platform, &trial.model);
-            groups.entry(key).or_default().push(trial);
+/// Trials of one or several platforms, without their readings: these are pooled as they come.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct LivePool {
+    /// By platform and model.
+    platforms: BTreeMap<(String, String), Pooled>,
+    robots: Vec<RobotReport>,
+}
+
+/// The trials of a platform and model.
+#[derive(Debug, Clone)]
+struct Pooled {
+    forecast: Forecast,
+    trials: usize,
+    accepted: u64,
+    dropped: u64,
+    /// Of the readings of all trials, in order.
+    scores: Scores,
+}
+
+impl LivePool {
+    /// Adds the next trial.
+    pub(crate) fn push(&mut self, trial: &LiveTrial) {
+        let key = (trial.platform.clone(), trial.model.clone());
+        let pooled = self.platforms.entry(key).or_insert_with(|| Pooled {
+            forecast: trial.forecast,
+            trials: 0,
+            accepted: 0,
+            dropped: 0,
+            scores: Scores::default(),
+        });
+        pooled.trials += 1;
+        pooled.accepted += trial.accepted;
+        pooled.dropped += trial.dropped.values().sum::<u64>();
+        for [reading_w, residual_w, previous_w] in &trial.scored_readings_w {
+            pooled.scores.observe(*reading_w, *residual_w, *previous_w);
         }
-        Self {
-            platforms: groups
-                .values()
-                .map(|trials| platform_report(trials))
-                .collect(),
-            robots: trials.iter().map(robot_report).collect(),
+        self.robots.push(robot_report(trial));
+    }
+
+    /// Adds trials of other platforms or models.
+    pub(crate) fn append(&mut self, other: Self) {
+        self.platforms.extend(other.platforms);
+        self.robots.extend(other.robots);
+    }
+
+    pub(crate) fn report(self) -> EvaluationReport {
+        let platforms = self.platforms.into_iter();
+        EvaluationReport {
+            platforms: platforms.map(platform_report).collect(),
+            robots: self.robots,
         }
     }
 }
 
-fn platform_report(trials: &[&LiveTrial]) -> PlatformReport {
-    let mut pooled = Scores::default();
-    for [reading_w, residual_w, previous_w] in
-        trials.iter().flat_map(|trial| &trial.scored_readings_w)
-    {
-        pooled.observe(*reading_w, *residual_w, *previous_w);
-    }
-    let name = |of: fn(&LiveTrial) -> &String| trials.first().map(|trial| of(trial).clone());
+fn platform_report(((platform, model), pooled): ((String, String), Pooled)) -> PlatformReport {
     PlatformReport {
-        platform: name(|trial| &trial.platform).unwrap_or_default(),
-        model: name(|trial| &trial.model).unwrap_or_default(),
-        forecast: trials.first().map(|trial| trial.forecast),
-        trials: trials.len(),
-        accepted: trials.iter().map(|trial| trial.accepted).sum(),
-        dropped: trials.iter().flat_map(|trial| trial.dropped.values()).sum(),
-        scores: (&pooled).into(),
+        platform,
+        model,
+        forecast: Some(pooled.forecast),
+        trials: pooled.trials,
+        accepted: pooled.accepted,
+        dropped: pooled.dropped,
+        scores: (&pooled.scores).into(),
     }
 }
 

@@ -1,9 +1,12 @@
 //! Tables: the scores of a set of recordings, each forecaster on the same rows.
 
+use std::io;
+
 use serde::{Deserialize, Serialize};
 
 use super::Options;
-use super::blocks::{Block, Draws, HorizonSums, Set, Tallied};
+use super::blocks::{Block, Draws, HorizonSums};
+use super::tallied::{Set, Tallied};
 use joulebus_statistics::bootstrap::{Bootstrap, Estimate};
 use joulebus_statistics::metrics::{Coverage, ResidualQuantiles, Tally};
 
@@ -214,7 +217,15 @@ fn push_skills(found: &mut Vec<f64>, tallies: &[Tally], at: usize, names: &Names
 }
 
 /// The table of a set of recordings.
-pub(crate) fn cell(tallied: &Tallied, set: &Set, names: &Names, options: &Options) -> Cell {
+///
+/// # Errors
+/// Residuals cannot be read from their temporary file.
+pub(crate) fn cell(
+    tallied: &Tallied,
+    set: &Set,
+    names: &Names,
+    options: &Options,
+) -> io::Result<Cell> {
     let (blocks, whole_trials) = tallied.blocks(set, &options.bootstrap);
     let whole = Block::merged(&blocks);
     let draws = Draws::new(&blocks);
@@ -231,7 +242,7 @@ pub(crate) fn cell(tallied: &Tallied, set: &Set, names: &Names, options: &Option
             inside: next(),
             width: next(),
         });
-        ForecasterScore {
+        Ok(ForecasterScore {
             name: names.forecasters[at].clone(),
             role: names.role(at),
             count: tally.count(),
@@ -240,15 +251,15 @@ pub(crate) fn cell(tallied: &Tallied, set: &Set, names: &Names, options: &Option
             mae_w,
             mape: tally.mape(),
             bias_w,
-            residual: ResidualQuantiles::of_sorted(&tallied.residuals_w(set, at)),
+            residual: tallied.residuals(set, at)?,
             energy_error,
             skill,
             interval,
-        }
+        })
     });
-    let forecasters = forecasters.collect();
+    let forecasters = forecasters.collect::<io::Result<_>>()?;
     let first = whole.forecasters.first().copied().unwrap_or_default();
-    Cell {
+    Ok(Cell {
         name: set.name.clone(),
         trials: set.trials(),
         rows: first.count(),
@@ -260,7 +271,7 @@ pub(crate) fn cell(tallied: &Tallied, set: &Set, names: &Names, options: &Option
             whole_trials,
         },
         forecasters,
-    }
+    })
 }
 
 /// The open-loop table of a set of recordings. Rollouts overlap, so only whole trials are

@@ -6,12 +6,12 @@ use joulebus_statistics::bootstrap::Bootstrap;
 use joulebus_train::linear::LinearReport;
 use serde::{Deserialize, Serialize};
 
-use super::blocks::Listed;
 use super::cell::Names;
 use super::design::{DesignReport, Lines};
 use super::members::Member;
-use super::trained_on::{ScoredRows, TrainedOn};
-use super::{Options, Subject};
+use super::tallied::Listed;
+use super::trained_on::{Recognised, ScoredRows, TrainedOn};
+use super::{Options, ScoreError, Subject};
 use crate::evaluate::Forecast;
 
 /// An evaluation without its sums.
@@ -55,7 +55,11 @@ pub struct BaselineReport {
 }
 
 impl Common {
-    pub(super) fn of(subject: Subject<'_>, options: &Options, lines: &Lines) -> Self {
+    pub(super) fn of(
+        subject: Subject<'_>,
+        options: &Options,
+        lines: &Lines,
+    ) -> Result<Self, ScoreError> {
         let Subject {
             models,
             recordings,
@@ -69,13 +73,14 @@ impl Common {
         };
         let platform = subject.platform.map(|platform| platform.name.clone());
         let evaluated = 0..models.len();
-        Self {
+        let recognised = Recognised::of(recordings, models)?;
+        Ok(Self {
             platform: platform.unwrap_or_else(|| "recorded".to_owned()),
             settings: settings.fingerprint(),
             models: evaluated
-                .map(|at| Evaluated::of(at, subject, &names))
+                .map(|at| Evaluated::of(at, subject, &names, &recognised))
                 .collect(),
-            scored_rows: design.scored_rows(recordings, models),
+            scored_rows: design.scored_rows(&recognised),
             design: design.report(),
             baselines: baselines(options, lines),
             names,
@@ -84,7 +89,7 @@ impl Common {
             energy: options.energy,
             bootstrap: options.bootstrap,
             recordings: recordings.iter().map(Listed::of).collect(),
-        }
+        })
     }
 
     /// The options that tables depend on.
@@ -100,7 +105,7 @@ impl Common {
 }
 
 impl Evaluated {
-    fn of(at: usize, subject: Subject<'_>, names: &Names) -> Self {
+    fn of(at: usize, subject: Subject<'_>, names: &Names, recognised: &Recognised) -> Self {
         let model = &subject.models[at];
         let card = match model {
             Model::Network(network) => Some(network.card()),
@@ -112,7 +117,7 @@ impl Evaluated {
             forecast: subject.forecast(model),
             members: members(at, subject, names),
             training_data: card.map(|card| card.training_data.clone()),
-            trained_on: subject.design.trained_on(subject.recordings, model),
+            trained_on: subject.design.trained_on(recognised, at),
         }
     }
 }

@@ -5,11 +5,12 @@ use std::fmt;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::blocks::{Block, Draws, HorizonSums, Set, Tallied};
+use super::blocks::{Block, Draws, HorizonSums};
 use super::cell::Role;
 use super::design::DesignReport;
 use super::report::ModelReport;
 use super::run::tallied;
+use super::tallied::{Set, Tallied};
 use super::trained_on::ScoredRows;
 use super::{Options, ScoreError, Subject};
 use joulebus_statistics::bootstrap::{Bootstrap, Estimate};

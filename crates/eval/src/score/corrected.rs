@@ -8,9 +8,10 @@ use joulebus_settings::FleetSettings;
 use super::blocks::{Block, Sums};
 use super::design::Lines;
 use super::members::Member;
-use super::{Options, Recording, ScoreError, Subject, open_loop, recorded_platform};
+use super::{Contents, Options, ScoreError, Subject, open_loop, recorded_platform};
 use crate::energy::EnergyScores;
 use crate::evaluate::{RobotEvaluation, evaluate_trial};
+use joulebus_dataset::trial::Trial;
 use joulebus_statistics::metrics::{CoverageTally, Tally};
 use joulebus_train::linear::Linear;
 
@@ -53,7 +54,6 @@ pub(super) fn one(
     lines: &Lines,
     at: usize,
 ) -> Result<Found, ScoreError> {
-    let recording = &subject.recordings[at];
     let parts: Vec<_> = subject.design.evaluated(at).collect();
     let apart: Vec<_> = subject.design.apart(at).collect();
     if parts.iter().chain(&apart).all(|(_, rows)| rows.is_empty()) {
@@ -64,71 +64,68 @@ pub(super) fn one(
             energy: Vec::new(),
         });
     }
-    let mut live = live(subject, recording)?;
-    let columns: Vec<Column> = live.iter().map(|live| column(recording, live)).collect();
+    let recording = &subject.recordings[at];
+    let contents = &*recording.contents()?;
+    let mut live = live(subject, recording.id, &contents.trial)?;
+    let columns: Vec<Column> = live.iter().map(|live| column(contents, live)).collect();
     let members = Member::of(subject).into_iter();
     let members: Vec<Vec<f32>> = members
-        .map(|(_, member)| member.forecasts_w(recording))
+        .map(|(_, member)| member.forecasts_w(contents))
         .collect();
     let sums_of = |parts: &[(usize, Range<usize>)]| {
         let mut sums = Sums::default();
         for (fold, rows) in parts.iter().filter(|(_, rows)| !rows.is_empty()) {
             add_rows(
                 &mut sums,
-                recording,
+                contents,
                 (&columns, &members),
                 &lines[*fold],
                 rows.clone(),
                 options,
             );
         }
-        for residuals_w in &mut sums.residuals_w {
-            residuals_w.sort_unstable_by(f32::total_cmp);
-        }
         sums
     };
     let mut sums = sums_of(&parts);
     let before = subject.design.evaluated_before(at);
-    sums.horizons = open_loop::sums(subject.models, recording, (&parts, before), lines, options);
+    sums.horizons = open_loop::sums(subject.models, contents, (&parts, before), lines, options);
     for live in &mut live {
-        subject.design.restrict(at, recording, live);
+        subject.design.restrict(at, contents, live);
     }
     Ok(Found {
         sums,
         trained_on: sums_of(&apart),
         live: if parts.is_empty() { Vec::new() } else { live },
         energy: match options.energy {
-            true => energy(subject, at),
+            true => energy(subject, at, contents),
             false => Vec::new(),
         },
     })
 }
 
 /// Forecasts of the energy of the rows that are evaluated, by each model.
-fn energy(subject: Subject<'_>, at: usize) -> Vec<EnergyScores> {
-    let recording = &subject.recordings[at];
-    let mut scored = vec![false; recording.trial.rows()];
+fn energy(subject: Subject<'_>, at: usize, contents: &Contents) -> Vec<EnergyScores> {
+    let mut scored = vec![false; contents.trial.rows()];
     let parts = subject.design.evaluated(at).map(|(_, part)| part);
     for row in parts.flatten() {
         // The target of a row is the reading of the sample after its own.
-        let target = recording.rows.sample_seq[row] as usize + 1;
+        let target = contents.rows.sample_seq[row] as usize + 1;
         if let Some(scored) = scored.get_mut(target) {
             *scored = true;
         }
     }
     let of = |model| {
         let mut scores = EnergyScores::default();
-        scores.add(model, &recording.trial, &scored);
+        scores.add(model, &contents.trial, &scored);
         scores
     };
     subject.models.iter().map(of).collect()
 }
 
-fn live(subject: Subject<'_>, recording: &Recording) -> Result<Vec<RobotEvaluation>, ScoreError> {
-    let Recording { id, trial, .. } = recording;
+fn live(subject: Subject<'_>, id: u32, trial: &Trial) -> Result<Vec<RobotEvaluation>, ScoreError> {
     let platform = match subject.platform {
         Some(platform) => platform.clone(),
-        None => recorded_platform(*id, trial),
+        None => recorded_platform(id, trial),
     };
     let mut settings = FleetSettings {
         platforms: vec![platform],
@@ -142,14 +139,14 @@ fn live(subject: Subject<'_>, recording: &Recording) -> Result<Vec<RobotEvaluati
     models
         .map(|model| {
             let model = std::slice::from_ref(model);
-            Ok(evaluate_trial(&settings, model, *id, trial)?)
+            Ok(evaluate_trial(&settings, model, id, trial)?)
         })
         .collect()
 }
 
-fn column(recording: &Recording, live: &RobotEvaluation) -> Column {
+fn column(contents: &Contents, live: &RobotEvaluation) -> Column {
     let of = |value: fn(&crate::evaluate::Step) -> Option<f32>| -> Vec<f32> {
-        let seqs = recording.rows.sample_seq.iter();
+        let seqs = contents.rows.sample_seq.iter();
         // Samples count from 0 in the order of their rows, one step each.
         seqs.map(|seq| live.steps.get(*seq as usize).and_then(value))
             .map(|value| value.unwrap_or(f32::NAN))
@@ -165,7 +162,7 @@ fn column(recording: &Recording, live: &RobotEvaluation) -> Column {
 /// Adds a range of rows, in blocks.
 fn add_rows(
     sums: &mut Sums,
-    recording: &Recording,
+    contents: &Contents,
     (columns, members): (&[Column], &[Vec<f32>]),
     lines: &[Option<Linear>],
     rows: Range<usize>,
@@ -180,7 +177,7 @@ fn add_rows(
             intervals: vec![CoverageTally::default(); columns.len()],
         };
         for at in block_rows {
-            let row = &recording.rows.rows[at];
+            let row = &contents.rows.rows[at];
             forecasts_w.clear();
             forecasts_w.extend(columns.iter().map(|column| f64::from(column.power_w[at])));
             let all_known = forecasts_w
@@ -198,7 +195,7 @@ fn add_rows(
                 f64::NAN
             };
             for (place, forecast_w) in forecasts_w.iter().enumerate() {
-                block.forecasters[place].add(reading_w, *forecast_w, recording.step_s[at]);
+                block.forecasters[place].add(reading_w, *forecast_w, contents.step_s[at]);
                 let residual_w = (reading_w - forecast_w) as f32;
                 if residual_w.is_finite() {
                     sums.residuals_w[place].push(residual_w);

@@ -3,15 +3,14 @@
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 
-use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{Recording, ScoreError};
+use super::{Recording, ScoreError, each};
 use joulebus_dataset::rows::Row;
 use joulebus_dataset::split::{
-    Assignment, By, PAUSE_ROWS, Source, Split, assign, assign_leaving_out, digest,
+    Assignment, By, PAUSE_ROWS, SourceInfo, Split, assign_unread, assign_unread_leaving_out, resume,
 };
-use joulebus_train::linear::{Linear, Moments, Terms, known_terms};
+use joulebus_train::linear::{KnownFeatures, Linear, Moments, Terms};
 
 /// Maximum number of folds of [`Design::folds`].
 const FOLDS: usize = 10;
@@ -48,24 +47,23 @@ pub struct Fold {
     pub trained_on: Vec<Part>,
 }
 
-impl PartialEq for Recording {
-    fn eq(&self, other: &Self) -> bool {
-        (&self.name, &self.rows) == (&other.name, &other.rows)
-    }
-}
-
 impl Design {
     /// Evaluates the held-out part of a split; baselines are fitted on all other rows, the
     /// validation part included, since they need no early stopping.
     ///
-    /// The parts are those of [`assign`]: a model trained with the same split of the same
+    /// The parts are those of [`assign_unread`]: a model trained with the same split of the same
     /// recordings has not seen the evaluated rows.
     ///
     /// # Errors
-    /// [`ScoreError::Split`].
+    /// [`ScoreError::Split`]; [`ScoreError::Recording`] in a split in time.
     pub fn held_out(recordings: &[Recording], wanted: Split) -> Result<Self, ScoreError> {
-        let sources = sources(recordings);
-        Ok(Self::assigned(assign(&sources, wanted)?, wanted))
+        let infos = infos(recordings);
+        let resume_at = |at: usize, cuts| -> Result<[usize; 2], ScoreError> {
+            let contents = recordings[at].contents()?;
+            Ok(resume(&contents.rows, cuts))
+        };
+        let assignment = assign_unread(&infos, wanted, resume_at)?;
+        Ok(Self::assigned(assignment, wanted))
     }
 
     /// The same with the held-out units given by name: surfaces or robots unknown to the model.
@@ -77,8 +75,7 @@ impl Design {
         wanted: Split,
         names: &[String],
     ) -> Result<Self, ScoreError> {
-        let sources = sources(recordings);
-        let assignment = assign_leaving_out(&sources, wanted, names)?;
+        let assignment = assign_unread_leaving_out(&infos(recordings), wanted, names)?;
         Ok(Self::assigned(assignment, wanted))
     }
 
@@ -111,7 +108,7 @@ impl Design {
     pub fn folds(recordings: &[Recording]) -> Self {
         let (folds, description) = match recordings {
             [only] => (
-                in_halves(only.rows.rows.len()),
+                in_halves(only.rows()),
                 "no split: all rows; baselines of each half are fitted on the other".to_owned(),
             ),
             several => {
@@ -134,7 +131,7 @@ impl Design {
     /// Evaluates every row; baselines are fitted on other recordings.
     #[must_use]
     pub fn fitted_on(recordings: &[Recording], others: Vec<Recording>) -> Self {
-        let whole = |(at, recording): (usize, &Recording)| (at, 0..recording.rows.rows.len());
+        let whole = |(at, recording): (usize, &Recording)| (at, 0..recording.rows());
         let fold = Fold {
             evaluated: recordings.iter().enumerate().map(whole).collect(),
             fitted: (recordings.len()..).zip(&others).map(whole).collect(),
@@ -157,7 +154,7 @@ impl Design {
         let all: Vec<usize> = recordings
             .iter()
             .chain(&self.others)
-            .map(|recording| recording.rows.rows.len())
+            .map(Recording::rows)
             .collect();
         let parts = self
             .folds
@@ -208,14 +205,6 @@ impl Design {
         before.map(|part| part.1.len()).sum()
     }
 
-    fn rows<'a>(&'a self, recordings: &'a [Recording], part: &Part) -> &'a [Row] {
-        let recording = match part.0.checked_sub(recordings.len()) {
-            None => &recordings[part.0],
-            Some(other) => &self.others[other],
-        };
-        &recording.rows.rows[part.1.clone()]
-    }
-
     /// The design in numbers.
     #[must_use]
     pub fn report(&self) -> DesignReport {
@@ -263,8 +252,8 @@ pub struct DesignReport {
     pub units: Vec<String>,
 }
 
-fn sources(recordings: &[Recording]) -> Vec<Source> {
-    recordings.iter().map(Recording::source).collect()
+fn infos(recordings: &[Recording]) -> Vec<SourceInfo> {
+    recordings.iter().map(Recording::info).collect()
 }
 
 fn names(recordings: &[Recording]) -> Vec<String> {
@@ -277,8 +266,8 @@ fn in_turn(recordings: &[Recording], count: usize) -> Vec<Fold> {
     let mut folds = vec![Fold::default(); count];
     let mut first_with = HashMap::new();
     for (at, recording) in recordings.iter().enumerate() {
-        let whole = (at, 0..recording.rows.rows.len());
-        let first = *first_with.entry(digest(&recording.rows)).or_insert(at);
+        let whole = (at, 0..recording.rows());
+        let first = *first_with.entry(recording.digest()).or_insert(at);
         for (number, fold) in folds.iter_mut().enumerate() {
             if number == first % count {
                 fold.evaluated.push(whole.clone());
@@ -322,34 +311,92 @@ pub(super) fn fit_lines(
     design.check(recordings)?;
     // The moments of a part are computed once, because folds share most of their parts.
     let mut parts: Vec<&Part> = design.folds.iter().flat_map(|fold| &fold.fitted).collect();
-    parts.sort_unstable_by_key(|part| (part.0, part.1.start, part.1.end));
+    parts.sort_unstable_by_key(|part| key(part));
     parts.dedup();
-    let slices: Vec<&[Row]> = parts
-        .iter()
-        .map(|part| design.rows(recordings, part))
-        .collect();
-    let place = |part: &Part| {
-        let key = |part: &Part| (part.0, part.1.start, part.1.end);
-        parts.binary_search_by_key(&key(part), |part| key(part))
+    let fitted = Fitted {
+        all: recordings.iter().chain(&design.others).collect(),
+        parts,
     };
+    let terms = |asked: &[Terms]| -> Result<Vec<(Terms, Vec<usize>)>, ScoreError> {
+        let any = asked
+            .iter()
+            .fold(Terms::of(&[]), |any, terms| any.or(*terms));
+        let known = fitted.map(any.count() > 0, |rows| KnownFeatures::of(rows, any))?;
+        let known = known
+            .into_iter()
+            .fold(KnownFeatures::NONE, KnownFeatures::or);
+        Ok(asked.iter().map(|terms| known.split(*terms)).collect())
+    };
+    let terms = terms(baselines)?;
+    let moments = fitted.map(!baselines.is_empty(), |rows| -> Vec<Moments> {
+        let each = terms.iter().map(|(known, _)| Moments::of(rows, *known));
+        each.collect()
+    })?;
     let mut lines = vec![Vec::new(); design.folds.len()];
-    for &terms in baselines {
-        let (known, missing) = known_terms(&slices, terms);
-        let moments: Vec<Moments> = slices
-            .par_iter()
-            .map(|rows| Moments::of(rows, known))
-            .collect();
+    for (at, (&asked, (known, missing))) in baselines.iter().zip(&terms).enumerate() {
         for (fold, lines) in design.folds.iter().zip(&mut lines) {
-            let mut merged = Moments::new(known);
-            for at in fold.fitted.iter().filter_map(|part| place(part).ok()) {
-                merged.merge(&moments[at])?;
+            let mut merged = Moments::new(*known);
+            for place in fold.fitted.iter().filter_map(|part| fitted.place(part)) {
+                merged.merge(&moments[place][at])?;
             }
-            let mut line = merged.fit(known).ok();
+            let mut line = merged.fit(*known).ok();
             if let Some(line) = &mut line {
-                line.miss(terms, &missing);
+                line.miss(asked, missing);
             }
             lines.push(line);
         }
     }
     Ok(lines)
+}
+
+const fn key(part: &Part) -> (usize, usize, usize) {
+    (part.0, part.1.start, part.1.end)
+}
+
+/// What baselines are fitted on.
+struct Fitted<'a> {
+    /// Those that are evaluated, and those used only for fitting.
+    all: Vec<&'a Recording>,
+    /// In ascending order, each once.
+    parts: Vec<&'a Part>,
+}
+
+impl Fitted<'_> {
+    fn place(&self, part: &Part) -> Option<usize> {
+        let found = self
+            .parts
+            .binary_search_by_key(&key(part), |part| key(part));
+        found.ok()
+    }
+
+    /// What `of` makes of the rows of each part, in their order; nothing is read unless `wanted`.
+    fn map<T: Send>(
+        &self,
+        wanted: bool,
+        of: impl Fn(&[Row]) -> T + Sync,
+    ) -> Result<Vec<T>, ScoreError> {
+        if !wanted {
+            return Ok(Vec::new());
+        }
+        let by_recording: Vec<&[&Part]> = self.parts.chunk_by(|a, b| a.0 == b.0).collect();
+        let recordings: Vec<&Recording> = by_recording
+            .iter()
+            .filter_map(|parts| self.all.get(parts.first()?.0).copied())
+            .collect();
+        let mut found = Vec::with_capacity(self.parts.len());
+        each(
+            &recordings,
+            |at| {
+                let contents = recordings[at].contents()?;
+                let parts = by_recording[at].iter();
+                let parts = parts.map(|part| of(&contents.rows.rows[part.1.clone()]));
+                Ok::<_, ScoreError>(parts.collect::<Vec<T>>())
+            },
+            |_, of_parts| {
+                found.extend(of_parts);
+                Ok(())
+            },
+        )?;
+        Ok(found)
+    }
 }

@@ -2,8 +2,11 @@
 
 use joulebus_predictor::{FeatureSet, Features, Linear, Model, Network};
 
-use super::{Recording, Subject};
+use super::{Contents, Subject};
 use crate::evaluate::Forecast;
+
+/// Rows that a network forecasts at a time.
+const BATCH_ROWS: usize = 4_096;
 
 /// What an online forecast combines, beside the last reading, which is persistence.
 #[derive(Clone, Copy)]
@@ -39,16 +42,24 @@ impl<'a> Member<'a> {
     }
 
     /// Its forecast of each row, W; NaN where a feature is missing.
-    pub(super) fn forecasts_w(&self, recording: &Recording) -> Vec<f32> {
-        let rows = recording.rows.rows.iter().map(|row| row.features);
-        let rows: Vec<Features> = rows.collect();
+    pub(super) fn forecasts_w(&self, contents: &Contents) -> Vec<f32> {
+        let rows = &contents.rows.rows;
         match self {
             Self::Network(network) => {
                 let mut forecasts_w = vec![0.0; rows.len()];
-                network.predict(&rows, &mut forecasts_w);
+                let mut inputs: Vec<Features> = Vec::with_capacity(BATCH_ROWS);
+                let batches = rows.chunks(BATCH_ROWS);
+                for (rows, forecasts_w) in batches.zip(forecasts_w.chunks_mut(BATCH_ROWS)) {
+                    inputs.clear();
+                    inputs.extend(rows.iter().map(|row| row.features));
+                    network.predict(&inputs, forecasts_w);
+                }
                 forecasts_w
             }
-            Self::Autoregression(linear) => rows.iter().map(|row| linear.predict(row)).collect(),
+            Self::Autoregression(linear) => {
+                let each = rows.iter().map(|row| linear.predict(&row.features));
+                each.collect()
+            }
         }
     }
 }

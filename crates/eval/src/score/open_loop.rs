@@ -6,7 +6,7 @@ use joulebus_predictor::{FeatureSet, Features, LAGS, Model, ReadingAge};
 
 use super::blocks::HorizonSums;
 use super::design::Lines;
-use super::{Options, Recording};
+use super::{Contents, Options};
 use joulebus_dataset::rows::Row;
 use joulebus_statistics::metrics::Tally;
 
@@ -30,12 +30,12 @@ fn stride(horizon: usize, every: usize) -> usize {
 /// Every `stride`-th of the evaluated rows, which are counted through all recordings (`before`: those
 /// of the recordings before): the beginning of a run or a recording is an origin as often as any other row.
 fn origins(
-    recording: &Recording,
+    contents: &Contents,
     parts: &[(usize, Range<usize>)],
     before: usize,
     stride: usize,
 ) -> Vec<Origin> {
-    let seqs = &recording.rows.sample_seq;
+    let seqs = &contents.rows.sample_seq;
     let follows = |row: usize| seqs[row] == seqs[row - 1] + 1;
     let mut number = before;
     let mut origins = Vec::new();
@@ -70,7 +70,7 @@ struct Trace {
 /// recordings before it.
 pub(super) fn sums(
     models: &[Model],
-    recording: &Recording,
+    contents: &Contents,
     (parts, before): (&[(usize, Range<usize>)], usize),
     lines: &Lines,
     options: &Options,
@@ -79,14 +79,14 @@ pub(super) fn sums(
     let groups = options.horizons.chunk_by(|a, b| every(a) == every(b));
     let of_group = |horizons: &[usize]| {
         let (first, longest) = (horizons[0], horizons[horizons.len() - 1]);
-        let mut starts = origins(recording, parts, before, every(&first));
+        let mut starts = origins(contents, parts, before, every(&first));
         for start in &mut starts {
             start.end = start.end.min(start.row + longest);
         }
         let rollout = Rollout {
-            rows: &recording.rows.rows,
-            step_s: &recording.step_s,
-            reading_ages: &recording.rows.reading_ages,
+            rows: &contents.rows.rows,
+            step_s: &contents.step_s,
+            reading_ages: &contents.rows.reading_ages,
             starts: &starts,
             horizons,
         };

@@ -1,6 +1,9 @@
 //! Options and errors of scoring.
 
+use std::io;
+
 use joulebus_dataset::split::SplitError;
+use joulebus_dataset::trial::TrialError;
 use joulebus_statistics::bootstrap::Bootstrap;
 use joulebus_train::linear::{LinearError, Terms};
 
@@ -93,6 +96,19 @@ pub enum ScoreError {
         /// Rows of the recording.
         allowed: usize,
     },
+    /// A recording could not be read again.
+    #[error("{0}")]
+    Recording(String),
+    /// The residuals of many rows could not be kept in a temporary file.
+    #[error(
+        "cannot keep residuals in a temporary file in {folder}: {detail}; TMPDIR names another folder"
+    )]
+    Kept {
+        /// The folder.
+        folder: String,
+        /// The operating system's error.
+        detail: String,
+    },
     /// The caller ended the evaluation.
     #[error("the evaluation was ended before it was finished")]
     Ended,
@@ -105,6 +121,22 @@ pub enum ScoreError {
     /// A baseline's features differ from its moments'; never caused by data.
     #[error(transparent)]
     Linear(#[from] LinearError),
+}
+
+impl From<TrialError> for ScoreError {
+    fn from(error: TrialError) -> Self {
+        Self::Recording(error.to_string())
+    }
+}
+
+impl ScoreError {
+    /// Of the temporary file.
+    pub(super) fn kept(error: &io::Error) -> Self {
+        Self::Kept {
+            folder: std::env::temp_dir().display().to_string(),
+            detail: error.to_string(),
+        }
+    }
 }
 
 impl Options {

@@ -6,11 +6,10 @@ use serde::{Deserialize, Serialize};
 
 use super::blocks::{Block, Sums};
 use super::common::Common;
-use super::report::ScoreReport;
-use super::run::{Prepared, SumsOfAll};
+use super::run::{Prepared, Reported, SumsOfAll};
 use super::{Options, ScoreError, Subject};
 use crate::energy::EnergyScores;
-use crate::evaluate::LiveTrial;
+use crate::evaluate::{LivePool, LiveTrial};
 
 /// Sums of some recordings of an evaluation. Sums of floats depend on their order: each recording's are kept, and are
 /// added in the order of the recordings when all are there, so that the tables have the bits of a single run.
@@ -53,23 +52,23 @@ pub fn score_portion(
     is_own: impl Fn(usize) -> bool,
 ) -> Result<Portion, ScoreError> {
     let prepared = Prepared::new(subject, options)?;
-    let places: Vec<usize> = (0..subject.recordings.len())
-        .filter(|at| is_own(*at))
-        .collect();
+    let places = (0..subject.recordings.len()).filter(|at| is_own(*at));
+    let places: Vec<usize> = places.collect();
     let watch = |_| ControlFlow::Continue(());
-    let all = prepared.run(places.clone(), watch, |robot| LiveTrial::from(&robot))?;
-    let recordings = places
-        .into_iter()
-        .zip(all)
-        .map(|(place, found)| OfRecording {
+    let mut recordings = Vec::with_capacity(places.len());
+    let keep = |robot| LiveTrial::from(&robot);
+    prepared.run(&places, watch, keep, |place, found| {
+        recordings.push(OfRecording {
             place,
             evaluated: found.sums,
             trained_on: found.trained_on,
             live: found.live,
             energy: found.energy,
         });
+        Ok(())
+    })?;
     Ok(Portion {
-        recordings: recordings.collect(),
+        recordings,
         common: prepared.common,
     })
 }
@@ -87,11 +86,8 @@ impl Portion {
         &self.common.platform
     }
 
-    /// The evaluation that the portions make up, and the live path: by model, in the recordings' order. The inner error is
-    /// that of a single run.
-    pub(crate) fn merged(
-        portions: Vec<Self>,
-    ) -> Result<Result<(ScoreReport, Vec<LiveTrial>), ScoreError>, Misfit> {
+    /// What a single run reports of the evaluation that the portions make up. The inner error is that of a single run.
+    pub(crate) fn merged(portions: Vec<Self>) -> Result<Result<Reported, ScoreError>, Misfit> {
         let mut portions = portions.into_iter();
         let Some(Self {
             common,
@@ -115,17 +111,22 @@ impl Portion {
         if !recordings.iter().all(|one| one.fits(&common)) {
             return Err(Misfit::Size);
         }
-        let mut live = vec![Vec::new(); common.models.len()];
-        let mut sums = SumsOfAll::default();
-        for one in recordings {
-            for (all, trial) in live.iter_mut().zip(one.live) {
-                all.push(trial);
-            }
-            sums.push(one.evaluated, one.trained_on, one.energy);
-        }
-        let live = live.into_iter().flatten().collect();
-        Ok(sums.report(&common).map(|(report, _)| (report, live)))
+        Ok(report(&common, recordings))
     }
+}
+
+fn report(common: &Common, recordings: Vec<OfRecording>) -> Result<Reported, ScoreError> {
+    let mut live = vec![LivePool::default(); common.models.len()];
+    let mut sums = SumsOfAll::default();
+    // All are there, in order.
+    for (listed, one) in common.recordings.iter().zip(recordings) {
+        for (pool, trial) in live.iter_mut().zip(&one.live) {
+            pool.push(trial);
+        }
+        sums.push(listed, one.evaluated, one.trained_on, one.energy)?;
+    }
+    let (report, _) = sums.report(common)?;
+    Ok(Reported { report, live })
 }
 
 /// To the bit: a NaN equals itself.

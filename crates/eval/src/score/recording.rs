@@ -1,16 +1,15 @@
 //! A recording and its rows.
 
-use std::path::PathBuf;
-
-use joulebus_settings::Platform;
-use rayon::prelude::*;
+use std::fmt;
+use std::sync::Arc;
 
 use joulebus_dataset::rows::{TrialRows, trial_rows};
-use joulebus_dataset::split::{Placed, Source, SplitError, check_copies, group_of};
-use joulebus_dataset::trial::{ColumnMap, Trial, TrialError};
+use joulebus_dataset::split::{Placed, SourceInfo, SplitError, check_copies, digest, group_of};
+use joulebus_dataset::trial::{Stored, Trial, TrialError};
+use joulebus_settings::Platform;
 
-/// A trial with its names and rows.
-#[derive(Debug, Clone)]
+/// A trial with its names: in memory, or in a file that is read whenever its rows are needed.
+#[derive(Clone)]
 pub struct Recording {
     /// Id of its robot, for the live path.
     pub id: u32,
@@ -20,6 +19,30 @@ pub struct Recording {
     pub robot: String,
     /// Name of the group: [`group_of`] its file.
     pub group: String,
+    /// The trial's file: its name, if no other robot shares the file.
+    file: String,
+    /// Notes on the trial's quality, in one line.
+    notes: String,
+    /// Rows of the trial.
+    trial_rows: usize,
+    /// Rows with a forecast and a reading that follows.
+    rows: usize,
+    /// Hash of these.
+    digest: [u8; 32],
+    period_ns: u64,
+    held: Held,
+}
+
+/// Where a recording is.
+#[derive(Clone)]
+enum Held {
+    Memory(Arc<Contents>),
+    Stored(Stored),
+}
+
+/// What a recording has.
+#[derive(Debug)]
+pub struct Contents {
     /// The trial.
     pub trial: Trial,
     /// Rows with a forecast and a reading that follows.
@@ -29,12 +52,10 @@ pub struct Recording {
     pub step_s: Vec<f64>,
 }
 
-impl Recording {
-    /// With names derived from the trial's file.
+impl Contents {
+    /// The rows of a trial.
     #[must_use]
-    pub fn new(id: u32, trial: Trial) -> Self {
-        let file = trial.path().file_name().and_then(|name| name.to_str());
-        let file = file.unwrap_or_default().to_owned();
+    pub fn of(trial: Trial) -> Self {
         let rows = trial_rows(&trial);
         let offset_ns = trial.offset_ns();
         // Sample k carries the reading of row k; its forecast is for that of row k + 1.
@@ -43,58 +64,150 @@ impl Recording {
             (offset_ns[at + 1] - offset_ns[at]) as f64 * 1e-9
         });
         Self {
-            id,
-            name: trial.path().display().to_string(),
-            robot: trial.robot_name().unwrap_or(&file).to_owned(),
-            group: group_of(&file),
             step_s: step_s.collect(),
             rows,
             trial,
         }
     }
+}
+
+impl Recording {
+    /// A trial in memory, with names derived from its file.
+    #[must_use]
+    pub fn new(id: u32, trial: Trial) -> Self {
+        Self::with(id, Contents::of(trial))
+    }
+
+    fn with(id: u32, contents: Contents) -> Self {
+        let Contents { trial, rows, .. } = &contents;
+        let file = trial.path().file_name().and_then(|name| name.to_str());
+        let file = file.unwrap_or_default().to_owned();
+        Self {
+            id,
+            name: trial.path().display().to_string(),
+            robot: trial.robot_name().unwrap_or(&file).to_owned(),
+            group: group_of(&file),
+            file: trial.path().display().to_string(),
+            notes: trial.notes().to_string(),
+            trial_rows: trial.rows(),
+            rows: rows.rows.len(),
+            digest: digest(rows),
+            period_ns: trial.period_ns(),
+            held: Held::Memory(Arc::new(contents)),
+        }
+    }
+
+    /// The same, read again from where it came whenever its rows are needed.
+    pub(super) fn stored(self, place: Stored) -> Self {
+        Self {
+            held: Held::Stored(place),
+            ..self
+        }
+    }
+
+    /// The trial and its rows; read from the file if they are not in memory.
+    ///
+    /// # Errors
+    /// [`TrialError`]: the file cannot be read again, or has changed.
+    pub fn contents(&self) -> Result<Arc<Contents>, TrialError> {
+        let place = match &self.held {
+            Held::Memory(contents) => return Ok(Arc::clone(contents)),
+            Held::Stored(place) => place,
+        };
+        let contents = Contents::of(place.read_again()?);
+        let found = contents.trial.rows();
+        if found != self.trial_rows || digest(&contents.rows) != self.digest {
+            return Err(TrialError::Changed {
+                path: contents.trial.path().to_owned(),
+                found,
+                before: self.trial_rows,
+            });
+        }
+        Ok(Arc::new(contents))
+    }
+
+    /// The same in memory.
+    ///
+    /// # Errors
+    /// As [`Recording::contents`].
+    pub fn loaded(&self) -> Result<Self, TrialError> {
+        Ok(Self {
+            held: Held::Memory(self.contents()?),
+            ..self.clone()
+        })
+    }
+
+    /// The trial and its rows, if they are in memory.
+    #[must_use]
+    pub fn in_memory(&self) -> Option<&Contents> {
+        match &self.held {
+            Held::Memory(contents) => Some(contents),
+            Held::Stored(_) => None,
+        }
+    }
+
+    /// The trial's file.
+    #[must_use]
+    pub fn file(&self) -> &str {
+        &self.file
+    }
+
+    /// Notes on the trial's quality, in one line.
+    #[must_use]
+    pub fn notes(&self) -> &str {
+        &self.notes
+    }
+
+    /// Number of rows with a forecast and a reading that follows.
+    #[must_use]
+    pub const fn rows(&self) -> usize {
+        self.rows
+    }
+
+    /// Number of rows of the trial.
+    #[must_use]
+    pub const fn trial_rows(&self) -> usize {
+        self.trial_rows
+    }
+
+    /// Hash of the rows with a forecast.
+    #[must_use]
+    pub const fn digest(&self) -> [u8; 32] {
+        self.digest
+    }
+
+    /// Median period of the trial, ns.
+    #[must_use]
+    pub const fn period_ns(&self) -> u64 {
+        self.period_ns
+    }
 
     /// As a source of a split.
     #[must_use]
-    pub fn source(&self) -> Source {
-        Source {
+    pub fn info(&self) -> SourceInfo {
+        SourceInfo {
             trial: self.name.clone(),
             robot: self.robot.clone(),
             group: self.group.clone(),
-            rows: self.rows.clone(),
+            rows: self.rows,
+            digest: self.digest,
+            period_s: (self.period_ns as f64 * 1e-9) as f32,
         }
     }
 }
 
-/// Reads recordings in parallel and returns them in the order of their files. Each has the id given
-/// with its file; a file with several robots yields a recording for each. `map` names the columns of
-/// CSV files.
-///
-/// # Errors
-/// The error of the first file, in their order, that cannot be read.
-pub fn read_recordings(
-    files: &[(u32, PathBuf)],
-    map: &ColumnMap,
-) -> Result<Vec<Recording>, TrialError> {
-    let each = files.par_iter();
-    let read = each.map(|(id, path)| -> Result<Vec<Recording>, TrialError> {
-        let trials = Trial::read_mapped(path, map)?;
-        let several = trials.len() > 1;
-        let named = trials.into_iter().map(|trial| {
-            let mut recording = Recording::new(*id, trial);
-            if several {
-                recording.name = format!("{} {}", recording.name, recording.robot);
-            }
-            recording
-        });
-        Ok(named.collect())
-    });
-    // Collected first, so that the error is always that of the first file.
-    let read: Vec<Result<Vec<Recording>, TrialError>> = read.collect();
-    let mut recordings = Vec::new();
-    for read in read {
-        recordings.extend(read?);
+impl fmt::Debug for Recording {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut shown = out.debug_struct("Recording");
+        shown.field("id", &self.id).field("name", &self.name);
+        shown.field("rows", &self.rows).finish_non_exhaustive()
     }
-    Ok(recordings)
+}
+
+impl PartialEq for Recording {
+    fn eq(&self, other: &Self) -> bool {
+        (&self.name, self.digest) == (&other.name, other.digest)
+    }
 }
 
 /// A platform that accepts a trial as it was recorded: its median period, and limits that refuse
@@ -132,13 +245,12 @@ pub fn check_apart(
 ) -> Result<(), SplitError> {
     let placed = [(evaluated, "evaluated"), learned];
     let placed = placed.into_iter().flat_map(|(recordings, part)| {
-        recordings
-            .iter()
-            .map(move |Recording { name, rows, .. }| Placed {
-                trial: name,
-                rows,
-                part,
-            })
+        recordings.iter().map(move |recording| Placed {
+            trial: &recording.name,
+            rows: recording.rows,
+            digest: recording.digest,
+            part,
+        })
     });
     check_copies(placed)
 }

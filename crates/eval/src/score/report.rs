@@ -1,12 +1,14 @@
 //! All scores of an evaluation.
 
+use std::io;
+
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::blocks::{Set, Tallied};
 use super::cell::{Cell, HorizonCell, cell, horizon_cell};
 use super::common::{BaselineReport, Common, Evaluated};
 use super::design::DesignReport;
+use super::tallied::{Set, Tallied};
 use super::trained_on::{ScoredRows, TrainedOn, warnings};
 use crate::energy::{EnergyErrors, EnergyScores};
 use crate::evaluate::Forecast;
@@ -76,21 +78,23 @@ pub struct ModelReport {
 }
 
 /// The tables, from sums of the recordings and each model's forecasts of energy.
+///
+/// # Errors
+/// Residuals cannot be read from their temporary file.
 pub(super) fn report(
     common: &Common,
     [tallied, apart]: [&Tallied; 2],
     energy: &[EnergyScores],
-) -> ScoreReport {
+) -> io::Result<ScoreReport> {
     let (names, options) = (&common.names, &common.options());
-    let tables = |sets: Vec<Set>| -> (Vec<Cell>, Vec<HorizonCell>) {
+    let tables = |sets: Vec<Set>| -> io::Result<(Vec<Cell>, Vec<HorizonCell>)> {
         let sets = if sets.len() > 1 { sets } else { Vec::new() };
         let of = |set: &Set| {
-            (
-                cell(tallied, set, names, options),
-                horizon_cell(tallied, set, names, options),
-            )
+            let horizons = horizon_cell(tallied, set, names, options);
+            Ok((cell(tallied, set, names, options)?, horizons))
         };
-        sets.par_iter().map(of).unzip()
+        let found: io::Result<Vec<_>> = sets.par_iter().map(of).collect();
+        Ok(found?.into_iter().unzip())
     };
     let mut energy = energy.iter().map(EnergyScores::errors);
     let models = common.models.iter();
@@ -98,10 +102,11 @@ pub(super) fn report(
     let stated = models.iter();
     let stated = stated.map(|model| (model.name.as_str(), model.trained_on));
     let all = tallied.all();
-    let (groups, open_loop_groups) = tables(tallied.groups());
-    let (robots, open_loop_robots) = tables(tallied.robots());
-    let (trials, open_loop_trials) = tables(tallied.trials());
-    ScoreReport {
+    let (groups, open_loop_groups) = tables(tallied.groups())?;
+    let (robots, open_loop_robots) = tables(tallied.robots())?;
+    let (trials, open_loop_trials) = tables(tallied.trials())?;
+    let trained_on = (apart.rows() > 0).then(|| cell(apart, &apart.all(), names, options));
+    Ok(ScoreReport {
         platform: common.platform.clone(),
         scored_rows: common.scored_rows,
         warnings: warnings(stated, common.scored_rows),
@@ -110,8 +115,8 @@ pub(super) fn report(
         baselines: common.baselines.clone(),
         bootstrap: options.bootstrap,
         period_s: tallied.period_s(),
-        all: cell(tallied, &all, names, options),
-        trained_on: (apart.rows() > 0).then(|| cell(apart, &apart.all(), names, options)),
+        all: cell(tallied, &all, names, options)?,
+        trained_on: trained_on.transpose()?,
         groups,
         robots,
         trials,
@@ -120,7 +125,7 @@ pub(super) fn report(
         open_loop_groups,
         open_loop_robots,
         open_loop_trials,
-    }
+    })
 }
 
 fn of_model(model: &Evaluated, energy: Option<EnergyErrors>) -> ModelReport {

@@ -4,16 +4,16 @@ use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use joulebus_train::linear::Linear;
-use rayon::prelude::*;
 
-use super::blocks::{Sums, Tallied};
+use super::blocks::Sums;
 use super::common::Common;
 use super::corrected::{self, Found};
 use super::design::fit_lines;
 use super::report::{ScoreReport, report};
-use super::{Options, ScoreError, Subject};
+use super::tallied::{Listed, Tallied};
+use super::{Options, Recording, ScoreError, Subject, each};
 use crate::energy::EnergyScores;
-use crate::evaluate::{Evaluation, LiveTrial, RobotEvaluation};
+use crate::evaluate::{Evaluation, LivePool, LiveTrial, RobotEvaluation};
 
 /// Result of an evaluation.
 #[derive(Debug, Clone)]
@@ -29,8 +29,8 @@ pub struct Scored {
 pub struct Reported {
     /// All scores.
     pub report: ScoreReport,
-    /// The live path: by model, in the recordings' order.
-    pub(crate) live: Vec<LiveTrial>,
+    /// The live path of each model, pooled in the recordings' order.
+    pub(crate) live: Vec<LivePool>,
 }
 
 /// Evaluates the models on the recordings, in parallel.
@@ -78,12 +78,10 @@ pub fn score_watched(
     options: &Options,
     watch: impl Fn(usize) -> ControlFlow<()> + Sync,
 ) -> Result<Scored, ScoreError> {
-    let (report, _, live) = run_all(subject, options, watch, Some)?;
-    let live = live.into_iter().map(|robots| Evaluation { robots });
-    Ok(Scored {
-        report,
-        live: live.collect(),
-    })
+    let mut live = vec![Evaluation { robots: Vec::new() }; subject.models.len()];
+    let take = |model: usize, robot| live[model].robots.push(robot);
+    let (report, _) = run_all(subject, options, watch, |robot| robot, take)?;
+    Ok(Scored { report, live })
 }
 
 /// As [`score`], for reports. The steps of a recording's live path, which are most of what [`Scored`] holds, are gone when
@@ -93,12 +91,11 @@ pub fn score_watched(
 /// As [`score`].
 pub fn score_reported(subject: Subject<'_>, options: &Options) -> Result<Reported, ScoreError> {
     let watch = |_| ControlFlow::Continue(());
-    let keep = |robot| Some(LiveTrial::from(&robot));
-    let (report, _, live) = run_all(subject, options, watch, keep)?;
-    Ok(Reported {
-        report,
-        live: live.into_iter().flatten().collect(),
-    })
+    let mut live = vec![LivePool::default(); subject.models.len()];
+    let take = |model: usize, trial: LiveTrial| live[model].push(&trial);
+    let keep = |robot| LiveTrial::from(&robot);
+    let (report, _) = run_all(subject, options, watch, keep, take)?;
+    Ok(Reported { report, live })
 }
 
 /// The tables, and their sums, without the live path.
@@ -107,29 +104,28 @@ pub(super) fn tallied(
     options: &Options,
 ) -> Result<(ScoreReport, Tallied), ScoreError> {
     let watch = |_| ControlFlow::Continue(());
-    let (report, blocks, _) = run_all(subject, options, watch, |_| None::<()>)?;
-    Ok((report, blocks))
+    run_all(subject, options, watch, |_| (), |_, ()| ())
 }
 
-/// The tables, their sums, and what `keep` makes of the live path of each model, in the recordings' order.
+/// The tables and their sums. `take` gets what `keep` makes of the live path of each model, with its index, in the
+/// recordings' order.
 fn run_all<T: Send>(
     subject: Subject<'_>,
     options: &Options,
     watch: impl Fn(usize) -> ControlFlow<()> + Sync,
-    keep: impl Fn(RobotEvaluation) -> Option<T> + Sync,
-) -> Result<(ScoreReport, Tallied, Vec<Vec<T>>), ScoreError> {
+    keep: impl Fn(RobotEvaluation) -> T + Sync,
+    mut take: impl FnMut(usize, T),
+) -> Result<(ScoreReport, Tallied), ScoreError> {
     let prepared = Prepared::new(subject, options)?;
-    let recordings = prepared.common.recordings.len();
-    let mut live: Vec<Vec<T>> = subject.models.iter().map(|_| Vec::new()).collect();
+    let places: Vec<usize> = (0..subject.recordings.len()).collect();
     let mut sums = SumsOfAll::default();
-    for found in prepared.run(0..recordings, watch, keep)? {
-        for (all, one) in live.iter_mut().zip(found.live) {
-            all.extend(one);
-        }
-        sums.push(found.sums, found.trained_on, found.energy);
-    }
-    let (report, blocks) = sums.report(&prepared.common)?;
-    Ok((report, blocks, live))
+    prepared.run(&places, watch, keep, |at, found| {
+        let live = found.live.into_iter().enumerate();
+        live.for_each(|(model, kept)| take(model, kept));
+        let listed = &prepared.common.recordings[at];
+        sums.push(listed, found.sums, found.trained_on, found.energy)
+    })?;
+    sums.report(&prepared.common)
 }
 
 /// An evaluation before its recordings are run.
@@ -153,57 +149,72 @@ impl<'a> Prepared<'a> {
         Ok(Self {
             subject,
             options,
-            common: Common::of(subject, options, &lines),
+            common: Common::of(subject, options, &lines)?,
             lines,
         })
     }
 
-    /// Runs some recordings, in parallel. Results are in the order of `places`; of the live path they have what `keep`
-    /// makes of it as soon as a recording is done.
+    /// Runs some recordings, in parallel. `take` gets their indices and results in the order of `places`; of the live path
+    /// these have what `keep` makes of it as soon as a recording is done.
     pub(super) fn run<T: Send>(
         &self,
-        places: impl IntoParallelIterator<Item = usize, Iter: IndexedParallelIterator>,
+        places: &[usize],
         watch: impl Fn(usize) -> ControlFlow<()> + Sync,
         keep: impl Fn(RobotEvaluation) -> T + Sync,
-    ) -> Result<Vec<Found<T>>, ScoreError> {
+        mut take: impl FnMut(usize, Found<T>) -> Result<(), ScoreError>,
+    ) -> Result<(), ScoreError> {
         let done = AtomicUsize::new(0);
-        let each = places.into_par_iter().map(|at| {
-            let found = corrected::one(self.subject, self.options, &self.lines, at)?;
+        let recordings: Vec<&Recording> = places
+            .iter()
+            .filter_map(|at| self.subject.recordings.get(*at))
+            .collect();
+        let one = |place: usize| {
+            let found = corrected::one(self.subject, self.options, &self.lines, places[place])?;
             let found = found.keeping(&keep);
             match watch(done.fetch_add(1, Ordering::Relaxed) + 1) {
                 ControlFlow::Continue(()) => Ok(found),
                 ControlFlow::Break(()) => Err(ScoreError::Ended),
             }
-        });
-        each.collect()
+        };
+        each(&recordings, one, |place, found| take(places[place], found))
     }
 }
 
 /// The sums of all recordings, in their order.
 #[derive(Default)]
 pub(super) struct SumsOfAll {
-    evaluated: Vec<Sums>,
-    trained_on: Vec<Sums>,
+    evaluated: Tallied,
+    trained_on: Tallied,
     /// Of each model.
     energy: Vec<EnergyScores>,
 }
 
 impl SumsOfAll {
-    pub(super) fn push(&mut self, evaluated: Sums, trained_on: Sums, energy: Vec<EnergyScores>) {
-        self.evaluated.push(evaluated);
-        self.trained_on.push(trained_on);
+    pub(super) fn push(
+        &mut self,
+        listed: &Listed,
+        evaluated: Sums,
+        trained_on: Sums,
+        energy: Vec<EnergyScores>,
+    ) -> Result<(), ScoreError> {
+        for (all, one) in [
+            (&mut self.evaluated, evaluated),
+            (&mut self.trained_on, trained_on),
+        ] {
+            all.push(listed, one)
+                .map_err(|error| ScoreError::kept(&error))?;
+        }
         if self.energy.len() < energy.len() {
             self.energy.resize_with(energy.len(), Default::default);
         }
         for (all, one) in self.energy.iter_mut().zip(energy) {
             all.append(one);
         }
+        Ok(())
     }
 
     pub(super) fn report(self, common: &Common) -> Result<(ScoreReport, Tallied), ScoreError> {
-        let blocks = Tallied::new(&common.recordings, self.evaluated);
-        let apart = Tallied::new(&common.recordings, self.trained_on);
-        if blocks.rows() == 0 {
+        if self.evaluated.rows() == 0 {
             let rows = common.recordings.iter().map(|recording| recording.rows);
             return Err(ScoreError::NoRows {
                 recordings: common.recordings.len(),
@@ -214,7 +225,8 @@ impl SumsOfAll {
         if common.energy {
             energy.resize_with(common.models.len(), Default::default);
         }
-        let report = report(common, [&blocks, &apart], &energy);
-        Ok((report, blocks))
+        let report = report(common, [&self.evaluated, &self.trained_on], &energy);
+        let report = report.map_err(|error| ScoreError::kept(&error))?;
+        Ok((report, self.evaluated))
     }
 }

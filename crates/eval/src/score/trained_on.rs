@@ -1,11 +1,13 @@
 //! Which of the scored rows a model was trained on.
 
+use std::ops::Range;
+
 use joulebus_dataset::trained_rows::is_trained_on;
-use joulebus_predictor::Model;
+use joulebus_predictor::{Model, TrainedRows};
 use serde::{Deserialize, Serialize};
 
 use super::design::Part;
-use super::{Design, Recording};
+use super::{Contents, Design, Recording, ScoreError, each};
 use crate::evaluate::RobotEvaluation;
 
 /// Fewer rows than these are not worth a headline: 1.7 s at 30 Hz.
@@ -36,43 +38,105 @@ pub enum ScoredRows {
     Unknown,
 }
 
-/// For each row, whether the model was trained on it; `None` if its file does not state that.
-fn mask(model: &Model, recording: &Recording) -> Option<Vec<bool>> {
-    let rows = &recording.rows.rows;
-    match model {
-        Model::Persistence(_) => Some(vec![false; rows.len()]),
-        Model::Network(network) => {
-            let trained = network.card().trained_rows.as_ref()?;
-            Some(is_trained_on(rows, trained))
+/// The rows of some recordings that models were trained on.
+pub(super) struct Recognised {
+    /// `None` if the model's file does not state its rows.
+    of: Vec<Option<OfModel>>,
+}
+
+/// Stretches of each recording's rows, ascending.
+type OfModel = Vec<Vec<Range<usize>>>;
+
+impl Recognised {
+    pub(super) fn of(recordings: &[Recording], models: &[Model]) -> Result<Self, ScoreError> {
+        let stated = models.iter().map(|model| match model {
+            Model::Persistence(_) => None,
+            Model::Network(network) => network.card().trained_rows.as_ref(),
+        });
+        let stated: Vec<Option<&TrainedRows>> = stated.collect();
+        let of = models.iter().zip(&stated);
+        let of = of.map(|(model, stated)| match model {
+            Model::Persistence(_) => Some(vec![Vec::new(); recordings.len()]),
+            Model::Network(_) => stated.map(|_| Vec::new()),
+        });
+        let mut of: Vec<Option<OfModel>> = of.collect();
+        if stated.iter().all(Option::is_none) {
+            return Ok(Self { of });
         }
+        each(
+            &recordings.iter().collect::<Vec<_>>(),
+            |at| {
+                let rows = &recordings[at].contents()?.rows.rows;
+                let found = stated.iter();
+                let found = found.map(|stated| Some(stretches(&is_trained_on(rows, (*stated)?))));
+                Ok::<_, ScoreError>(found.collect::<Vec<_>>())
+            },
+            |_, found| {
+                for (all, found) in of.iter_mut().zip(found) {
+                    if let (Some(all), Some(found)) = (all, found) {
+                        all.push(found);
+                    }
+                }
+                Ok(())
+            },
+        )?;
+        Ok(Self { of })
+    }
+
+    /// Rows of the parts that a model was trained on; `None` if that is not known.
+    fn count<'a>(&self, model: usize, parts: impl Iterator<Item = &'a Part>) -> Option<TrainedOn> {
+        let recordings = self.of.get(model)?.as_ref()?;
+        let (mut rows, mut of) = (0, 0);
+        for (at, part) in parts {
+            let trained = recordings.get(*at)?.iter();
+            rows += trained.map(|one| overlap(one, part)).sum::<usize>();
+            of += part.len();
+        }
+        let share = rows as f64 / of as f64;
+        Some(TrainedOn { rows, of, share })
+    }
+
+    /// For each of a recording's rows, whether any of the models was trained on it.
+    fn by_any(&self, recording: usize, rows: usize) -> Vec<bool> {
+        let mut trained = vec![false; rows];
+        let of = self.of.iter().flatten();
+        for stretch in of.filter_map(|model| model.get(recording)).flatten() {
+            trained[stretch.clone()].fill(true);
+        }
+        trained
     }
 }
 
-/// Rows of the parts that the model was trained on.
-fn count<'a>(
-    model: &Model,
-    recordings: &[Recording],
-    parts: impl Iterator<Item = &'a Part>,
-) -> Option<TrainedOn> {
-    let (mut rows, mut of) = (0, 0);
-    for (at, part) in parts {
-        let mask = mask(model, recordings.get(*at)?)?;
-        rows += mask[part.clone()]
-            .iter()
-            .filter(|trained| **trained)
-            .count();
-        of += part.len();
-    }
-    let share = rows as f64 / of as f64;
-    Some(TrainedOn { rows, of, share })
+/// Where a mask is true.
+fn stretches(mask: &[bool]) -> Vec<Range<usize>> {
+    let mut end = 0;
+    let all = mask.chunk_by(|a, b| a == b).map(|stretch| {
+        let start = end;
+        end += stretch.len();
+        (stretch[0], start..end)
+    });
+    all.filter_map(|(is_trained, range)| is_trained.then_some(range))
+        .collect()
+}
+
+fn overlap(one: &Range<usize>, other: &Range<usize>) -> usize {
+    let end = one.end.min(other.end);
+    end.saturating_sub(one.start.max(other.start))
 }
 
 impl Design {
     /// Moves the evaluated rows that a model was trained on into
     /// [`Fold::trained_on`](super::Fold::trained_on), to be scored apart. Nothing is moved if fewer than
     /// 50 others would be left: [`ScoredRows`] then states what the scores are of.
-    #[must_use]
-    pub fn hold_apart(mut self, recordings: &[Recording], models: &[Model]) -> Self {
+    ///
+    /// # Errors
+    /// [`ScoreError::Recording`].
+    pub fn hold_apart(
+        mut self,
+        recordings: &[Recording],
+        models: &[Model],
+    ) -> Result<Self, ScoreError> {
+        let recognised = Recognised::of(recordings, models)?;
         let before = self.folds.clone();
         for fold in &mut self.folds {
             let mut evaluated = Vec::new();
@@ -81,12 +145,7 @@ impl Design {
                     evaluated.push((at, part));
                     continue;
                 };
-                let mut trained = vec![false; recording.rows.rows.len()];
-                for mask in models.iter().filter_map(|model| mask(model, recording)) {
-                    for (any, one) in trained.iter_mut().zip(mask) {
-                        *any |= one;
-                    }
-                }
+                let trained = recognised.by_any(at, recording.rows());
                 let mut end = part.start;
                 for stretch in trained[part].chunk_by(|a, b| a == b) {
                     let start = end;
@@ -105,7 +164,7 @@ impl Design {
         if left < FEWEST_APART {
             self.folds = before;
         }
-        self
+        Ok(self)
     }
 
     fn parts(&self) -> impl Iterator<Item = &Part> {
@@ -114,15 +173,15 @@ impl Design {
 
     /// Of the rows to be evaluated, those that the model was trained on; `None` if its file does not
     /// state them.
-    pub(super) fn trained_on(&self, recordings: &[Recording], model: &Model) -> Option<TrainedOn> {
+    pub(super) fn trained_on(&self, recognised: &Recognised, model: usize) -> Option<TrainedOn> {
         let apart = self.folds.iter().flat_map(|fold| &fold.trained_on);
-        count(model, recordings, self.parts().chain(apart))
+        recognised.count(model, self.parts().chain(apart))
     }
 
     /// What the evaluated rows are to the models.
-    pub(super) fn scored_rows(&self, recordings: &[Recording], models: &[Model]) -> ScoredRows {
-        let counts = models.iter();
-        let counts = counts.map(|model| count(model, recordings, self.parts()));
+    pub(super) fn scored_rows(&self, recognised: &Recognised) -> ScoredRows {
+        let counts = 0..recognised.of.len();
+        let counts = counts.map(|model| recognised.count(model, self.parts()));
         let counts: Vec<Option<TrainedOn>> = counts.collect();
         let known = || counts.iter().flatten();
         if known().any(|found| found.rows > 0) {
@@ -139,13 +198,13 @@ impl Design {
 
     /// Marks readings of rows that are not evaluated as not scored, and sums the scores again without
     /// them. Readings that belong to no row, after gaps, stay.
-    pub fn restrict(&self, at: usize, recording: &Recording, live: &mut RobotEvaluation) {
-        let rows = recording.rows.rows.len();
+    pub fn restrict(&self, at: usize, contents: &Contents, live: &mut RobotEvaluation) {
+        let rows = contents.rows.rows.len();
         let mut left_out = vec![true; rows];
         for (_, part) in self.evaluated(at) {
             left_out[part].fill(false);
         }
-        let seqs = recording.rows.sample_seq.iter().zip(left_out);
+        let seqs = contents.rows.sample_seq.iter().zip(left_out);
         let mut any = false;
         for (seq, _) in seqs.filter(|(_, is_out)| *is_out) {
             // A row's target is the reading of the next sample.

@@ -8,6 +8,7 @@ use joulebus_dataset::trial::{Column, Method, Resample, Row, Trial};
 use joulebus_eval::analyze::{
     Analysis, AnalysisSettings, AnalyzeError, Member, Series, analyze, autocorrelation, pooled,
 };
+use joulebus_eval::score::Recording;
 use proptest::prelude::*;
 
 use recordings::trials;
@@ -55,12 +56,21 @@ fn kept(name: &str, rows: usize, keep: f64, hold: usize, seed: u64) -> Trial {
     trial(name, power)
 }
 
+fn recordings(trials: &[Trial]) -> Vec<Recording> {
+    let each = (0..).zip(trials);
+    each.map(|(id, trial)| Recording::new(id, trial.clone()))
+        .collect()
+}
+
 fn native(trials: &[Trial], settings: &AnalysisSettings) -> Series {
     let settings = AnalysisSettings {
         grids: Vec::new(),
         ..settings.clone()
     };
-    analyze(trials, &settings, &[]).unwrap().series.remove(0)
+    analyze(&recordings(trials), &settings, &[])
+        .unwrap()
+        .series
+        .remove(0)
 }
 
 fn named<'a>(series: &'a Series, name: &str) -> &'a Member {
@@ -163,7 +173,10 @@ fn the_share_of_held_readings_in_a_score_is_separated() {
         }],
         ..AnalysisSettings::default()
     };
-    let at_10_hz = analyze(&trials, &thinned, &[]).unwrap().series.remove(1);
+    let at_10_hz = analyze(&recordings(&trials), &thinned, &[])
+        .unwrap()
+        .series
+        .remove(1);
     assert_eq!(
         (at_10_hz.name.as_str(), at_10_hz.held_share),
         ("held at 10 Hz", 0.0)
@@ -222,15 +235,17 @@ fn a_group_is_held_out_by_name_and_an_unknown_one_is_refused() {
         },
         ..AnalysisSettings::default()
     };
-    let found: Analysis = analyze(&trials, &leave_out(&["ICE"], By::Group), &[]).unwrap();
+    let found: Analysis =
+        analyze(&recordings(&trials), &leave_out(&["ICE"], By::Group), &[]).unwrap();
     let split = &found.series[0].split;
     assert_eq!(split.held_out, ["ICE"]);
     assert!(split.name.contains("ICE held out"), "{}", split.name);
     assert!(!split.training.is_empty() && !split.validation.is_empty());
-    let refused = |names: &[&str], by| match analyze(&trials, &leave_out(names, by), &[]) {
-        Err(AnalyzeError::Split(error)) => error,
-        other => panic!("{other:?}"),
-    };
+    let refused =
+        |names: &[&str], by| match analyze(&recordings(&trials), &leave_out(names, by), &[]) {
+            Err(AnalyzeError::Split(error)) => error,
+            other => panic!("{other:?}"),
+        };
     assert!(matches!(
         refused(&["MUD"], By::Group),
         SplitError::Unknown { .. }
@@ -261,7 +276,9 @@ fn a_group_is_held_out_by_name_and_an_unknown_one_is_refused() {
             "1 to 5",
         ),
     ] {
-        let refused = analyze(&trials, &settings, &[]).unwrap_err().to_string();
+        let refused = analyze(&recordings(&trials), &settings, &[])
+            .unwrap_err()
+            .to_string();
         assert!(refused.contains(what), "{refused}");
     }
     assert!(matches!(
@@ -289,7 +306,7 @@ fn the_robotino_scores_equal_the_reference() {
         grids: vec![interpolated],
         ..AnalysisSettings::default()
     };
-    let found = analyze(&trials, &settings, &[]).unwrap();
+    let found = analyze(&recordings(&trials), &settings, &[]).unwrap();
     let wanted = [(0.888, 0.819, 0.03, 0.860), (0.928, 0.895, 0.03, 0.909)];
     for (series, (lag_1, persistence, velocities, all)) in found.series.iter().zip(wanted) {
         let name = &series.name;

@@ -16,3 +16,4 @@ mod random;
 mod recordings;
 mod rows;
 mod score;
+mod stored;

@@ -3,14 +3,14 @@
 use std::collections::HashSet;
 
 use joulebus_dataset::rows::{Dataset, Row};
-use joulebus_dataset::split::{By, Split, split};
+use joulebus_dataset::split::{By, Source, Split, split};
 use joulebus_dataset::trained_rows::trained_rows;
 use joulebus_dataset::trial::Trial;
 use joulebus_eval::energy::EnergyScores;
 use joulebus_eval::evaluate;
 use joulebus_eval::score::{
-    Comparison, Design, Options, Recording, Role, ScoreError, ScoreReport, Scored, ScoredRows,
-    Subject, Verdict, compare, recorded_platform, score,
+    Comparison, Contents, Design, Options, Recording, Role, ScoreError, ScoreReport, Scored,
+    ScoredRows, Subject, Verdict, compare, recorded_platform, score,
 };
 use joulebus_predictor::{FeatureSet, LAGS, Model, ModelCard, Network};
 use joulebus_settings::{FleetSettings, IntervalSettings, Platform};
@@ -32,6 +32,11 @@ fn some(platform: &str, every: usize) -> Option<Vec<Recording>> {
     let numbered = paths.par_iter().enumerate();
     let read = numbered.map(|(id, path)| Recording::new(id as u32, Trial::read(path).unwrap()));
     Some(read.collect())
+}
+
+/// Of a recording in memory.
+fn contents(recording: &Recording) -> &Contents {
+    recording.in_memory().unwrap()
 }
 
 /// A row of a robot that drives, at a time (s), with a command (m/s, rad/s) and a power (mW).
@@ -123,7 +128,7 @@ fn run_network(
         robots: vec![0..=u32::MAX],
         online: false,
         energy_online: true,
-        ..recorded_platform(0, &recordings[0].trial)
+        ..recorded_platform(0, &contents(&recordings[0]).trial)
     };
     let subject = Subject {
         settings: &settings(),
@@ -230,11 +235,8 @@ fn corrected_scores_equal_the_formulas_over_the_rows() {
     let rows_of = |wanted: &dyn Fn(&Recording) -> bool| -> Vec<(Row, f64)> {
         let chosen = recordings.iter().filter(|recording| wanted(recording));
         let rows = chosen.flat_map(|one| {
-            one.rows
-                .rows
-                .iter()
-                .copied()
-                .zip(one.step_s.iter().copied())
+            let Contents { rows, step_s, .. } = contents(one);
+            rows.rows.iter().copied().zip(step_s.iter().copied())
         });
         rows.collect()
     };
@@ -304,8 +306,13 @@ fn intervals_and_live_scores_equal_the_live_path() {
     let scored = run(&recordings, &[model], &Design::folds(&recordings), &quick());
     let (mut inside, mut count, mut width_w) = (0, 0, 0.0);
     for (recording, live) in recordings.iter().zip(&scored.live[0].robots) {
-        assert_eq!(live.accepted, recording.trial.rows() as u64);
-        for (seq, row) in recording.rows.sample_seq.iter().zip(&recording.rows.rows) {
+        assert_eq!(live.accepted, recording.trial_rows() as u64);
+        for (seq, row) in contents(recording)
+            .rows
+            .sample_seq
+            .iter()
+            .zip(&contents(recording).rows.rows)
+        {
             let step = &live.steps[*seq as usize];
             let (lo_w, hi_w) = (step.lo_w.unwrap(), step.hi_w.unwrap());
             inside += u32::from(lo_w <= row.target_w && row.target_w <= hi_w);
@@ -350,7 +357,7 @@ fn the_open_loop_equals_rollouts_one_by_one() {
     let others = made_up(6, 200);
     let fitted: Vec<Row> = others
         .iter()
-        .flat_map(|one| one.rows.rows.iter().copied())
+        .flat_map(|one| contents(one).rows.rows.iter().copied())
         .collect();
     let line = Linear::fit(&fitted, Terms::AR5_AND_VELOCITIES).unwrap();
     let design = Design::fitted_on(&recordings, others);
@@ -366,7 +373,10 @@ fn the_open_loop_equals_rollouts_one_by_one() {
             // Rows are counted through all recordings.
             let mut number = 0;
             for recording in &recordings {
-                let (rows, seqs) = (&recording.rows.rows, &recording.rows.sample_seq);
+                let (rows, seqs) = (
+                    &contents(recording).rows.rows,
+                    &contents(recording).rows.sample_seq,
+                );
                 let begins = |at: usize| at == 0 || seqs[at] != seqs[at - 1] + 1;
                 for start in 0..rows.len() {
                     let end = start + ticks;
@@ -379,7 +389,7 @@ fn the_open_loop_equals_rollouts_one_by_one() {
                     let (last, all) = rolled(&rows[start..], ticks, forecast);
                     readings.push(f64::from(rows[end - 1].target_w));
                     forecasts.push(last);
-                    let steps = &recording.step_s[start..end];
+                    let steps = &contents(recording).step_s[start..end];
                     let sum = |powers: &mut dyn Iterator<Item = f64>| -> f64 {
                         powers.zip(steps).map(|(power, step)| power * step).sum()
                     };
@@ -421,7 +431,7 @@ proptest! {
         every in 1usize..20,
     ) {
         let recordings = made_up_of(&lengths);
-        prop_assume!(recordings.iter().any(|one| !one.rows.rows.is_empty()));
+        prop_assume!(recordings.iter().any(|one| one.rows() > 0));
         let models = [network(5, FeatureSet::Full, 30.0), persistence()];
         let options = Options { horizons: vec![1, 2, 30], origins_every: every, ..quick() };
         let report = run_network(&recordings, &models, &Design::folds(&recordings), &options).report;
@@ -458,7 +468,7 @@ fn no_part_of_a_recording_is_the_start_of_a_rollout_more_often_than_another() {
         &options,
     )
     .report;
-    let rows: usize = recordings.iter().map(|one| one.rows.rows.len()).sum();
+    let rows: usize = recordings.iter().map(|one| one.rows()).sum();
     // Of 33 rows of a run, the first 24 reach the horizon.
     assert_eq!(rows, 60 * 33);
     let found = report.open_loop.horizons[0].origins as f64;
@@ -516,7 +526,7 @@ fn baselines_never_see_a_reading_that_is_evaluated() {
             let of = |parts: &[(usize, std::ops::Range<usize>)]| -> Vec<Row> {
                 let rows = parts
                     .iter()
-                    .flat_map(|(at, rows)| &recordings[*at].rows.rows[rows.clone()]);
+                    .flat_map(|(at, rows)| &contents(&recordings[*at]).rows.rows[rows.clone()]);
                 rows.copied().collect()
             };
             let (evaluated, fitted) = (of(&fold.evaluated), of(&fold.fitted));
@@ -532,7 +542,7 @@ fn baselines_never_see_a_reading_that_is_evaluated() {
             );
             evaluated_rows += evaluated.len();
         }
-        let all: usize = recordings.iter().map(|one| one.rows.rows.len()).sum();
+        let all: usize = recordings.iter().map(|one| one.rows()).sum();
         assert_eq!(
             evaluated_rows < all,
             fitted_everywhere,
@@ -545,13 +555,16 @@ fn baselines_never_see_a_reading_that_is_evaluated() {
 #[test]
 fn a_duplicate_recording_is_not_fitted_on_where_it_is_evaluated() {
     let mut recordings = all_different(12, 60);
-    recordings.push(Recording {
-        name: "copy".to_owned(),
-        ..recordings[3].clone()
-    });
+    let mut copy = recordings[3].clone();
+    copy.name = "copy".to_owned();
+    recordings.push(copy);
     for fold in Design::folds(&recordings).folds {
         let of = |parts: &[(usize, std::ops::Range<usize>)]| {
-            readings(parts.iter().flat_map(|part| &recordings[part.0].rows.rows))
+            readings(
+                parts
+                    .iter()
+                    .flat_map(|part| &contents(&recordings[part.0]).rows.rows),
+            )
         };
         assert!(!fold.evaluated.is_empty());
         assert!(of(&fold.evaluated).is_disjoint(&of(&fold.fitted)));
@@ -561,7 +574,10 @@ fn a_duplicate_recording_is_not_fitted_on_where_it_is_evaluated() {
 #[test]
 fn scoring_and_training_hold_out_the_same_rows() {
     let recordings = all_different(9, 120);
-    let sources: Vec<_> = recordings.iter().map(Recording::source).collect();
+    let sources = recordings
+        .iter()
+        .map(|one| Source::of(&contents(one).trial));
+    let sources: Vec<_> = sources.collect();
     for by in [By::Trial, By::Group, By::Time] {
         let wanted = Split {
             by,
@@ -577,7 +593,7 @@ fn scoring_and_training_hold_out_the_same_rows() {
         let rows = fold
             .evaluated
             .iter()
-            .flat_map(|(at, rows)| &recordings[*at].rows.rows[rows.clone()]);
+            .flat_map(|(at, rows)| &contents(&recordings[*at]).rows.rows[rows.clone()]);
         let mut found: Vec<u32> = rows.map(|row| row.target_w.to_bits()).collect();
         let mut held_out: Vec<u32> = dataset
             .held_out
@@ -668,8 +684,8 @@ fn energy_is_scored_on_the_evaluated_rows_only() {
         let (whole, half) = (whole.unwrap().horizons, half.unwrap().horizons);
         let mut expected = EnergyScores::default();
         for recording in &recordings {
-            let rows = recording.trial.rows();
-            expected.add(&models[at], &recording.trial, &vec![true; rows]);
+            let rows = recording.trial_rows();
+            expected.add(&models[at], &contents(recording).trial, &vec![true; rows]);
         }
         let expected = expected.errors().horizons;
         assert_eq!(whole.len(), expected.len());
@@ -711,10 +727,7 @@ fn rows_without_a_forecast_are_left_out_for_all_and_counted() {
         all.unscored,
         all.rows
     );
-    assert_eq!(
-        all.rows + all.unscored,
-        recordings[0].rows.rows.len() as u64
-    );
+    assert_eq!(all.rows + all.unscored, recordings[0].rows() as u64);
     assert!(
         all.forecasters
             .iter()
@@ -732,7 +745,7 @@ fn trained_on(recordings: Option<&[Recording]>) -> Model {
         panic!("a network");
     };
     let rows = recordings.map(|recordings| {
-        let rows = recordings.iter().flat_map(|one| &one.rows.rows);
+        let rows = recordings.iter().flat_map(|one| &contents(one).rows.rows);
         let dataset = Dataset {
             training: rows.copied().collect(),
             validation: Vec::new(),
@@ -750,11 +763,13 @@ fn trained_on(recordings: Option<&[Recording]>) -> Model {
 }
 
 fn rows_of(recordings: &[Recording]) -> usize {
-    recordings.iter().map(|one| one.rows.rows.len()).sum()
+    recordings.iter().map(|one| one.rows()).sum()
 }
 
 fn apart(recordings: &[Recording], models: &[Model]) -> Scored {
-    let design = Design::folds(recordings).hold_apart(recordings, models);
+    let design = Design::folds(recordings)
+        .hold_apart(recordings, models)
+        .unwrap();
     run(recordings, models, &design, &quick())
 }
 
@@ -777,7 +792,7 @@ fn rows_that_a_model_was_trained_on_are_scored_apart_in_every_table() {
     assert_eq!(live[0].robots.len(), 2);
     // What is scored apart changes no other score: those of the others alone, by formula.
     for (cell, recordings) in [(&report.all, others), (cell, seen)] {
-        let rows = || recordings.iter().flat_map(|one| &one.rows.rows);
+        let rows = || recordings.iter().flat_map(|one| &contents(one).rows.rows);
         let readings: Vec<f64> = rows().map(|row| row.target_w.into()).collect();
         let last: Vec<f64> = rows().map(|row| row.features[NEWEST].into()).collect();
         let found = &cell.forecasters[1];
@@ -804,7 +819,10 @@ fn parts_of_a_recording_that_were_trained_on_are_scored_apart() {
         held_out: 0.3,
         ..Split::default()
     };
-    let sources: Vec<_> = recordings.iter().map(Recording::source).collect();
+    let sources = recordings
+        .iter()
+        .map(|one| Source::of(&contents(one).trial));
+    let sources: Vec<_> = sources.collect();
     let (dataset, _) = split(&sources, wanted, "").unwrap();
     let Model::Network(network) = trained_on(None) else {
         panic!("a network");
@@ -817,7 +835,7 @@ fn parts_of_a_recording_that_were_trained_on_are_scored_apart() {
     let models = [Model::Network(network)];
     // Its own split: nothing of it.
     let design = Design::held_out(&recordings, wanted).unwrap();
-    let own = design.clone().hold_apart(&recordings, &models);
+    let own = design.clone().hold_apart(&recordings, &models).unwrap();
     assert_eq!(own, design);
     let report = run(&recordings, &models, &own, &quick()).report;
     assert_eq!(report.models[0].trained_on.unwrap().rows, 0);
@@ -861,7 +879,9 @@ fn a_comparison_is_on_rows_that_neither_model_was_trained_on() {
         trained_on(Some(&recordings[..2])),
         trained_on(Some(&recordings[1..4])),
     ];
-    let design = Design::folds(&recordings).hold_apart(&recordings, &models);
+    let design = Design::folds(&recordings)
+        .hold_apart(&recordings, &models)
+        .unwrap();
     let subject = Subject {
         settings: &settings(),
         platform: None,

@@ -1,6 +1,7 @@
 //! `joulebus.analyze`.
 
-use joulebus_eval::analyze::{AnalysisSettings, analyze as analyze_trials};
+use joulebus_eval::analyze::{AnalysisSettings, analyze as analyze_recordings};
+use joulebus_eval::score::ROWS_IN_MEMORY;
 use joulebus_predictor::Model;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -23,10 +24,11 @@ pub(crate) fn analyze(
     let named = |model: Model| (format!("network {}", model.name()), model);
     let models: Vec<(String, Model)> = models(given_models)?.into_iter().map(named).collect();
     let work = move |teller: &job::Teller<String>| {
-        let trials = inputs.trials(&map, |remark| {
+        let remark = |remark| {
             let _ = teller.tell(remark);
-        })?;
-        let analysis = analyze_trials(&trials, &asked, &models);
+        };
+        let recordings = inputs.open(&map, |id| id, ROWS_IN_MEMORY, remark)?;
+        let analysis = analyze_recordings(&recordings, &asked, &models);
         let analysis = analysis.map_err(|error| PyValueError::new_err(error.to_string()))?;
         json(&analysis)
     };

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use joulebus_dataset::inspect::find;
 use joulebus_dataset::trial::{ColumnMap, MappedColumn, Trial};
-use joulebus_eval::score::{Recording, read_recordings};
+use joulebus_eval::score::{Recording, open_recordings};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -52,32 +52,28 @@ impl Inputs {
         Ok(found.files)
     }
 
-    /// Every trial.
-    pub(super) fn trials(
-        self,
-        map: &ColumnMap,
-        mut remark: impl FnMut(String),
-    ) -> PyResult<Vec<Trial>> {
-        let mut trials = Vec::new();
-        for file in self.files(&mut remark)? {
-            let read = Trial::read_mapped(&file, map);
-            trials.extend(read.map_err(|error| refused_trial(&error))?);
-        }
-        trials.extend(self.trials);
-        Ok(trials)
-    }
-
-    /// Every trial with its rows. `id` gives the robot's id for the live path.
+    /// Every trial, with all its rows in memory. `id` gives the robot's id for the live path.
     pub(super) fn recordings(
         self,
         map: &ColumnMap,
         id: fn(u32) -> u32,
+        remark: impl FnMut(String),
+    ) -> PyResult<Vec<Recording>> {
+        self.open(map, id, u64::MAX, remark)
+    }
+
+    /// Every trial; of files, only so many rows are in memory.
+    pub(super) fn open(
+        self,
+        map: &ColumnMap,
+        id: fn(u32) -> u32,
+        rows_in_memory: u64,
         mut remark: impl FnMut(String),
     ) -> PyResult<Vec<Recording>> {
         let files = self.files(&mut remark)?;
         let files: Vec<_> = (0..).map(id).zip(files).collect();
         let count = files.len() as u32;
-        let read = read_recordings(&files, map);
+        let read = open_recordings(&files, map, rows_in_memory);
         let mut recordings = read.map_err(|error| refused_trial(&error))?;
         let given = (count..).map(id).zip(self.trials);
         recordings.extend(given.map(|(id, trial)| Recording::new(id, trial)));

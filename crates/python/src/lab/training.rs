@@ -4,8 +4,9 @@ use std::path::Path;
 use std::time::Instant;
 
 use joulebus_dataset::rows::Dataset;
-use joulebus_dataset::split::{Source, SplitSummary, describe, given, split};
-use joulebus_dataset::trial::Trial;
+use joulebus_dataset::split::SplitSummary;
+use joulebus_eval::score::{ROWS_IN_MEMORY, Recording};
+use joulebus_eval::training_data::{MOST_ROWS, Parts, training_data};
 use joulebus_predictor::FeatureSet;
 use joulebus_sim::training_data::{SimulatedData, dataset_from_plant};
 use joulebus_train::{Epoch, Recipe, TrainReport, TrainSettings, Training, settings_for_sim};
@@ -103,21 +104,20 @@ pub(crate) fn train_recordings<'py>(
     let inputs = Inputs::of(recordings)?;
     let parts = [Inputs::of(&parts.0)?, Inputs::of(&parts.1)?];
     let prepare = move |teller: &job::Teller<Told>| {
-        let sources = |inputs: Inputs| -> PyResult<Vec<Source>> {
+        let read = |inputs: Inputs| -> PyResult<Vec<Recording>> {
             let remark = |text| {
                 let _ = teller.tell(Told::Remark(text));
             };
-            let trials: Vec<Trial> = inputs.trials(&map, remark)?;
-            Ok(trials.iter().map(Source::of).collect())
+            inputs.open(&map, |id| id, ROWS_IN_MEMORY, remark)
         };
-        let all = sources(inputs)?;
+        let all = read(inputs)?;
         let [validation, held_out] = parts;
-        let (validation, held_out) = (sources(validation)?, sources(held_out)?);
-        let description = describe(&all);
-        let made = match held_out.is_empty() {
-            true => split(&all, recipe.split, &description),
-            false => given([&all, &validation, &held_out], &description),
+        let (validation, held_out) = (read(validation)?, read(held_out)?);
+        let parts = match held_out.is_empty() {
+            true => Parts::Split(&all, recipe.split),
+            false => Parts::Given([&all, &validation, &held_out]),
         };
+        let made = training_data(parts, MOST_ROWS.get());
         let (dataset, summary) = made.map_err(|error| PyValueError::new_err(error.to_string()))?;
         Ok((dataset, recipe.training, Some(summary)))
     };
