@@ -87,9 +87,17 @@ impl Taking {
                 return;
             }
         };
-        let (number, before) = (message.number, self.receiver.received().lost);
+        let (number, before) = (message.number, self.receiver.received());
         let taken = self.receiver.take(&message, bytes.len(), arrived_ns);
-        let lost = self.receiver.received().lost - before;
+        let after = self.receiver.received();
+        if before.contested == 0 && after.contested > 0 {
+            tracing::warn!(
+                "another link than the one that is heard sends as {from}, and is not heard: the files of two hosts have this name, or \
+                 a stranger does; give each link a name of its own",
+                from = self.from
+            );
+        }
+        let lost = after.lost - before.lost;
         if lost > 0 {
             tracing::debug!(from = self.from, number, lost, "messages are missing");
         }

@@ -27,8 +27,10 @@ pub(crate) struct Received {
     pub(crate) lost: u64,
     /// Messages that came again, or after a later one.
     pub(crate) repeated: u64,
-    /// Messages of another run while one spoke: two links of one name, or a stranger.
+    /// Messages of another run while one spoke: a link that started again at once, two links of one name, or a stranger.
     pub(crate) other_runs: u64,
+    /// Times that a run went on after another had spoken: not a link that started again.
+    pub(crate) contested: u64,
     /// Messages whose time lay ahead.
     pub(crate) future: u64,
     /// Frames that the sender left out because the link was slower than the fleet: of its present run.
@@ -91,6 +93,8 @@ pub(crate) struct Receiver {
     /// The clock of the present run has been measured.
     is_measured: bool,
     is_silent: bool,
+    /// Another run has spoken since the present one last did.
+    has_rival: bool,
     voice: Voice,
     offset: Offset,
     received: Received,
@@ -108,6 +112,7 @@ impl Receiver {
             owes: false,
             is_measured: false,
             is_silent: true,
+            has_rival: false,
             voice: Voice::default(),
             offset: Offset::default(),
             received: Received::default(),
@@ -175,9 +180,11 @@ impl Receiver {
                     return Err(Unused::Repeated);
                 }
                 self.lose(place.number.saturating_sub(last.number));
+                self.received.contested += u64::from(self.has_rival);
             }
             Some(last) if last.run != place.run && !self.is_quiet(now_ns) => {
                 self.received.other_runs += 1;
+                self.has_rival = true;
                 return Err(Unused::OtherRun);
             }
             _ => {
@@ -186,6 +193,7 @@ impl Receiver {
                 self.received.runs += 1;
             }
         }
+        self.has_rival = false;
         self.heard = Some(place);
         Ok(())
     }

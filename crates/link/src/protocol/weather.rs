@@ -341,6 +341,8 @@ fn a_false_number_or_run_hides_nothing_and_a_time_that_lies_ahead_is_refused() {
         received.other_runs > 10 && received.future > 5,
         "{received:?}"
     );
+    // Each of the other runs spoke once, and the one that is heard went on.
+    assert_eq!(received.contested, received.other_runs, "{received:?}");
     assert_eq!(hosts.receiver.offset().steps, 0);
 }
 
@@ -396,6 +398,7 @@ proptest! {
         prop_assert!(came.abs_diff(hosts.tick - tick) <= 1, "{came} of {}", hosts.tick - tick);
         let received = hosts.receiver.received();
         prop_assert_eq!(received.frames, hosts.arrived.len() as u64);
+        prop_assert_eq!(received.contested, 0);
         prop_assert!(hosts.arrived.len() as u64 <= hosts.tick);
         let late_ns = hosts.age_ns(*ticks.last().unwrap(), hosts.arrived.last().unwrap().1);
         prop_assert!(late_ns < 20_000_000, "{late_ns}");
