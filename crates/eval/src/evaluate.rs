@@ -207,7 +207,7 @@ pub fn evaluate_trial(
     let mut fleet = Fleet::new(alone, models.to_vec())?;
     let mut steps = Vec::with_capacity(trial.rows());
     let (mut now_ns, mut published_w) = (0, None);
-    for sample in trial.to_samples(robot, BASE_NS) {
+    for sample in trial.samples(robot, BASE_NS) {
         now_ns = sample.stamp_ns.max(now_ns);
         let mut next = step(&mut fleet, &sample, now_ns);
         if let (true, Some(reading_w), Some(power_w)) = (next.scored, next.reading_w, published_w) {

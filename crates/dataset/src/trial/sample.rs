@@ -18,49 +18,52 @@ impl Trial {
     /// first of its run. Times that do not advance are passed on unchanged: ingest refuses them.
     #[must_use]
     pub fn to_samples(&self, robot: u32, base_ns: u64) -> Vec<Sample> {
+        self.samples(robot, base_ns).collect()
+    }
+
+    /// The same, one by one.
+    pub fn samples(&self, robot: u32, base_ns: u64) -> impl Iterator<Item = Sample> + '_ {
         let mut measured_ns = base_ns;
-        (0..self.rows())
-            .map(|row| {
-                let held = self.is_held(row);
-                if !held {
-                    measured_ns = base_ns.saturating_add_signed(self.offset_ns[row]);
+        (0..self.rows()).map(move |row| {
+            let held = self.is_held(row);
+            if !held {
+                measured_ns = base_ns.saturating_add_signed(self.offset_ns[row]);
+            }
+            let mut sample = Sample::new(robot, row as u64, self.issued_ns(row, base_ns));
+            if let Some(power_w) = self.value(Column::Power, row) {
+                sample = sample.reading(power_w as f32, measured_ns);
+            }
+            if held {
+                sample.flags |= sample_flag::HELD;
+            }
+            let mut set = |field: &mut f32, flag, column, row| {
+                if let Some(value) = self.value(column, row) {
+                    *field = value as f32;
+                    sample.flags |= flag;
                 }
-                let mut sample = Sample::new(robot, row as u64, self.issued_ns(row, base_ns));
-                if let Some(power_w) = self.value(Column::Power, row) {
-                    sample = sample.reading(power_w as f32, measured_ns);
-                }
-                if held {
-                    sample.flags |= sample_flag::HELD;
-                }
-                let mut set = |field: &mut f32, flag, column, row| {
-                    if let Some(value) = self.value(column, row) {
-                        *field = value as f32;
-                        sample.flags |= flag;
-                    }
-                };
-                set(
-                    &mut sample.voltage_v,
-                    sample_flag::VOLTAGE,
-                    Column::Voltage,
-                    row,
-                );
-                set(
-                    &mut sample.current_a,
-                    sample_flag::CURRENT,
-                    Column::Current,
-                    row,
-                );
-                set(&mut sample.soc, sample_flag::SOC, Column::Soc, row);
-                set(&mut sample.v_mps, sample_flag::V, Column::V, row + 1);
-                set(
-                    &mut sample.omega_radps,
-                    sample_flag::OMEGA,
-                    Column::Omega,
-                    row + 1,
-                );
-                sample
-            })
-            .collect()
+            };
+            set(
+                &mut sample.voltage_v,
+                sample_flag::VOLTAGE,
+                Column::Voltage,
+                row,
+            );
+            set(
+                &mut sample.current_a,
+                sample_flag::CURRENT,
+                Column::Current,
+                row,
+            );
+            set(&mut sample.soc, sample_flag::SOC, Column::Soc, row);
+            set(&mut sample.v_mps, sample_flag::V, Column::V, row + 1);
+            set(
+                &mut sample.omega_radps,
+                sample_flag::OMEGA,
+                Column::Omega,
+                row + 1,
+            );
+            sample
+        })
     }
 
     /// When the command after `row` was issued: at the next row, or a median period after the last.

@@ -120,6 +120,14 @@ impl Draws {
 }
 
 impl HorizonSums {
+    /// Of no origin.
+    pub(crate) fn new(forecasters: usize) -> Self {
+        Self {
+            power: vec![Tally::default(); forecasters],
+            energy: vec![Tally::default(); forecasters],
+        }
+    }
+
     /// Powers and then energies as the forecasters of a block.
     pub(crate) fn block(&self) -> Block {
         Block {

@@ -24,36 +24,25 @@ struct Column {
 }
 
 /// Results of one recording; empty without rows to evaluate.
-pub(super) struct Found<T = RobotEvaluation> {
+pub(super) struct Found<T> {
     /// Of the evaluated rows.
     pub(super) sums: Sums,
     /// Of the rows that a model was trained on, without open loop.
     pub(super) trained_on: Sums,
-    /// The live path of each model.
+    /// Of the live path of each model.
     pub(super) live: Vec<T>,
     /// The energy forecasts of each model; empty if not [asked for](Options::energy).
     pub(super) energy: Vec<EnergyScores>,
 }
 
-impl Found {
-    /// With what `keep` makes of the live path of each model.
-    pub(super) fn keeping<T>(self, keep: impl Fn(RobotEvaluation) -> T) -> Found<T> {
-        Found {
-            sums: self.sums,
-            trained_on: self.trained_on,
-            live: self.live.into_iter().map(keep).collect(),
-            energy: self.energy,
-        }
-    }
-}
-
-/// Sums of one recording, and the live path of each model.
-pub(super) fn one(
+/// Sums of one recording, and what `keep` makes of the live path of each model.
+pub(super) fn one<T>(
     subject: Subject<'_>,
     options: &Options,
     lines: &Lines,
     at: usize,
-) -> Result<Found, ScoreError> {
+    keep: impl Fn(RobotEvaluation) -> T,
+) -> Result<Found<T>, ScoreError> {
     let parts: Vec<_> = subject.design.evaluated(at).collect();
     let apart: Vec<_> = subject.design.apart(at).collect();
     if parts.iter().chain(&apart).all(|(_, rows)| rows.is_empty()) {
@@ -68,6 +57,12 @@ pub(super) fn one(
     let contents = &*recording.contents()?;
     let mut live = live(subject, recording.id, &contents.trial)?;
     let columns: Vec<Column> = live.iter().map(|live| column(contents, live)).collect();
+    for live in &mut live {
+        subject.design.restrict(at, contents, live);
+    }
+    // Their steps are gone before the rollouts.
+    let live = live.into_iter().filter(|_| !parts.is_empty()).map(keep);
+    let live = live.collect();
     let members = Member::of(subject).into_iter();
     let members: Vec<Vec<f32>> = members
         .map(|(_, member)| member.forecasts_w(contents))
@@ -89,13 +84,10 @@ pub(super) fn one(
     let mut sums = sums_of(&parts);
     let before = subject.design.evaluated_before(at);
     sums.horizons = open_loop::sums(subject.models, contents, (&parts, before), lines, options);
-    for live in &mut live {
-        subject.design.restrict(at, contents, live);
-    }
     Ok(Found {
         sums,
         trained_on: sums_of(&apart),
-        live: if parts.is_empty() { Vec::new() } else { live },
+        live,
         energy: match options.energy {
             true => energy(subject, at, contents),
             false => Vec::new(),

@@ -8,10 +8,12 @@ use super::blocks::HorizonSums;
 use super::design::Lines;
 use super::{Contents, Options};
 use joulebus_dataset::rows::Row;
-use joulebus_statistics::metrics::Tally;
 
 /// Position of the newest reading in [`Features`].
 const NEWEST: usize = FeatureSet::PowerOnly.first();
+
+/// Rollouts that are computed together: some 200 bytes each.
+const ORIGINS_AT_ONCE: usize = 1 << 16;
 
 /// First row of a rollout, and the end of the rows that it can be scored against.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -83,18 +85,23 @@ pub(super) fn sums(
         for start in &mut starts {
             start.end = start.end.min(start.row + longest);
         }
-        let rollout = Rollout {
-            rows: &contents.rows.rows,
-            step_s: &contents.step_s,
-            reading_ages: &contents.rows.reading_ages,
-            starts: &starts,
-            horizons,
-        };
-        let measured = rollout.alone(|_, row, _| row.target_w);
-        let traces = rollout.traces(models, lines);
-        let places = 0..horizons.len();
-        let sums = places.map(|place| rollout.sum(place, &measured, &traces, models.len()));
-        sums.collect::<Vec<_>>()
+        let forecasters = models.len() + 1 + lines.first().map_or(0, Vec::len);
+        let mut sums = vec![HorizonSums::new(forecasters); horizons.len()];
+        for starts in starts.chunks(ORIGINS_AT_ONCE) {
+            let rollout = Rollout {
+                rows: &contents.rows.rows,
+                step_s: &contents.step_s,
+                reading_ages: &contents.rows.reading_ages,
+                starts,
+                horizons,
+            };
+            let measured = rollout.alone(|_, row, _| row.target_w);
+            let traces = rollout.traces(models, lines);
+            for (place, sums) in sums.iter_mut().enumerate() {
+                rollout.add(sums, place, &measured, &traces, models.len());
+            }
+        }
+        sums
     };
     groups.flat_map(of_group).collect()
 }
@@ -199,12 +206,15 @@ impl Rollout<'_> {
         trace
     }
 
-    /// One horizon, origin by origin. Where a model has no forecast, no forecaster is scored.
-    fn sum(&self, place: usize, measured: &Trace, traces: &[Trace], models: usize) -> HorizonSums {
-        let mut sums = HorizonSums {
-            power: vec![Tally::default(); traces.len()],
-            energy: vec![Tally::default(); traces.len()],
-        };
+    /// Adds one horizon, origin by origin. Where a model has no forecast, no forecaster is scored.
+    fn add(
+        &self,
+        sums: &mut HorizonSums,
+        place: usize,
+        measured: &Trace,
+        traces: &[Trace],
+        models: usize,
+    ) {
         for (origin, start) in self.starts.iter().enumerate() {
             if start.row + self.horizons[place] > start.end {
                 continue;
@@ -220,7 +230,6 @@ impl Rollout<'_> {
                 energy.add(of(measured.energy_j[at]), trace.energy_j[at], 1.0);
             }
         }
-        sums
     }
 }
 

@@ -169,8 +169,8 @@ impl<'a> Prepared<'a> {
             .filter_map(|at| self.subject.recordings.get(*at))
             .collect();
         let one = |place: usize| {
-            let found = corrected::one(self.subject, self.options, &self.lines, places[place])?;
-            let found = found.keeping(&keep);
+            let at = places[place];
+            let found = corrected::one(self.subject, self.options, &self.lines, at, &keep)?;
             match watch(done.fetch_add(1, Ordering::Relaxed) + 1) {
                 ControlFlow::Continue(()) => Ok(found),
                 ControlFlow::Break(()) => Err(ScoreError::Ended),
