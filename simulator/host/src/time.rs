@@ -89,9 +89,13 @@ pub fn unix_ns() -> u64 {
     (BEGIN_UNIX_NS + clocks.now_ns).saturating_add_signed(clocks.wall_offset_ns)
 }
 
-/// Sets the wall clock forward or back by `step_ns`.
+/// Sets the wall clock forward or back by `step_ns`, unless that is before the monotonic clock's time: Linux refuses
+/// it (`clock_settime`, since 4.3), so that no wall clock ever stands still at 1970.
 pub fn set_wall_clock(step_ns: i64) {
-    change(|clocks| clocks.wall_offset_ns = clocks.wall_offset_ns.saturating_add(step_ns));
+    let set_ns = i128::from(unix_ns()) + i128::from(step_ns);
+    if set_ns >= i128::from(monotonic_ns()) {
+        change(|clocks| clocks.wall_offset_ns = clocks.wall_offset_ns.saturating_add(step_ns));
+    }
 }
 
 /// From now on the monotonic clock runs `ppm` millionths too fast.
