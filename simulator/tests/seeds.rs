@@ -44,6 +44,7 @@ fn fixed_seeds() {
 /// number of another one, which the recorder missed, that verification took for a difference (65), and accounts of robots that
 /// left at once when a stopped worker continued, which were not saved (631). A write of the ledger that failed counted as a
 /// generation before the newest (20057). In 23766 it was the simulated host that was wrong: its wall clock stood still.
+/// Accounts with false stamps, of robots that had left, were restored before those of robots that were there (22186, 23242).
 #[test]
 fn seeds_that_found_defects() {
     for (seed, until_ns) in [
@@ -51,6 +52,8 @@ fn seeds_that_found_defects() {
         (90, 480_000_000_000),
         (631, 360_000_000_000),
         (20_057, 100_000_000_000),
+        (22_186, 936_000_000_000),
+        (23_242, 250_000_000_000),
         (23_766, 360_000_000_000),
     ] {
         hold(&Campaign {

@@ -1,10 +1,14 @@
 //! All robots' accounts, so that a restarted worker continues with them.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use joulebus_fleet::{Ledger, SavedBattery};
-use joulebus_wire::{Budget, budget_flag};
+use joulebus_wire::{Budget, BudgetHeader, budget_flag};
 use serde::{Deserialize, Serialize};
+
+/// A stamp that is later than the frame of budgets with it, by more than this, is false, ns. Samples are stamped before
+/// they are sent, and links move stamps to this host's clock so that none looks fresher than it is.
+const MOST_AHEAD_NS: u64 = 1_000_000_000;
 
 /// All robots' accounts at one moment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -49,6 +53,9 @@ pub(crate) struct Restored {
     pub battery: Option<SavedBattery>,
 }
 
+/// Grows with the time of the last sample; false ones come before all others.
+type Age = (bool, u64);
+
 impl Checkpoint {
     /// A checkpoint without accounts.
     pub(crate) fn new(fleet: &str, boot_id: &str) -> Self {
@@ -61,13 +68,15 @@ impl Checkpoint {
         }
     }
 
-    /// Takes the accounts of a frame of budgets. Keeps at most `most`, of robots whose last sample is
-    /// newest; returns how many had to go.
-    pub(crate) fn take(&mut self, budgets: &[Budget], most: usize) -> usize {
-        for budget in budgets
-            .iter()
-            .filter(|budget| budget.flags & budget_flag::LEDGER != 0)
-        {
+    /// Takes the accounts of a frame of budgets. Keeps at most `most`, those of the frame's robots before others, and of
+    /// the others those whose last sample is newest; returns how many had to go.
+    pub(crate) fn take(&mut self, header: &BudgetHeader, budgets: &[Budget], most: usize) -> usize {
+        (self.written_ns, self.written_unix_ns) = (header.sent_ns, header.sent_unix_ns);
+        let of_frame = || {
+            let rows = budgets.iter();
+            rows.filter(|budget| budget.flags & budget_flag::LEDGER != 0)
+        };
+        for budget in of_frame() {
             // While a robot is silent its budget falls; the account begins at its last sample, and counts the
             // silence again.
             let known = self.robots.get(&budget.robot);
@@ -88,9 +97,13 @@ impl Checkpoint {
         }
         let too_many = self.robots.len().saturating_sub(most);
         if too_many > 0 {
-            let mut stamps: Vec<(u64, u32)> = self.by_age().collect();
-            stamps.sort_unstable();
-            for (_, robot) in &stamps[..too_many] {
+            let present: BTreeSet<u32> = of_frame().map(|budget| budget.robot).collect();
+            let mut oldest_first: Vec<(bool, Age, u32)> = self
+                .by_age()
+                .map(|(age, robot)| (present.contains(&robot), age, robot))
+                .collect();
+            oldest_first.sort_unstable();
+            for (_, _, robot) in oldest_first.iter().take(too_many) {
                 self.robots.remove(robot);
             }
         }
@@ -109,9 +122,15 @@ impl Checkpoint {
         budgets.iter().filter(changed).map(|budget| budget.robot)
     }
 
-    fn by_age(&self) -> impl Iterator<Item = (u64, u32)> + '_ {
+    fn by_age(&self) -> impl Iterator<Item = (Age, u32)> + '_ {
         let robots = self.robots.iter();
-        robots.map(|(robot, account)| (account.stamp_ns, *robot))
+        robots.map(|(robot, account)| (self.age(account), *robot))
+    }
+
+    /// A false stamp, far in the future, must not keep its robot's account before those of all others.
+    const fn age(&self, account: &Account) -> Age {
+        let latest_ns = self.written_ns.saturating_add(MOST_AHEAD_NS);
+        (account.stamp_ns <= latest_ns, account.stamp_ns)
     }
 
     /// Converts the accounts to the current boot: after a reboot the stamps restart, and the time
@@ -124,14 +143,14 @@ impl Checkpoint {
         }
         let by_wall_ns = now_unix_ns.saturating_sub(self.written_unix_ns);
         let (away_ns, is_known) = (by_wall_ns.max(now_ns), by_wall_ns >= now_ns);
-        let mut newest_first: Vec<(u64, u32)> = self.by_age().collect();
+        let mut newest_first: Vec<(Age, u32)> = self.by_age().collect();
         newest_first.sort_unstable_by(|one, other| other.cmp(one));
-        for (later, (stamp_ns, robot)) in (0..).zip(newest_first) {
+        for (later, (_, robot)) in (0..).zip(newest_first) {
             if let Some(account) = self.robots.get_mut(&robot) {
                 account.unmetered_ns = account
                     .unmetered_ns
                     .saturating_add(away_ns)
-                    .saturating_add(self.written_ns.saturating_sub(stamp_ns));
+                    .saturating_add(self.written_ns.saturating_sub(account.stamp_ns));
                 // Apart by one ns each: those that were silent longest are still given up first.
                 account.stamp_ns = now_ns.saturating_sub(later);
                 if !is_known {
@@ -139,14 +158,15 @@ impl Checkpoint {
                 }
             }
         }
+        (self.written_ns, self.written_unix_ns) = (now_ns, now_unix_ns);
         boot_id.clone_into(&mut self.boot_id);
         self
     }
 
-    /// The accounts as ledgers, that of the robot that was silent longest first.
+    /// The accounts as ledgers, that of the robot that was silent longest first; before it those with false stamps.
     pub(crate) fn ledgers(&self) -> Vec<Restored> {
         let mut robots: Vec<(&u32, &Account)> = self.robots.iter().collect();
-        robots.sort_by_key(|(_, account)| account.stamp_ns);
+        robots.sort_by_key(|(_, account)| self.age(account));
         let ledger = |(robot, account): (&u32, &Account)| {
             let drawn = (account.drawn_uj, account.drawn_remainder);
             let (metered_ns, unmetered_ns) = (account.metered_ns, account.unmetered_ns);
@@ -172,6 +192,14 @@ impl Checkpoint {
 pub(crate) mod tests {
     use super::*;
 
+    fn sent(sent_ns: u64) -> BudgetHeader {
+        BudgetHeader {
+            sent_ns,
+            sent_unix_ns: 50_000,
+            ..BudgetHeader::default()
+        }
+    }
+
     pub(crate) fn checkpoint() -> Checkpoint {
         let budget = Budget {
             robot: 3,
@@ -188,8 +216,7 @@ pub(crate) mod tests {
             ..Budget::default()
         };
         let mut checkpoint = Checkpoint::new("lab", "boot-a");
-        assert_eq!(checkpoint.take(&[budget, unheard], 9), 0);
-        (checkpoint.written_ns, checkpoint.written_unix_ns) = (1_000, 50_000);
+        assert_eq!(checkpoint.take(&sent(1_000), &[budget, unheard], 9), 0);
         checkpoint
     }
 
@@ -205,7 +232,8 @@ pub(crate) mod tests {
         };
         for name in 0..100_000 {
             let stamp_ns = u64::from(name) + 1;
-            gone += ledger.take(&[of(u32::MAX, stamp_ns), of(name, stamp_ns)], 50);
+            let frame = [of(u32::MAX, stamp_ns), of(name, stamp_ns)];
+            gone += ledger.take(&sent(stamp_ns), &frame, 50);
             assert!(ledger.robots.len() <= 50, "robot {name}");
         }
         assert_eq!(gone, 100_001 - 50);
@@ -237,8 +265,7 @@ pub(crate) mod tests {
             ..Budget::default()
         };
         let mut ledger = Checkpoint::new("lab", "boot-a");
-        assert_eq!(ledger.take(&[budget], 9), 0);
-        (ledger.written_ns, ledger.written_unix_ns) = (1_000, 50_000);
+        assert_eq!(ledger.take(&sent(1_000), &[budget], 9), 0);
         let whole = ledger.robots[&3].battery;
         let carried = |now_unix_ns| ledger.clone().carried_over("boot-b", 500, now_unix_ns);
         assert_eq!(carried(50_500).robots[&3].battery, whole);
@@ -259,10 +286,8 @@ pub(crate) mod tests {
             stamp_ns,
             ..Budget::default()
         };
-        assert_eq!(
-            ledger.take(&[(7, 300), (1, 900), (5, 100), (9, 300)].map(of), 9),
-            0
-        );
+        let frame = [(7, 300), (1, 900), (5, 100), (9, 300)].map(of);
+        assert_eq!(ledger.take(&sent(1_000), &frame, 9), 0);
         let carried = ledger.carried_over("boot-b", 5_000, 0);
         let order: Vec<u32> = carried
             .ledgers()
@@ -270,5 +295,51 @@ pub(crate) mod tests {
             .map(|restored| restored.robot)
             .collect();
         assert_eq!(order, [5, 7, 9, 1]);
+    }
+
+    /// What a fleet of eight robots keeps when it starts.
+    fn restored(ledger: &Checkpoint) -> Vec<u32> {
+        let all = ledger.ledgers();
+        let mut newest: Vec<u32> = all.iter().rev().take(8).map(|it| it.robot).collect();
+        newest.sort_unstable();
+        newest
+    }
+
+    #[test]
+    fn false_stamps_of_robots_that_left_cost_no_robot_its_account() {
+        let of = |(robot, stamp_ns)| Budget {
+            robot,
+            flags: budget_flag::LEDGER,
+            stamp_ns,
+            ..Budget::default()
+        };
+        let far_ns = [u64::MAX, u64::MAX - 1, 5_000 * MOST_AHEAD_NS];
+        let mut ledger = Checkpoint::new("lab", "boot-a");
+        let mut now_ns = 1_000_000;
+        let mut gone = 0;
+        for liar in 0..30 {
+            now_ns += MOST_AHEAD_NS;
+            let stamp_ns = far_ns[liar as usize % 3];
+            // One of the robots is stamped a little ahead.
+            let frame = [
+                (1, now_ns),
+                (2, now_ns + MOST_AHEAD_NS / 9),
+                (900 + liar, stamp_ns),
+            ];
+            gone += ledger.take(&sent(now_ns), &frame.map(of), 16);
+            assert!(ledger.robots.contains_key(&(900 + liar)), "it is there");
+        }
+        assert_eq!((ledger.robots.len(), gone), (16, 16));
+        // As many as there are places, the two among them; then none but the two.
+        now_ns += MOST_AHEAD_NS;
+        let all = [1, 2, 10, 11, 12, 13, 14, 15].map(|robot| of((robot, now_ns)));
+        assert_eq!(ledger.take(&sent(now_ns), &all, 16), 6);
+        assert_eq!(restored(&ledger), [1, 2, 10, 11, 12, 13, 14, 15]);
+        let rebooted = ledger.clone().carried_over("boot-b", 5_000, 0);
+        assert_eq!(restored(&rebooted), [1, 2, 10, 11, 12, 13, 14, 15]);
+        now_ns += MOST_AHEAD_NS;
+        let two = [1, 2].map(|robot| of((robot, now_ns)));
+        assert_eq!(ledger.take(&sent(now_ns), &two, 2), 14);
+        assert_eq!(restored(&ledger), [1, 2]);
     }
 }

@@ -135,9 +135,7 @@ impl Checkpointer {
             for robot in checkpoint.exchanged(budgets) {
                 tracing::info!(robot, "the robot has another battery");
             }
-            gone += checkpoint.take(budgets, most);
-            checkpoint.written_ns = header.sent_ns;
-            checkpoint.written_unix_ns = header.sent_unix_ns;
+            gone += checkpoint.take(header, budgets, most);
             changed = true;
         });
         self.changed |= changed;
