@@ -5,6 +5,9 @@ use serde::{Deserialize, Serialize};
 /// Terms of the command model.
 pub const TERMS: usize = 12;
 
+/// Terms of two quantities or of a change: the last of the [`TERMS`].
+pub const COMBINED_TERMS: usize = 5;
+
 /// The power that a platform draws under a command: a weighted sum of [`TERMS`] terms, none of
 /// which is ever negative.
 ///
@@ -50,6 +53,16 @@ impl Motion {
 }
 
 impl Motion {
+    #[inline(always)]
+    pub(crate) const fn to_array(self) -> [f32; 4] {
+        [
+            self.v_mps,
+            self.omega_radps,
+            self.dv_mps2,
+            self.domega_radps2,
+        ]
+    }
+
     /// Whether the command is finite.
     #[inline(always)]
     pub(crate) fn is_known(&self) -> bool {
@@ -80,8 +93,9 @@ impl CommandModel {
     /// The terms of a command: velocities in m/s and rad/s, their derivatives in m/s² and rad/s².
     #[inline(always)]
     #[must_use]
-    pub fn terms(&self, [v_mps, omega_radps, dv_mps2, domega_radps2]: [f32; 4]) -> [f32; TERMS] {
-        let (v, omega) = (v_mps.abs(), omega_radps.abs());
+    pub fn terms(&self, motion: [f32; 4]) -> [f32; TERMS] {
+        let (v, omega) = (motion[0].abs(), motion[1].abs());
+        let [turning, faster_v, faster_omega, dv, domega] = Self::combined_terms(motion);
         [
             1.0,
             v,
@@ -90,7 +104,22 @@ impl CommandModel {
             omega,
             omega * omega,
             omega / (omega + self.half_omega_radps),
-            v * omega,
+            turning,
+            faster_v,
+            faster_omega,
+            dv,
+            domega,
+        ]
+    }
+
+    /// The last of these terms, which no weight or constant enters: |vω|; v dv/dt and ω dω/dt where
+    /// positive; |dv/dt|; |dω/dt|.
+    #[inline(always)]
+    #[must_use]
+    pub fn combined_terms(motion: [f32; 4]) -> [f32; COMBINED_TERMS] {
+        let [v_mps, omega_radps, dv_mps2, domega_radps2] = motion;
+        [
+            v_mps.abs() * omega_radps.abs(),
             (v_mps * dv_mps2).max(0.0),
             (omega_radps * domega_radps2).max(0.0),
             dv_mps2.abs(),
@@ -101,12 +130,7 @@ impl CommandModel {
     /// Power in W; that without a command for one that is not finite.
     #[inline(always)]
     pub(crate) fn power_w(&self, motion: &Motion) -> f32 {
-        let terms = self.terms([
-            motion.v_mps,
-            motion.omega_radps,
-            motion.dv_mps2,
-            motion.domega_radps2,
-        ]);
+        let terms = self.terms(motion.to_array());
         let mut power_w = 0.0;
         for (weight, term) in self.weights.iter().zip(terms) {
             power_w += weight * term;

@@ -22,7 +22,7 @@ mod model;
 mod quantiles;
 mod state;
 
-pub use command::{CommandModel, TERMS};
+pub use command::{COMBINED_TERMS, CommandModel, TERMS};
 pub use forecast::{CommandSum, Commands, EnergyForecast};
 pub use levels::{LEVELS, LEVELS_S};
 pub use model::{EnergyModel, EnergyModelError, HORIZONS_S};

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::command::CommandModel;
+use crate::command::{COMBINED_TERMS, CommandModel};
 use crate::levels::LEVELS;
 use crate::quantiles::KNOTS;
 
@@ -38,6 +38,11 @@ pub struct EnergyModel {
     pub v_mps: [f32; 2],
     /// Lowest and highest angular velocity in the training data, rad/s.
     pub omega_radps: [f32; 2],
+    /// What the [combined terms](CommandModel::combined_terms) reached in at least two recordings of the
+    /// training data; the first, |vω|, is not compared with plans. `None` in files of before it was stored: of every
+    /// step that changes a command it is then assumed that the training data has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub combined: Option<[f32; COMBINED_TERMS]>,
 }
 
 /// Errors of reading an energy model.
@@ -88,6 +93,7 @@ impl EnergyModel {
             mean_share: 0.0,
             v_mps: [f32::MIN, f32::MAX],
             omega_radps: [f32::MIN, f32::MAX],
+            combined: Some([f32::MAX; COMBINED_TERMS]),
         }
     }
 
@@ -195,6 +201,10 @@ impl EnergyModel {
                     AT_LEAST_0,
                 )?;
             }
+        }
+        for highest in self.combined.unwrap_or_default() {
+            let what = "a product or change of velocities in the training data";
+            within(what, highest, 0.0, f32::MAX, AT_LEAST_0)?;
         }
         for [lowest, highest] in [self.v_mps, self.omega_radps] {
             let ordered = if lowest <= highest { 1.0 } else { 0.0 };

@@ -35,6 +35,7 @@ fn model(numbers: &[f32], added_share: f32) -> EnergyModel {
         mean_share: 0.3,
         v_mps: [-1.0, 1.0],
         omega_radps: [-2.0, 2.0],
+        combined: Some([1.5, 20.0, 40.0, 25.0, 50.0]),
     }
 }
 
@@ -121,6 +122,36 @@ impl Reference<'_> {
             sums[2] += kept * elapsed_s;
         }
         sums
+    }
+
+    /// Steps with a velocity or a change beyond the training data's.
+    fn steps_outside(&self, plan: &[(f32, f32)], period_s: f64) -> usize {
+        let [_, faster_v, faster_omega, dv_limit, domega_limit] = match self.model.combined {
+            Some(limits) => limits.map(|limit| 1.05 * f64::from(limit)),
+            None => [0.0; 5],
+        };
+        let newest = self.samples.last();
+        let mut before = newest.map(|sample| (sample.v_mps, sample.omega_radps));
+        let mut count = 0;
+        for (v, omega) in plan {
+            let known = before.filter(|(v, omega)| v.is_finite() && omega.is_finite());
+            let from = known.unwrap_or((*v, *omega));
+            let dv = (f64::from(*v) - f64::from(from.0)) / period_s;
+            let domega = (f64::from(*omega) - f64::from(from.1)) / period_s;
+            before = Some((*v, *omega));
+            let ([v_lo, v_hi], [omega_lo, omega_hi]) = (self.model.v_mps, self.model.omega_radps);
+            let (v, omega) = (f64::from(*v), f64::from(*omega));
+            let inside = v >= v_lo.into()
+                && v <= v_hi.into()
+                && omega >= omega_lo.into()
+                && omega <= omega_hi.into()
+                && v * dv <= faster_v
+                && omega * domega <= faster_omega
+                && dv.abs() <= dv_limit
+                && domega.abs() <= domega_limit;
+            count += usize::from(!inside);
+        }
+        count
     }
 
     fn energy_j(&self, plan: &[(f32, f32)], period_s: f64, trust: f32) -> f64 {
@@ -244,6 +275,29 @@ proptest! {
         let expected_j = reference.energy_j(&plan, period_s.into(), state.learned.command_trust);
         let found_j = f64::from(model.forecast(&state, commands).energy_j);
         prop_assert!((found_j - expected_j).abs() <= 2e-4 * expected_j.abs().max(1.0), "{found_j} {expected_j}");
+    }
+
+    /// A step is outside if a velocity or a change is beyond the training data's:
+    /// each step alone, whatever its sums are added in parts.
+    #[test]
+    fn steps_outside_the_training_data_are_counted_as_the_slow_reference_does(
+        samples in samples(), plan in plan(), period_s in 0.02f32..0.5, cut in 0usize..60,
+        combined in prop::option::of(prop::array::uniform5(0.0f32..20.0)),
+    ) {
+        let model = EnergyModel { v_mps: [-0.4, 0.3], omega_radps: [-1.0, 1.8], combined, ..model(&[0.5; TERMS], 0.0) };
+        let state = observed(&model, &samples);
+        let reference = Reference { model: &model, samples };
+        let (v_mps, omega_radps) = split(&plan);
+        let part = |from: usize, to: usize| Commands {
+            period_s, v_mps: &v_mps[from..to], omega_radps: &omega_radps[from..to],
+        };
+        let expected = reference.steps_outside(&plan, period_s.into());
+        prop_assert_eq!(model.forecast(&state, part(0, plan.len())).steps_outside, expected);
+        let mut sum = CommandSum::new(&state, period_s);
+        let cut = cut.min(plan.len());
+        sum.add(&model, part(0, cut));
+        sum.add(&model, part(cut, plan.len()));
+        prop_assert_eq!(sum.steps_outside(), expected);
     }
 
     #[test]
@@ -468,6 +522,50 @@ fn commands_outside_the_training_data_are_named() {
     }
 }
 
+#[test]
+fn commands_that_change_faster_than_any_in_training_are_named() {
+    let model = EnergyModel {
+        combined: Some([0.3, 3.0, 4.0, 5.0, 10.0]),
+        ..model(&[0.5; TERMS], 0.0)
+    };
+    let outside = |model: &EnergyModel, v_mps: &[f32], omega_radps: &[f32]| {
+        let plan = Commands {
+            period_s: 0.1,
+            v_mps,
+            omega_radps,
+        };
+        model.forecast(&EnergyState::new(0), plan).steps_outside
+    };
+    // Nothing changes.
+    assert_eq!(outside(&model, &[0.5; 3], &[0.5; 3]), 0);
+    // A change within, also by the longer steps of a recording; and one beyond.
+    assert_eq!(outside(&model, &[0.0, 0.39, 0.0], &[0.0; 3]), 0);
+    assert_eq!(outside(&model, &[0.0, 0.52, 0.0], &[0.0; 3]), 0);
+    assert_eq!(outside(&model, &[0.0, 0.6, 0.6], &[0.0; 3]), 1);
+    assert_eq!(outside(&model, &[0.0; 3], &[0.0, 1.2, 0.0]), 2);
+    // Braking is no acceleration.
+    assert_eq!(outside(&model, &[0.9, 0.5, 0.1], &[0.0; 3]), 0);
+    assert_eq!(outside(&model, &[0.1, 0.5, 0.9], &[0.0; 3]), 1);
+    // Each velocity is within: their product is not compared.
+    assert_eq!(outside(&model, &[0.9; 3], &[1.5; 3]), 0);
+    // A file of an older version says nothing of changes: none is then within.
+    let older = EnergyModel {
+        combined: None,
+        ..model.clone()
+    };
+    assert_eq!(outside(&older, &[0.5; 3], &[0.0; 3]), 0);
+    assert_eq!(outside(&older, &[0.5, 0.5, 0.4], &[0.0; 3]), 1);
+    assert_eq!(outside(&older, &[0.1; 3], &[0.1; 3]), 0);
+    assert!(!older.to_text().contains("combined"), "the same bytes");
+    assert_eq!(EnergyModel::from_text(&older.to_text()), Ok(older));
+    // Where commands make no difference, their changes do not either.
+    let constant = EnergyModel {
+        combined: None,
+        ..EnergyModel::untrained(3.0)
+    };
+    assert_eq!(outside(&constant, &[0.0, 9.0, 0.0], &[1.0; 3]), 0);
+}
+
 /// A robot whose power is redrawn every second: its errors are far above or far below the model's.
 #[test]
 fn intervals_widen_and_narrow_with_the_robots_own_errors() {
@@ -521,7 +619,7 @@ fn intervals_widen_and_narrow_with_the_robots_own_errors() {
 #[test]
 fn a_model_out_of_range_is_refused_by_name() {
     let good = model(&[0.5; TERMS], 0.0);
-    let spoil: [fn(&mut EnergyModel); 8] = [
+    let spoil: [fn(&mut EnergyModel); 10] = [
         |model| model.command.weights[3] = f32::NAN,
         |model| model.command.weights[0] = 0.0,
         |model| model.command.half_v_mps = 0.0,
@@ -530,6 +628,8 @@ fn a_model_out_of_range_is_refused_by_name() {
         |model| model.calibrated = 7,
         |model| model.errors[5][3] = f32::INFINITY,
         |model| model.v_mps = [1.0, f32::NAN],
+        |model| model.combined = Some([0.0, -1.0, 0.0, 0.0, 0.0]),
+        |model| model.combined = Some([0.0, 0.0, 0.0, f32::INFINITY, 0.0]),
     ];
     for spoil in spoil {
         let mut model = good.clone();

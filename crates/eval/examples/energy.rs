@@ -1,9 +1,10 @@
 //! The tables of docs/energy.md: energy forecasts of recordings and of simulated robots that neither
 //! the energy model nor the network was trained on.
 //!
-//! `cargo run --release -p joulebus-eval --example energy -- [--quick]`: both halves of each set of
-//! recordings, each scored by what was trained on the other; and each surface, terrain and platform
-//! scored by what was trained on all others. With `--quick` the networks train for two epochs only.
+//! `cargo run --release -p joulebus-eval --example energy -- [--quick] [--every=ROWS] [--from=ROW] [SIMULATED]`: both halves of
+//! each set of recordings, each scored by what was trained on the other; and each surface, terrain and
+//! platform scored by what was trained on all others. With `--quick` the networks train for two epochs only;
+//! `--every=1` forecasts at every row instead of every tenth, `--from=15` at none before that row.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -18,6 +19,13 @@ type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
 fn main() -> Result<()> {
     let quick = std::env::args().any(|argument| argument == "--quick");
+    let number = |option: &str| {
+        std::env::args().find_map(|argument| argument.strip_prefix(option)?.parse().ok())
+    };
+    let origins = (
+        number("--every=").unwrap_or(10),
+        number("--from=").unwrap_or(0),
+    );
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
     let simulated = std::env::args()
         .skip(1)
@@ -41,7 +49,13 @@ fn main() -> Result<()> {
         let half = |half: usize| move |place: usize, _: &Trial| place % 2 == half;
         let mut scores = EnergyScores::default();
         for own in 0..2 {
-            evaluate(&trials, &settings, half(own), half(1 - own), &mut scores)?;
+            evaluate(
+                &trials,
+                &settings,
+                half(own),
+                half(1 - own),
+                (origins, &mut scores),
+            )?;
         }
         println!("\n{name}, each half by the other\n\n{}", scores.errors());
         let groups = groups(&trials);
@@ -50,20 +64,20 @@ fn main() -> Result<()> {
             let mut scores = EnergyScores::default();
             let others = |_: usize, trial: &Trial| !inside(trial);
             let own = |_: usize, trial: &Trial| inside(trial);
-            evaluate(&trials, &settings, others, own, &mut scores)?;
+            evaluate(&trials, &settings, others, own, (origins, &mut scores))?;
             println!("\n{name}, {group} by all others\n\n{}", scores.errors());
         }
     }
     Ok(())
 }
 
-/// Trains on some trials, and scores others.
+/// Trains on some trials, and scores others, every so many rows from a row on.
 fn evaluate(
     trials: &[Trial],
     settings: &TrainSettings,
     trains: impl Fn(usize, &Trial) -> bool,
     scored: impl Fn(usize, &Trial) -> bool,
-    scores: &mut EnergyScores,
+    ((every, from), scores): ((usize, usize), &mut EnergyScores),
 ) -> Result<()> {
     let all = || trials.iter().enumerate();
     let own: Vec<&Trial> = all()
@@ -85,7 +99,9 @@ fn evaluate(
     };
     let model = Model::Network(train(&dataset, settings, |_| ())?.network);
     for (_, trial) in all().filter(|(place, trial)| scored(*place, trial)) {
-        scores.add(&model, trial, &vec![true; trial.rows()]);
+        // A forecast made at a row is of the rows after it.
+        let follows: Vec<bool> = (0..trial.rows()).map(|row| row > from).collect();
+        scores.add_every(every, &model, trial, &follows);
     }
     Ok(())
 }

@@ -153,15 +153,18 @@ pub fn analyze(
     })
 }
 
+/// Most lags of an autocorrelation: five minutes at 30 Hz are fewer.
+const MOST_LAGS: usize = 10_000;
+
 fn check(recordings: &[Recording], settings: &AnalysisSettings) -> Result<(), AnalyzeError> {
     if recordings.is_empty() {
         return Err(AnalyzeError::NoTrial);
     }
-    if settings.lags == 0 {
+    if !(1..=MOST_LAGS).contains(&settings.lags) {
         return Err(AnalyzeError::Setting {
             what: "lags",
-            found: 0,
-            allowed: "1 or more",
+            found: settings.lags,
+            allowed: "1 to 10,000",
         });
     }
     if !(1..=LAGS).contains(&settings.window) {

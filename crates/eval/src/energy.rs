@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 /// Readings before the first forecast.
 const FIRST: usize = LAGS;
-/// Rows between the origins of forecasts.
+/// Rows between the origins of forecasts, unless asked otherwise.
 const EVERY: usize = 10;
 /// Coverage of the intervals.
 const COVERAGE: f32 = 0.9;
@@ -84,6 +84,12 @@ impl EnergyScores {
     /// Adds the forecasts of a recording, every ten rows, by `model` and its energy model. Robots start
     /// as new ones. Only readings with `true` in `scored` are forecast; those beyond its end are not.
     pub fn add(&mut self, model: &Model, trial: &Trial, scored: &[bool]) {
+        self.add_every(EVERY, model, trial, scored);
+    }
+
+    /// The same, every so many `rows`, at least one.
+    pub fn add_every(&mut self, rows: usize, model: &Model, trial: &Trial, scored: &[bool]) {
+        let every = rows.max(1);
         let untrained = EnergyModel::untrained(1.0);
         let mut recorded = Recorded::new(model, model.energy().unwrap_or(&untrained), trial);
         recorded.leave_out(scored);
@@ -95,7 +101,7 @@ impl EnergyScores {
                 if sample.has(sample_flag::POWER) {
                     age.read(!sample.has(sample_flag::HELD));
                 }
-                if row >= FIRST && row % EVERY == EVERY / 2 {
+                if row >= FIRST && row % every == every / 2 {
                     let found = recorded.forecast(&state, age, row, horizon_s);
                     scored.extend(found);
                 }

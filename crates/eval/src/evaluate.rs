@@ -11,7 +11,10 @@ use std::path::PathBuf;
 use joulebus_fleet::{Fleet, Learned, Ledger, Scores};
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, Platform, SettingsError};
-use joulebus_wire::{DropCounts, Quality, SCHEMA_VERSION, Sample, SampleHeader, diagnostic_flag};
+use joulebus_wire::{
+    DropCounts, InvalidReason, Quality, SCHEMA_VERSION, Sample, SampleHeader, diagnostic_flag,
+    sample_flag,
+};
 use serde::{Deserialize, Serialize};
 
 pub(crate) use live_trial::LiveTrial;
@@ -157,8 +160,9 @@ pub struct Step {
 /// Robot ids determine the platform, as in a live run; `models[i]` is the model of
 /// `settings.platforms[i]`. A live run of the same trials gives the same forecasts, residuals and
 /// scores to the bit, in a mixed fleet and at any speed, because a robot's results depend neither
-/// on other robots nor on the worker's clock. The exception is a gap after which the live worker
-/// has reassigned the robot's slot (`leave_after`): here it never does.
+/// on other robots nor on the worker's clock. The exception is a gap in which the live robot leaves
+/// (`leave_after`): here it stays up to the longest gap that ingest takes (`max_jump`), and else leaves at the first
+/// sample after the gap, which is refused.
 ///
 /// # Errors
 /// [`EvaluateError`]: no trial, a repeated robot, a robot in no platform, or settings that are
@@ -206,10 +210,11 @@ pub fn evaluate_trial(
     };
     let mut fleet = Fleet::new(alone, models.to_vec())?;
     let mut steps = Vec::with_capacity(trial.rows());
-    let (mut now_ns, mut published_w) = (0, None);
+    let (mut now_ns, mut published_w, mut has_left) = (0, None, false);
     for sample in trial.samples(robot, BASE_NS) {
         now_ns = sample.stamp_ns.max(now_ns);
         let mut next = step(&mut fleet, &sample, now_ns);
+        has_left |= fleet.is_empty();
         if let (true, Some(reading_w), Some(power_w)) = (next.scored, next.reading_w, published_w) {
             next.residual_w = Some(reading_w - power_w);
         }
@@ -219,7 +224,7 @@ pub fn evaluate_trial(
         steps.push(next);
     }
     let coverage = (!fleet.is_empty()).then(|| fleet.diagnostic(0).coverage);
-    Ok(RobotEvaluation {
+    let mut found = RobotEvaluation {
         robot,
         path: trial.path().to_owned(),
         notes: trial.notes().clone(),
@@ -233,7 +238,12 @@ pub fn evaluate_trial(
         ledger: fleet.ledger(robot).unwrap_or_default(),
         accepted: fleet.accepted(),
         drops: fleet.drops(),
-    })
+    };
+    if has_left {
+        // The fleet scores a robot from the sample on with which it came back.
+        found.score_again();
+    }
+    Ok(found)
 }
 
 /// A tick with one sample.
@@ -251,19 +261,23 @@ fn step(fleet: &mut Fleet, sample: &Sample, now_ns: u64) -> Step {
     let (accepted_before, scored_before) = (fleet.accepted(), scored(fleet, sample.robot));
     fleet.take(&header, std::slice::from_ref(sample), now_ns);
     fleet.tick(now_ns, false);
-    // A robot of a known platform always gets a slot: the capacity is 1, and it is the first.
-    let (forecast, diagnostic) = (fleet.forecast(0), fleet.diagnostic(0));
     let accepted = fleet.accepted() > accepted_before;
+    let stamp_ns = sample.stamp_ns.saturating_sub(BASE_NS);
+    let reading_w = sample.has(sample_flag::POWER).then_some(sample.power_w);
+    // The capacity is 1, and the robot the only one. It leaves when no sample was accepted for too long: after a gap
+    // that ingest refuses, or a long stretch of values that it refuses. It comes back with the next one.
+    if fleet.is_empty() {
+        return Step::of_nobody(sample.seq, stamp_ns, reading_w);
+    }
+    let (forecast, diagnostic) = (fleet.forecast(0), fleet.diagnostic(0));
     let known = |value: Option<f32>| value.filter(|_| accepted);
     let interval = forecast.interval_w();
     let has_residual = diagnostic.flags & diagnostic_flag::RESIDUAL != 0;
     Step {
         sample_seq: sample.seq,
-        stamp_ns: sample.stamp_ns.saturating_sub(BASE_NS),
+        stamp_ns,
         accepted,
-        reading_w: sample
-            .has(joulebus_wire::sample_flag::POWER)
-            .then_some(sample.power_w),
+        reading_w,
         residual_w: known(has_residual.then_some(diagnostic.residual_w)),
         network_residual_w: known(has_residual.then_some(diagnostic.residual_w)),
         scored: scored(fleet, sample.robot) > scored_before,
@@ -271,6 +285,25 @@ fn step(fleet: &mut Fleet, sample: &Sample, now_ns: u64) -> Step {
         lo_w: known(interval.map(|(lo_w, _)| lo_w)),
         hi_w: known(interval.map(|(_, hi_w)| hi_w)),
         quality: forecast.quality(),
+    }
+}
+
+impl Step {
+    /// That of a refused sample whose robot is not in the fleet.
+    const fn of_nobody(sample_seq: u64, stamp_ns: u64, reading_w: Option<f32>) -> Self {
+        Self {
+            sample_seq,
+            stamp_ns,
+            accepted: false,
+            reading_w,
+            residual_w: None,
+            network_residual_w: None,
+            scored: false,
+            power_w: None,
+            lo_w: None,
+            hi_w: None,
+            quality: Quality::Invalid(InvalidReason::Stale),
+        }
     }
 }
 

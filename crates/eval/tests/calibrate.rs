@@ -216,3 +216,10 @@ fn a_single_long_recording_is_divided_into_pieces() {
     assert_eq!(pieces, 3, "{found}");
     assert_eq!(found.chosen_on.rows + found.stated_on.rows, 45_000);
 }
+
+#[test]
+fn recordings_of_which_no_reading_is_scored_are_refused_without_a_rate() {
+    let short = [1, 2].map(|seed| Protocol::RandomWalk.trial_with(Parts::default(), seed, 5));
+    let refused = asked(&short, &WANTED).unwrap_err();
+    assert_eq!(refused, CalibrateError::Unscored);
+}

@@ -83,7 +83,7 @@ fn tick(mut shard: Shard<'_>, outputs: Outputs<'_>, batch: &mut Batch, in_two: b
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 12, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig::with_cases(ProptestConfig::default().cases.min(12)))]
 
     #[test]
     fn no_bit_depends_on_tiles_shards_threads_or_the_processor(

@@ -49,7 +49,7 @@ pub enum AskError {
     },
     /// A command that is not a number, or that the platform cannot follow.
     #[error(
-        "{column} of candidate {candidate}, step {step} is {found}: platform {platform} follows \
+        "{column} of candidate {candidate}, step {step} is {found:?}: platform {platform} follows \
          −{allowed} to {allowed} (`v_max_mps`, `omega_max_radps` in its config)"
     )]
     Command {
@@ -142,7 +142,7 @@ pub enum PathError {
         found: usize,
     },
     /// A coordinate that is not a number, or too far away.
-    #[error("{column} of point {point} is {found}: allowed are −{allowed} to {allowed}")]
+    #[error("{column} of point {point} is {found:?}: allowed are −{allowed} to {allowed}")]
     Coordinate {
         /// The column.
         column: &'static str,
@@ -173,6 +173,19 @@ pub enum PathError {
         v_max_mps: f32,
         /// Its greatest angular velocity, rad/s.
         omega_max_radps: f32,
+    },
+    /// The path takes more steps than are allowed.
+    #[error(
+        "point {point} is still {distance_m:.2} m away after {allowed} steps, as many as a path may have: give it a \
+         higher speed, or a shorter path"
+    )]
+    TooLong {
+        /// The point, from 0.
+        point: usize,
+        /// Distance to it, m.
+        distance_m: f64,
+        /// The greatest number of steps of a path.
+        allowed: usize,
     },
     /// The follower does not get there.
     #[error(

@@ -81,10 +81,13 @@ impl Progress {
         let down_w = (mean_w - power_min_w).max(0.0);
         let up_w = (power_max_w - mean_w).max(0.0);
         let known_j = known.map_or(0.0, |known| known.energy_j);
+        let lo_j = whole.energy_j + offset_j(tail) - widened_s * down_w;
+        let least_j = (power_min_w * whole.duration_s).min(whole.energy_j);
         Estimate {
             known,
             mean_j: whole.energy_j,
-            lo_j: whole.energy_j + offset_j(tail) - widened_s * down_w,
+            // Both widen it downwards, and together beyond what is possible. Not `max`, which would hide a NaN.
+            lo_j: if lo_j < least_j { least_j } else { lo_j },
             hi_j: whole.energy_j + offset_j(1.0 - tail) + widened_s * up_w,
             widened_j: (whole.energy_j - known_j) + widened_s * up_w,
             caveats: Caveats {

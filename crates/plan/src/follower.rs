@@ -234,14 +234,21 @@ impl Follower {
         let first_m = distance_m(to.poses[to.poses.len() - 1].at, goal);
         let turn_s = PI / f64::from(self.omega_max_radps).min(TURN_GAIN);
         let patience_s = PATIENCE * (first_m / speed_mps + turn_s + 10.0 / GAIN);
-        let most = (patience_s / self.period_s).min(self.most_steps as f64) as usize;
+        let most = (patience_s / self.period_s) as usize;
         loop {
             let pose = to.poses[to.poses.len() - 1];
             let away_m = distance_m(pose.at, goal);
             if away_m <= REACH_M {
                 return Ok(());
             }
-            if to.v_mps.len() - begun >= most || to.v_mps.len() >= self.most_steps {
+            if to.v_mps.len() >= self.most_steps {
+                return Err(PathError::TooLong {
+                    point,
+                    distance_m: away_m,
+                    allowed: self.most_steps,
+                });
+            }
+            if to.v_mps.len() - begun >= most {
                 return Err(PathError::NotReached {
                     point,
                     distance_m: away_m,

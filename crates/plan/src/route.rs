@@ -131,7 +131,10 @@ impl Route {
                 omega_radps: home.omega_radps[0],
                 rest: robot.rest(home.commands(), turn),
             })),
-            Err(AskError::Steps { .. } | AskError::Path(PathError::NotReached { .. })) => Ok(None),
+            Err(
+                AskError::Steps { .. }
+                | AskError::Path(PathError::NotReached { .. } | PathError::TooLong { .. }),
+            ) => Ok(None),
             Err(error) => Err(error),
         }
     }

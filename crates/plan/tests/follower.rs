@@ -4,8 +4,10 @@ use std::fs;
 use std::path::{Path as FilePath, PathBuf};
 use std::process::Command;
 
+use joulebus_config::builtin_model;
+use joulebus_energy::{Commands, EnergyModel, EnergyState};
 use joulebus_plan::{Config, Fleet, Follower, Path, PathError, Point, Pose};
-use joulebus_predictor::{Model, Persistence, ResidualStats};
+use joulebus_predictor::{Model, Network, Persistence, ResidualStats};
 use proptest::prelude::*;
 
 fn fleet(v_max_mps: f32, omega_max_radps: f32) -> Fleet {
@@ -60,6 +62,44 @@ proptest! {
     }
 }
 
+/// The energy model of the platform that ships.
+fn shipped() -> EnergyModel {
+    let (_, bytes) = builtin_model("gternal-sim").expect("it ships");
+    let network = Network::from_safetensors(bytes).expect("a valid file");
+    network.card().energy.clone().expect("trained with one")
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
+
+    /// Robots of the Robotarium have been commanded to start, to stop and to turn as suddenly as a follower
+    /// does: of its steps only those are outside the training data whose velocities are.
+    #[test]
+    fn changes_of_a_followers_commands_are_inside_the_shipped_models_training_data(
+        corners in prop::collection::vec((-1.6f64..1.6, -1.0f64..1.0), 2..6),
+        speed_mps in 0.02f64..0.16,
+    ) {
+        let points: Vec<Point> = corners.iter().map(|(x, y)| Point::new(*x, *y)).collect();
+        let follower = follower(0.25, 4.0);
+        let followed = follower.follow(&Path::new(&points, speed_mps)).expect("it gets there");
+        let model = shipped();
+        let plan = Commands {
+            period_s: followed.period_s,
+            v_mps: &followed.v_mps,
+            omega_radps: &followed.omega_radps,
+        };
+        let mut at_rest = EnergyState::new(0);
+        (at_rest.metered.v_mps, at_rest.metered.omega_radps) = (0.0, 0.0);
+        let commands = followed.v_mps.iter().zip(&followed.omega_radps);
+        let within = |[lowest, highest]: [f32; 2], value: f32| lowest <= value && value <= highest;
+        let too_fast = commands.filter(|(v_mps, omega_radps)| {
+            !within(model.v_mps, **v_mps) || !within(model.omega_radps, **omega_radps)
+        });
+        let too_fast = too_fast.count();
+        prop_assert_eq!(model.forecast(&at_rest, plan).steps_outside, too_fast);
+    }
+}
+
 #[test]
 fn wrong_paths_are_refused_with_the_value() {
     let follower = follower(0.2, 3.0);
@@ -86,6 +126,27 @@ fn wrong_paths_are_refused_with_the_value() {
     let still = fleet(0.0, 0.0);
     let error = Follower::new(&still.platforms()[0]).expect_err("it cannot move");
     assert!(error.to_string().contains("v_max_mps"), "{error}");
+}
+
+#[test]
+fn a_path_of_too_many_steps_is_told_from_a_point_that_is_circled() {
+    let follower = follower(0.2, 3.0).within(100);
+    let points = [Point::new(0.0, 0.0), Point::new(50.0, 0.0)];
+    for speed_mps in [0.2, 1e-5] {
+        let error = follower.follow(&Path::new(&points, speed_mps));
+        let error = error.expect_err("refused");
+        assert!(
+            matches!(
+                error,
+                PathError::TooLong {
+                    point: 1,
+                    allowed: 100,
+                    ..
+                }
+            ),
+            "{error}"
+        );
+    }
 }
 
 #[test]

@@ -166,6 +166,23 @@ fn what_weakens_an_answer_widens_it_to_what_the_platform_can_draw_and_is_never_y
         "20 W are possible for 10 s: {outside:?}"
     );
     assert_eq!(outside.verdict, Verdict::Tight);
+    assert!(outside.energy.expect("known").lo_j >= 0.0, "{outside:?}");
+    // A jump that no recording has, in one step of many.
+    let careful = fleet_with(EnergyModel {
+        combined: Some([0.4, 1.0, 100.0, 4.0, 100.0]),
+        ..model()
+    });
+    let careful = rows.robot(&careful);
+    let gentle = straight(&careful, 0.12, 300);
+    assert_eq!(
+        (gentle.verdict, gentle.caveats.any()),
+        (Verdict::Yes, false)
+    );
+    let sudden = straight(&careful, 0.15, 300);
+    assert_eq!(sudden.caveats.steps_outside_training, 1);
+    assert_eq!(sudden.verdict, Verdict::Tight);
+    let widened_j = sudden.energy.expect("known").hi_j - gentle.energy.expect("known").hi_j;
+    assert!(widened_j > 0.9 * 16.0 * STEP_S, "{widened_j} J");
     // 400 s: errors are known up to 300.
     let long = straight(&robot, 0.1, 12_000);
     assert!(

@@ -9,6 +9,8 @@ use crate::error::SettingsError;
 
 /// Robots of a fleet.
 pub const CAPACITY: RangeInclusive<u32> = 1..=1_000_000;
+/// Platforms of a fleet: kinds of robots, each with settings and a model of its own.
+pub const PLATFORMS: RangeInclusive<u32> = 0..=256;
 /// Samples of one robot that one tick takes.
 pub const MAX_SAMPLES_PER_TICK: RangeInclusive<u32> = 1..=1024;
 /// Sources that the worker keeps account of, and that can be connected at once.

@@ -129,6 +129,11 @@ impl FleetSettings {
         for (what, found, allowed) in [
             ("capacity", self.capacity, bounds::CAPACITY),
             (
+                "number of platforms",
+                u32::try_from(self.platforms.len()).unwrap_or(u32::MAX),
+                bounds::PLATFORMS,
+            ),
+            (
                 "max_samples_per_tick",
                 max_samples_per_tick.into(),
                 bounds::MAX_SAMPLES_PER_TICK,

@@ -5,7 +5,8 @@
 
 use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_energy::{
-    CommandModel, EnergyModel, HORIZONS_S, KNOTS, LEVELS, LEVELS_S, QUANTILES, TERMS,
+    COMBINED_TERMS, CommandModel, EnergyModel, HORIZONS_S, KNOTS, LEVELS, LEVELS_S, QUANTILES,
+    TERMS,
 };
 use joulebus_predictor::{FeatureSet, LAGS};
 
@@ -91,6 +92,7 @@ pub fn energy_model(dataset: &Dataset, feature_set: FeatureSet) -> Option<Energy
         mean_share: mean_share as f32,
         v_mps: ranges[0],
         omega_radps: ranges[1],
+        combined: Some(combined(&all)),
     };
     model.check().is_ok().then_some(model)
 }
@@ -156,6 +158,27 @@ fn ranges(runs: &[&Run]) -> [[f32; 2]; 2] {
             [f32::MIN, f32::MAX]
         }
     })
+}
+
+/// What the products and changes of velocities reached in at least two runs, so that one wrong stamp, over which
+/// a change is divided, does not count. Not a quantile of all rows: jumps between commands are rare, and
+/// the plans of every follower begin and end with one.
+fn combined(runs: &[&Run]) -> [f32; COMBINED_TERMS] {
+    let mut highest = [[0.0f32; 2]; COMBINED_TERMS];
+    for run in runs {
+        let mut of_run = [0.0f32; COMBINED_TERMS];
+        for motion in &run.motion {
+            let terms = CommandModel::combined_terms(*motion);
+            for (highest, term) in of_run.iter_mut().zip(terms) {
+                *highest = highest.max(if term.is_finite() { term } else { 0.0 });
+            }
+        }
+        for (highest, of_run) in highest.iter_mut().zip(of_run) {
+            let [first, second] = *highest;
+            *highest = [first.max(of_run), second.max(first.min(of_run))];
+        }
+    }
+    highest.map(|[_, second]| second)
 }
 
 /// A row follows another of the same recording if its readings are the other's, one later. Few long

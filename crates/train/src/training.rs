@@ -21,6 +21,8 @@ use joulebus_statistics::noise::Noise;
 
 /// Minimum number of rows for training and for scoring.
 const FEWEST_ROWS: usize = 2;
+/// Most threads of a run.
+const MOST_THREADS: usize = 256;
 /// Random streams: initial weights, row order of an epoch, dropout.
 const INITIAL: u64 = 0;
 const ORDER: u64 = 1 << 62;
@@ -94,6 +96,10 @@ impl Training {
         threads: usize,
     ) -> Result<Self, TrainError> {
         settings.check()?;
+        if threads > MOST_THREADS {
+            let reason = format!("allowed are 0, one per core, to {MOST_THREADS}");
+            return Err(TrainError::Threads { threads, reason });
+        }
         // Of all rows: an unusable one would cut the run of readings around it.
         let trained_rows = trained_rows(dataset);
         let (dataset, unusable_rows) = usable(dataset, settings.feature_set);

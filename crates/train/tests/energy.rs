@@ -1,7 +1,7 @@
 //! The energy model that training stores.
 
 use joulebus_dataset::rows::{Dataset, Row};
-use joulebus_energy::{Commands, EnergyModel, EnergySample, EnergyState};
+use joulebus_energy::{CommandModel, Commands, EnergyModel, EnergySample, EnergyState};
 use joulebus_predictor::{FeatureSet, INPUTS, LAGS, features};
 use joulebus_statistics::noise::Noise;
 use joulebus_train::energy_model;
@@ -175,6 +175,48 @@ fn what_differs_between_robots_is_not_attributed_to_commands() {
         (ratio / expected - 1.0).abs() < 0.1,
         "{ratio}, expected {expected}"
     );
+}
+
+/// Highest terms of two velocities or of a change in some recordings, by going through all rows.
+fn combined(robots: &[Robot]) -> [f32; 5] {
+    let rows = robots.iter().flat_map(Robot::rows);
+    let terms =
+        rows.map(|row| CommandModel::combined_terms(std::array::from_fn(|at| row.features[at])));
+    terms.fold([0.0f32; 5], |highest, terms| {
+        std::array::from_fn(|term| highest[term].max(terms[term]))
+    })
+}
+
+#[test]
+fn changes_of_commands_are_known_up_to_those_that_two_recordings_reached() {
+    let mut robots = robots(0..16);
+    let sound = energy_model(&dataset(&robots), FeatureSet::Full).expect("enough recordings");
+    let reached = sound.combined.expect("known");
+    for (term, reached) in reached.into_iter().enumerate() {
+        let highest_of = |robot| combined(std::slice::from_ref(robot))[term];
+        let mut all: Vec<f32> = robots.iter().map(highest_of).collect();
+        all.sort_by(f32::total_cmp);
+        assert_eq!(reached, all[all.len() - 2], "{term}");
+    }
+    // A velocity of one recording is wrong for a moment.
+    robots[3].commands[500].0 = 40.0;
+    let spoilt = energy_model(&dataset(&robots), FeatureSet::Full).expect("enough recordings");
+    let highest = combined(&robots);
+    for (term, known) in spoilt.combined.expect("known").into_iter().enumerate() {
+        assert!(known <= combined(&robots[..3])[term].max(combined(&robots[4..])[term]));
+        assert!(known <= highest[term]);
+    }
+    let outside = |v_mps: &[f32]| {
+        let plan = Commands {
+            period_s: PERIOD_S,
+            v_mps,
+            omega_radps: &vec![0.0; v_mps.len()],
+        };
+        spoilt.forecast(&EnergyState::new(0), plan).steps_outside
+    };
+    assert_eq!(outside(&[0.0, 0.25, 0.25, 0.0]), 0);
+    assert_eq!(outside(&[-0.19, 0.25, 0.25]), 0, "as in training");
+    assert_eq!(outside(&[0.0, 0.25, 20.0]), 1);
 }
 
 #[test]

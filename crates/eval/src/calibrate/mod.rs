@@ -112,6 +112,9 @@ fn choose(
         return choose::extrapolated(first, second, before, request);
     }
     let (hours, wanted) = (second.hours(), request.per_robot_h());
+    if hours <= 0.0 {
+        return Err(CalibrateError::Unscored);
+    }
     let at_best = upper_mean(0, request.confidence) / hours;
     if at_best > wanted {
         return Err(CalibrateError::Hours {

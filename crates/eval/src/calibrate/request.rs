@@ -35,6 +35,12 @@ pub enum CalibrateError {
         /// Recordings given.
         found: usize,
     },
+    /// No reading of the half that states the rate was scored.
+    #[error(
+        "the recordings of the half that states the rate are so short that no reading of them was scored: give longer \
+         ones, or more"
+    )]
+    Unscored,
     /// They are too short for what was asked for.
     #[error(
         "{hours:.2} robot-hours, half of the recordings, can show at most {at_best:.3} false alarms a robot-hour at \

@@ -11,6 +11,8 @@ use crate::evaluate::EvaluateError;
 
 /// The longest horizon, ticks.
 pub const LONGEST_HORIZON: usize = 300;
+/// Most draws for confidence intervals.
+const MOST_RESAMPLES: u32 = 1_000_000;
 
 /// Options of scoring.
 #[derive(Debug, Clone, PartialEq)]
@@ -149,6 +151,7 @@ impl Options {
             before = found;
         }
         let Bootstrap {
+            resamples,
             confidence,
             block_rows,
             ..
@@ -159,6 +162,12 @@ impl Options {
                 self.origins_every as f64,
                 self.origins_every > 0,
                 "1 row or more",
+            ),
+            (
+                "resamples",
+                resamples.into(),
+                resamples <= MOST_RESAMPLES,
+                "0 to 1,000,000",
             ),
             (
                 "block_rows",

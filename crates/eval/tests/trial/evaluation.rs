@@ -311,6 +311,75 @@ fn pooled_persistence_on_all_robotino_trials_scores_as_published() {
 }
 
 #[test]
+fn a_robot_that_leaves_during_its_recording_comes_back_and_every_scored_reading_counts() {
+    /// Changes the time, s, and the power, mW, of a row.
+    type Change = fn(usize, &mut (f64, f64));
+    let kinds: [(&str, Change); 6] = [
+        ("a gap that ingest takes", |row, (time_s, _)| {
+            *time_s += if row < 1_500 { 0.0 } else { 59.0 };
+        }),
+        ("a gap of a day", |row, (time_s, _)| {
+            *time_s += if row < 1_500 { 0.0 } else { 86_400.0 };
+        }),
+        (
+            "values that are impossible, for 40 s",
+            |row, (_, power_mw)| {
+                if (300..1_500).contains(&row) {
+                    *power_mw = -1e9;
+                }
+            },
+        ),
+        (
+            "values that are impossible, at first",
+            |row, (_, power_mw)| {
+                if row < 1_500 {
+                    *power_mw = 1e12;
+                }
+            },
+        ),
+        ("a stamp of a day later", |row, (time_s, _)| {
+            *time_s += if row == 700 { 86_400.0 } else { 0.0 };
+        }),
+        ("a day after each row", |row, (time_s, _)| {
+            *time_s = 86_400.0 * row as f64;
+        }),
+    ];
+    let files = Files::new();
+    let mut settings = settings();
+    settings.intake.leave_after_ns = 30_000_000_000;
+    settings.intake.max_jump_ns = 60_000_000_000;
+    for (place, (kind, change)) in kinds.into_iter().enumerate() {
+        let mut rows: Vec<(f64, f64)> = (0..3_000)
+            .map(|row| (f64::from(row) / 30.0, 5_000.0 + f64::from(row % 7)))
+            .collect();
+        for (row, values) in rows.iter_mut().enumerate() {
+            change(row, values);
+        }
+        let file = format!("{place}.npy");
+        let trial = files.read(&file, &npy_f8(&timed(&rows))).unwrap();
+        for models in [vec![persistence(); 3], networks()] {
+            let found = evaluate_trial(&settings, &models, ROVER, &trial).unwrap();
+            let of =
+                |is: fn(&Step) -> bool| found.steps.iter().filter(|step| is(step)).count() as u64;
+            assert_eq!(found.steps.len(), rows.len(), "{kind}");
+            assert_eq!(
+                found.accepted + found.drops.total(),
+                rows.len() as u64,
+                "{kind}"
+            );
+            assert_eq!(found.accepted, of(|step| step.accepted), "{kind}");
+            let scored = of(|step| step.scored && step.residual_w.is_some());
+            assert_eq!(found.scores.count, scored, "{kind}");
+            assert!(scored == 0 || found.scores.mae_w().is_finite(), "{kind}");
+        }
+        let found = evaluate_trial(&settings, &vec![persistence(); 3], ROVER, &trial).unwrap();
+        let last = found.steps.last().unwrap();
+        let is_back = kind != "a day after each row" && kind != "a stamp of a day later";
+        assert!(!is_back || last.power_w.is_some(), "{kind}: {last:?}");
+    }
+}
+
+#[test]
 fn samples_refused_by_ingest_are_empty_steps_and_counted() {
     let files = Files::new();
     let mut rows = (0..12)

@@ -31,7 +31,7 @@
 // Terms and lanes are counted: those are the loops that the compiler makes vectors of.
 #![allow(clippy::needless_range_loop)]
 
-use joulebus_predictor::{FeatureSet, LAGS, Linear, Model};
+use joulebus_predictor::{FeatureSet, LAGS, Linear, Model, canonical};
 use serde::{Deserialize, Serialize};
 
 use crate::estimate::hedge::{Hedge, MEMBERS, dot};
@@ -173,7 +173,7 @@ fn within(value: f32, most: f32) -> f32 {
 }
 
 /// What a robot's forecast has learned from its readings.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Learned {
     /// The network's own forecast of the next reading, W; NaN before the first.
     pub network_w: f32,
@@ -191,6 +191,19 @@ pub struct Learned {
     pub gains: [f32; 3],
     /// Level that the stack adds, W.
     pub level_w: f32,
+}
+
+impl Learned {
+    /// Of a robot that does not learn: all NaN.
+    pub(crate) const NONE: Self = Self {
+        network_w: f32::NAN,
+        mean_w: f32::NAN,
+        change_w: f32::NAN,
+        weights: [f32::NAN; 3],
+        held_weights: [f32::NAN; 2],
+        gains: [f32::NAN; 3],
+        level_w: f32::NAN,
+    };
 }
 
 /// As in [`Learned`], where a new measurement is due and where none is.
@@ -468,13 +481,13 @@ impl Online {
     pub(crate) fn learned(&self, (weights, held_weights): Weights) -> Learned {
         let [p, n, m, level] = self.theta;
         Learned {
-            network_w: self.network_w,
-            mean_w: self.mean_w,
-            change_w: self.change_w,
-            weights,
-            held_weights,
-            gains: [p, n, m],
-            level_w: level * self.change_w,
+            network_w: canonical(self.network_w),
+            mean_w: canonical(self.mean_w),
+            change_w: canonical(self.change_w),
+            weights: weights.map(canonical),
+            held_weights: held_weights.map(canonical),
+            gains: [p, n, m].map(canonical),
+            level_w: canonical(level * self.change_w),
         }
     }
 }

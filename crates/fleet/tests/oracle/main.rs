@@ -24,7 +24,7 @@ const START_NS: u64 = 60_000 * MS;
 const CAPACITY: u32 = 9;
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig::with_cases(ProptestConfig::default().cases.min(24)))]
 
     #[test]
     fn forecasts_residuals_ledgers_and_scores_equal_the_oracle_after_every_tick(

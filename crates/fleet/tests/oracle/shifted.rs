@@ -42,7 +42,7 @@ fn moved(frames: &[Delivery], offset_ns: i64) -> Vec<Delivery> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig::with_cases(ProptestConfig::default().cases.min(24)))]
 
     #[test]
     fn a_shifted_state_is_that_of_the_fleet_whose_samples_were_shifted_bit_for_bit(

@@ -86,7 +86,7 @@ pub(crate) fn same(one: &Fleet, other: &Fleet, tick: usize) -> Result<(), TestCa
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig::with_cases(ProptestConfig::default().cases.min(24)))]
 
     #[test]
     fn a_fleet_continues_from_a_snapshot_with_the_same_bits(

@@ -73,7 +73,6 @@ impl<'a, 'b> Diagnostics<'a, 'b> {
         };
         let (level, first) = most_important(alarms);
         let (learns, learned) = self.learned.get(&self.block, lane);
-        let known = |value: f32| canonical(if learns { value } else { f32::NAN });
         let ([weight_last, weight_network, weight_stack], [held_weight_last, held_weight_stack]) =
             (learned.weights, learned.held_weights);
         let [gain_last, gain_network, gain_mean] = learned.gains;
@@ -103,18 +102,18 @@ impl<'a, 'b> Diagnostics<'a, 'b> {
             stamp_ns: admission.stamp_ns,
             source_epoch: admission.source_epoch,
             refused: last.refused,
-            network_w: known(learned.network_w),
-            mean_w: known(learned.mean_w),
-            change_w: known(learned.change_w),
-            weight_last: known(weight_last),
-            weight_network: known(weight_network),
-            weight_stack: known(weight_stack),
-            held_weight_last: known(held_weight_last),
-            held_weight_stack: known(held_weight_stack),
-            gain_last: known(gain_last),
-            gain_network: known(gain_network),
-            gain_mean: known(gain_mean),
-            level_w: known(learned.level_w),
+            network_w: learned.network_w,
+            mean_w: learned.mean_w,
+            change_w: learned.change_w,
+            weight_last,
+            weight_network,
+            weight_stack,
+            held_weight_last,
+            held_weight_stack,
+            gain_last,
+            gain_network,
+            gain_mean,
+            level_w: learned.level_w,
         }
     }
 }

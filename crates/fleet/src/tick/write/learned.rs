@@ -49,7 +49,7 @@ impl LearnedLanes {
         learned
     }
 
-    /// Whether the robot in a lane learns, and what it has learned.
+    /// Whether the robot in a lane learns, and what it has learned; [`Learned::NONE`] if it does not.
     #[inline(always)]
     pub(crate) fn get(&self, block: &BlockRef<'_>, lane: usize) -> (bool, Learned) {
         let [last, network, stack] = &self.weights;
@@ -58,8 +58,8 @@ impl LearnedLanes {
             [last[lane], network[lane], stack[lane]],
             [held_last[lane], held_stack[lane]],
         );
-        let robot = block.online.map(|online| online.get(lane));
-        let learned = robot.map_or(Learned::default(), |robot| robot.learned(weights));
+        let online = block.online.filter(|_| self.learns[lane]);
+        let learned = online.map_or(Learned::NONE, |online| online.get(lane).learned(weights));
         (self.learns[lane], learned)
     }
 }

@@ -1,6 +1,5 @@
 //! What plans start from.
 
-use joulebus_predictor::canonical;
 use joulebus_wire::{PlanState, Quality, plan_state_flag};
 
 use crate::estimate::window::PlanStart;
@@ -41,7 +40,6 @@ impl<'a, 'b> PlanStates<'a, 'b> {
             self.otherwise(tick, lane, &start)
         };
         let (learns, learned) = self.learned.get(&self.block, lane);
-        let known = |value: f32| canonical(if learns { value } else { f32::NAN });
         let [weight_last, weight_network, weight_stack] = learned.weights;
         let [_, held_weight_stack] = learned.held_weights;
         let [gain_last, gain_network, gain_mean] = learned.gains;
@@ -71,17 +69,17 @@ impl<'a, 'b> PlanStates<'a, 'b> {
             lag3_w,
             lag4_w,
             lag5_w,
-            network_w: known(learned.network_w),
-            mean_w: known(learned.mean_w),
-            change_w: known(learned.change_w),
-            weight_last: known(weight_last),
-            weight_network: known(weight_network),
-            weight_stack: known(weight_stack),
-            held_weight_stack: known(held_weight_stack),
-            gain_last: known(gain_last),
-            gain_network: known(gain_network),
-            gain_mean: known(gain_mean),
-            level_w: known(learned.level_w),
+            network_w: learned.network_w,
+            mean_w: learned.mean_w,
+            change_w: learned.change_w,
+            weight_last,
+            weight_network,
+            weight_stack,
+            held_weight_stack,
+            gain_last,
+            gain_network,
+            gain_mean,
+            level_w: learned.level_w,
             size_due_w: interval.due.size_w,
             below_due: interval.due.below,
             above_due: interval.due.above,
