@@ -5,12 +5,11 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::fs::File;
 use std::io::BufWriter;
-use std::path::Path;
 
 use mcap::records::MessageHeader;
 
 use crate::ros::RosType;
-use crate::writer::WriteError;
+use crate::writer::{WriteError, reason};
 
 /// Writes such a file, uncompressed.
 pub struct RosFile {
@@ -52,18 +51,6 @@ impl RosTopic<'_> {
 pub struct RosTopicId(u16);
 
 impl RosFile {
-    /// Creates a file.
-    ///
-    /// # Errors
-    /// [`WriteError`]; a file that exists is not touched.
-    pub fn create(path: &Path) -> Result<Self, WriteError> {
-        let file = File::create_new(path).map_err(|source| WriteError::Create {
-            path: path.to_owned(),
-            source,
-        })?;
-        Self::in_file(file)
-    }
-
     /// Writes into `file`, which is empty.
     ///
     /// # Errors
@@ -120,6 +107,6 @@ impl RosFile {
 
 fn failed(error: &mcap::McapError) -> WriteError {
     WriteError::Failed {
-        reason: error.to_string(),
+        reason: reason(error),
     }
 }

@@ -342,7 +342,7 @@ fn what_one_machine_records_another_computes_to_the_bit() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 48, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig::with_cases(ProptestConfig::default().cases.min(48)))]
 
     /// The recorder reads one service after the other, and may be late in any of them.
     #[test]

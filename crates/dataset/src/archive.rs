@@ -11,6 +11,7 @@ mod listing;
 mod quiet;
 mod read;
 mod schema;
+mod sum;
 mod write;
 
 pub use head::{Head, RowStamp};

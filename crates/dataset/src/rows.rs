@@ -1,9 +1,10 @@
 //! Recorded samples as training rows: the features at one time and the next reading.
 
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, BufWriter, Write as _};
 use std::path::Path;
 
+use joulebus_files::replace;
 use joulebus_fleet::missing_steps;
 use joulebus_predictor::{
     FEATURE_NAMES, FEATURES, FeatureSet, Features, INPUTS, LAGS, ReadingAge, features,
@@ -184,30 +185,31 @@ impl Age {
 /// Writes the rows for other programs: `training.npy`, `validation.npy` and `held_out.npy`, float32
 /// of shape (rows, features + 1), each row its features and then the reading that followed, W.
 /// `features.txt` lists the features' names, one per line. Unknown values are NaN. The directory is
-/// created; files in it are overwritten.
+/// created; files in it are replaced.
 ///
 /// # Errors
 /// The operating system's error.
 pub fn write_rows(directory: &Path, dataset: &Dataset) -> io::Result<()> {
     fs::create_dir_all(directory)?;
-    fs::write(
-        directory.join("features.txt"),
-        FEATURE_NAMES.join("\n") + "\n",
-    )?;
+    replace(&directory.join("features.txt"), |mut file| {
+        file.write_all((FEATURE_NAMES.join("\n") + "\n").as_bytes())
+    })?;
     let parts = [
         ("training.npy", &dataset.training),
         ("validation.npy", &dataset.validation),
         ("held_out.npy", &dataset.held_out),
     ];
     for (name, rows) in parts {
-        let mut file = BufWriter::new(File::create(directory.join(name))?);
-        file.write_all(&npy::header("<f4", &[rows.len(), FEATURE_NAMES.len() + 1]))?;
-        for row in rows {
-            for value in row.features.iter().chain([&row.target_w]) {
-                file.write_all(&value.to_le_bytes())?;
+        replace(&directory.join(name), |file| {
+            let mut file = BufWriter::new(file);
+            file.write_all(&npy::header("<f4", &[rows.len(), FEATURE_NAMES.len() + 1]))?;
+            for row in rows {
+                for value in row.features.iter().chain([&row.target_w]) {
+                    file.write_all(&value.to_le_bytes())?;
+                }
             }
-        }
-        file.flush()?;
+            file.flush()
+        })?;
     }
     Ok(())
 }

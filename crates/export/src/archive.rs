@@ -1,11 +1,14 @@
 //! The folder of an archive while recordings are added to it.
 //!
-//! Files of a recording's trials are written under other names first; its listing comes last. Whatever is not listed is
-//! of an export that did not finish, and the next one removes it.
+//! Files of a recording's trials are written under other names first, then the draft of its listing; then all get their
+//! names, the listing last. So an export that did not finish leaves drafts and the files that the draft of the listing
+//! names, which the next one removes. Other files are somebody's, and no link is followed: anybody may have made the
+//! archive.
 
 use std::collections::{HashMap, HashSet};
 use std::fs::{self, OpenOptions};
-use std::io::{BufWriter, Write as _};
+use std::io::{self, BufWriter, Write as _};
+use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
@@ -15,7 +18,8 @@ use joulebus_dataset::archive::{
 use joulebus_dataset::trial::Table;
 use joulebus_files::disk;
 use joulebus_program::exit::UsageError;
-use rustix::fs::{FlockOperation, flock};
+use rustix::fs::{CWD, FlockOperation, OFlags, RenameFlags, flock, renameat_with};
+use rustix::io::Errno;
 use serde::{Deserialize, Serialize};
 
 use crate::partition;
@@ -79,6 +83,7 @@ impl Archive {
             }
             fs::create_dir_all(&listings).with_context(failed)?;
         }
+        own_folder(&listings)?;
         let mark = Self::lock(&listings.join(MARK), folder)?;
         let mut archive = Self {
             folder: folder.to_owned(),
@@ -103,6 +108,7 @@ impl Archive {
             .read(true)
             .append(true)
             .create(true)
+            .custom_flags(OFlags::NOFOLLOW.bits().cast_signed())
             .open(path)
             .with_context(failed)?;
         if flock(&mark, FlockOperation::NonBlockingLockExclusive).is_err() {
@@ -145,18 +151,58 @@ impl Archive {
             let Some(number) = number else {
                 bail!("{}: its name is no number; remove it", path.display());
             };
-            self.next = self.next.max(number + 1);
+            let Some(after) = number.checked_add(1) else {
+                bail!(
+                    "{}: allowed are numbers below {number}; give it another",
+                    path.display()
+                );
+            };
+            self.next = self.next.max(after);
             self.recordings.insert(listing.name, number);
             listed.extend(listing.trials.into_iter().map(|trial| trial.file));
         }
-        self.remove_unlisted(&listed)
+        self.remove_unfinished(&listed)
     }
 
-    fn remove_unlisted(&self, listed: &HashSet<PathBuf>) -> anyhow::Result<()> {
-        let mut left = Vec::new();
-        unlisted(&self.folder, Path::new(""), listed, &mut left)?;
+    /// Draft of the next listing.
+    fn draft(&self) -> PathBuf {
+        let name = format!("{:06}{DRAFT_ENDING}", self.next);
+        self.folder.join(LISTINGS).join(name)
+    }
+
+    fn remove_unfinished(&self, listed: &HashSet<PathBuf>) -> anyhow::Result<()> {
+        let (mut left, draft) = (Vec::new(), self.draft());
+        drafts(&self.folder, Path::new(""), &mut left)?;
+        // Some may have their names already.
+        if let Ok(unfinished) = Listing::read(&draft) {
+            let is_its = |trial: &ListedTrial| {
+                let found = fs::symlink_metadata(self.folder.join(&trial.file));
+                let before = draft_of(&trial.file);
+                let is_own = before
+                    .file_name()
+                    .is_some_and(|name| is_draft(&name.to_string_lossy()));
+                // It got its name from the draft, which is no more.
+                let has_moved = fs::symlink_metadata(self.folder.join(&before)).is_err();
+                is_own
+                    && has_moved
+                    && found.is_ok_and(|found| found.is_file() && found.len() == trial.bytes)
+                    && !listed.contains(&trial.file)
+                    && trial
+                        .file
+                        .parent()
+                        .is_some_and(|folder| make_folders(&self.folder, folder).is_ok())
+            };
+            let named = unfinished.trials.into_iter().filter(is_its);
+            left.extend(named.map(|trial| trial.file));
+        }
+        if fs::symlink_metadata(&draft).is_ok_and(|found| found.is_file()) {
+            left.push(Path::new(LISTINGS).join(draft.file_name().unwrap_or_default()));
+        }
         for path in left {
             fs::remove_file(self.folder.join(&path))?;
+            if path.starts_with(LISTINGS) {
+                continue;
+            }
             // Partitions that are empty now.
             for folder in path.ancestors().skip(1).take(3) {
                 let _ = fs::remove_dir(self.folder.join(folder));
@@ -234,7 +280,7 @@ impl Adding<'_> {
         let file = folder.join(format!("{ordinal:06}-{trial:04}{PARQUET_ENDING}"));
         let draft = self.archive.folder.join(draft_of(&file));
         let failed = || format!("cannot write {}", draft.display());
-        fs::create_dir_all(self.archive.folder.join(&folder)).with_context(failed)?;
+        make_folders(&self.archive.folder, &folder)?;
         let out = fs::File::create_new(&draft).with_context(failed)?;
         let mut buffered = BufWriter::new(&out);
         let written = archive::write(table, stamps, &head, &mut buffered).with_context(failed)?;
@@ -262,15 +308,6 @@ impl Adding<'_> {
         } = self;
         let root = &archive.folder;
         let failed = || format!("cannot write to {}", root.display());
-        let mut folders = HashSet::new();
-        for ListedTrial { file, .. } in &trials {
-            fs::rename(root.join(draft_of(file)), root.join(file)).with_context(failed)?;
-            folders.extend(file.ancestors().skip(1));
-        }
-        for folder in folders {
-            disk::sync_directory(&root.join(folder)).with_context(failed)?;
-        }
-        let count = trials.len();
         let listing = Listing {
             schema: SCHEMA,
             name: name.clone(),
@@ -278,15 +315,26 @@ impl Adding<'_> {
         };
         let listings = root.join(LISTINGS);
         let path = listings.join(format!("{:06}{LISTING_ENDING}", archive.next));
-        let draft = listings.join(format!("{:06}{DRAFT_ENDING}", archive.next));
-        let write = || -> std::io::Result<()> {
-            let mut out = fs::File::create(&draft)?;
+        let draft = archive.draft();
+        let prepare = || -> std::io::Result<()> {
+            let mut out = fs::File::create_new(&draft)?;
             out.write_all(serde_json::to_string(&listing)?.as_bytes())?;
             out.sync_all()?;
-            fs::rename(&draft, &path)?;
             disk::sync_directory(&listings)
         };
-        write().with_context(failed)?;
+        prepare().with_context(failed)?;
+        let mut changed = HashSet::new();
+        for ListedTrial { file, .. } in &listing.trials {
+            rename_new(&root.join(draft_of(file)), &root.join(file)).with_context(failed)?;
+            changed.extend(file.ancestors().skip(1));
+        }
+        for folder in changed {
+            disk::sync_directory(&root.join(folder)).with_context(failed)?;
+        }
+        rename_new(&draft, &path)
+            .and_then(|()| disk::sync_directory(&listings))
+            .with_context(failed)?;
+        let count = listing.trials.len();
         archive.recordings.insert(name, archive.next);
         archive.next += 1;
         Ok(count)
@@ -299,37 +347,63 @@ fn draft_of(file: &Path) -> PathBuf {
     file.with_file_name(format!(".{name}{DRAFT_ENDING}"))
 }
 
-/// Files of an archive, below `folder`, that no listing names.
-fn unlisted(
-    root: &Path,
-    folder: &Path,
-    listed: &HashSet<PathBuf>,
-    left: &mut Vec<PathBuf>,
-) -> std::io::Result<()> {
+/// Drafts of an archive, below `folder`.
+fn drafts(root: &Path, folder: &Path, left: &mut Vec<PathBuf>) -> std::io::Result<()> {
     for entry in fs::read_dir(root.join(folder))? {
         let entry = entry?;
         let (name, kind) = (entry.file_name(), entry.file_type()?);
         let path = folder.join(&name);
         let name = name.to_string_lossy();
         if kind.is_dir() && name.contains('=') {
-            unlisted(root, &path, listed, left)?;
-        } else if kind.is_file()
-            && is_own(&name)
-            && !listed.contains(&path)
-            && folder.components().count() == 3
-        {
+            drafts(root, &path, left)?;
+        } else if kind.is_file() && is_draft(&name) && folder.components().count() == 3 {
             left.push(path);
         }
     }
     Ok(())
 }
 
-/// Whether a file is named as an export names it: 000017-0003.parquet, or its draft.
-fn is_own(name: &str) -> bool {
-    let name = match name.strip_prefix('.') {
-        Some(draft) => draft.strip_suffix(DRAFT_ENDING),
-        None => Some(name),
-    };
+/// Makes the folders of a partition below the archive itself: a link among them would lead elsewhere.
+fn make_folders(root: &Path, folder: &Path) -> anyhow::Result<()> {
+    let mut path = root.to_owned();
+    for name in folder {
+        path.push(name);
+        match fs::create_dir(&path) {
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => own_folder(&path)?,
+            made => made.with_context(|| format!("cannot make {}", path.display()))?,
+        }
+    }
+    Ok(())
+}
+
+/// Refuses a link in place of a folder of the archive.
+fn own_folder(path: &Path) -> anyhow::Result<()> {
+    let shown = path.display();
+    let found = fs::symlink_metadata(path).with_context(|| format!("cannot use {shown}"))?;
+    if !found.is_dir() {
+        bail!("{shown} is a link or no folder: an archive's folders lie in it; move it away");
+    }
+    Ok(())
+}
+
+/// Renames a file to a name that nobody has.
+fn rename_new(from: &Path, to: &Path) -> std::io::Result<()> {
+    match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
+        // The file system does not know how.
+        Err(Errno::INVAL | Errno::NOSYS | Errno::OPNOTSUPP) if !disk::exists(to) => {
+            fs::rename(from, to)
+        }
+        Err(Errno::INVAL | Errno::NOSYS | Errno::OPNOTSUPP) => {
+            Err(io::ErrorKind::AlreadyExists.into())
+        }
+        renamed => Ok(renamed?),
+    }
+}
+
+/// Whether a file is named as the draft of an export: .000017-0003.parquet.part.
+fn is_draft(name: &str) -> bool {
+    let name = name.strip_prefix('.');
+    let name = name.and_then(|name| name.strip_suffix(DRAFT_ENDING));
     let stem = name.and_then(|name| name.strip_suffix(PARQUET_ENDING));
     let numbers = stem.and_then(|stem| stem.split_once('-'));
     let is_number = |text: &str| text.len() >= 4 && text.bytes().all(|byte| byte.is_ascii_digit());

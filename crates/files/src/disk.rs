@@ -13,6 +13,12 @@ pub fn exists(path: &Path) -> bool {
     std::fs::symlink_metadata(path).is_ok()
 }
 
+/// Whether there is a regular file of that name itself, not through a link.
+#[must_use]
+pub fn is_file(path: &Path) -> bool {
+    std::fs::symlink_metadata(path).is_ok_and(|found| found.is_file())
+}
+
 /// Writes a directory's list of names to the disk: without it a power failure may undo renames.
 ///
 /// # Errors

@@ -2,10 +2,12 @@
 //!
 //! Opening a pipe blocks, reading a device never ends, and opening some devices has side effects.
 //! So only regular files are opened, also through symbolic links, and whole files are read into
-//! memory only up to a limit set by the reader. [`disk`] has what writes.
+//! memory only up to a limit set by the reader. Files that a user names are written by [`create`] and [`replace`], what
+//! must survive a crash by [`disk`].
 #![forbid(unsafe_code)]
 
 pub mod disk;
+mod whole;
 
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::{self, Read as _};
@@ -14,8 +16,10 @@ use std::path::Path;
 
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 
+pub use whole::{check_kind, create, replace};
+
 /// Reason that a file is refused, as the cause of an [`io::Error`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Refused {
     /// It is not a regular file.
@@ -23,6 +27,15 @@ pub enum Refused {
     Kind {
         /// Its kind.
         found: &'static str,
+    },
+    /// It is in the place of another one, and no program of joulebus has written it.
+    #[error(
+        "begins with {found:?}, which is not what would be written there, and is not overwritten; move it away, or name \
+         another file"
+    )]
+    Foreign {
+        /// Its first bytes.
+        found: String,
     },
     /// It is longer than the limit.
     #[error("has {found} bytes; allowed are {allowed}")]
@@ -44,6 +57,7 @@ impl From<Refused> for io::Error {
     fn from(refused: Refused) -> Self {
         let kind = match refused {
             Refused::Kind { .. } => io::ErrorKind::InvalidInput,
+            Refused::Foreign { .. } => io::ErrorKind::AlreadyExists,
             Refused::TooLong { .. } => io::ErrorKind::FileTooLarge,
             Refused::Readable { .. } => io::ErrorKind::PermissionDenied,
         };

@@ -33,11 +33,17 @@ fn run(args: &RosbagArguments) -> anyhow::Result<Outcome> {
         exit_with_parent::end_with_stdin()?;
     }
     let bag = Bag::open(&args.bag)?;
-    let out = match args.out == Path::new("-") {
-        true => RosFile::in_file(standard_output()?)?,
-        false => RosFile::create(&args.out)?,
+    let left_out = if args.out == Path::new("-") {
+        convert::convert(&bag, RosFile::in_file(standard_output()?)?)?
+    } else {
+        let written = joulebus_files::create(&args.out, |file| -> anyhow::Result<_> {
+            Ok(convert::convert(
+                &bag,
+                RosFile::in_file(file.try_clone()?)?,
+            )?)
+        });
+        written.with_context(|| args.out.display().to_string())?
     };
-    let left_out = convert::convert(&bag, out)?;
     for (LeftOut { what, why }, count) in &left_out {
         say(&format!("{count} {what} left out: {why}"));
     }

@@ -192,7 +192,9 @@ impl fmt::Display for Imported {
             } = channel;
             writeln!(
                 out,
-                "not used   {topic} ({type_name}), {messages} messages: {why}"
+                "not used   {} ({}), {messages} messages: {why}",
+                one_line(topic),
+                one_line(type_name)
             )?;
         }
         let (kinds, messages) = (self.others.len(), self.others.values().sum::<u64>());
@@ -208,7 +210,9 @@ impl fmt::Display for RobotReport {
         writeln!(
             out,
             "robot      {}: {} rows by {} time",
-            self.name, self.row_count, self.time
+            one_line(&self.name),
+            self.row_count,
+            self.time
         )?;
         write_topic(out, "battery", Some(&self.battery))?;
         if self.merged_in_bursts > 0 {
@@ -224,6 +228,11 @@ impl fmt::Display for RobotReport {
     }
 }
 
+/// A name of a file with its line breaks escaped: it would write lines of its own into the report.
+fn one_line(name: &str) -> String {
+    name.replace('\n', "\\u000a")
+}
+
 fn write_topic(
     out: &mut fmt::Formatter<'_>,
     what: &str,
@@ -235,10 +244,22 @@ fn write_topic(
     writeln!(
         out,
         "  {what:<9}{}, {} messages",
-        topic.topic, topic.messages
+        one_line(&topic.topic),
+        topic.messages
     )?;
     for (why, count) in &topic.refused {
         writeln!(out, "             {count} of them: {why}")?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_writes_no_line_of_its_own() {
+        assert_eq!(one_line("/b\nwritten    x"), "/b\\u000awritten    x");
+        assert_eq!(one_line("/größe"), "/größe");
+    }
 }

@@ -6,17 +6,28 @@
 
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
+use std::rc::Rc;
 
 use mcap::records::{MessageHeader, Record};
 use prost_reflect::{DescriptorPool, DynamicMessage, Kind, MessageDescriptor, SerializeOptions};
 use serde::Serialize;
 use serde_json::Value;
 
+use crate::messages::wire_fields::{Field, Fields, Payload};
 use crate::ros;
 use crate::scan::{ScanError, each_record};
 
 /// Maximum nesting depth of fields listed as columns.
 const MOST_DEPTH: usize = 8;
+/// Maximum length of all names of columns, bytes: a message that contains itself has more than can be listed.
+const MOST_COLUMN_BYTES: usize = 1 << 20;
+/// Maximum number of values in a message that is decoded, those that it leaves out included: a row of a hundred thousand
+/// robots has some fifty. An empty message within another takes one byte in a file, and hundreds in memory.
+const MOST_VALUES: usize = 1 << 23;
+/// What a message within another counts as, beside its values.
+const MESSAGE_VALUES: usize = 8;
+/// Maximum nesting depth of a message that is decoded, that of the decoder.
+const DECODED_DEPTH: usize = 100;
 
 /// A message with its values.
 #[derive(Debug, Serialize)]
@@ -64,10 +75,26 @@ enum How {
 
 struct Channel {
     topic: String,
-    schema: String,
-    columns: Vec<String>,
+    schema: Rc<str>,
+    columns: Rc<[String]>,
     how: How,
     wanted: bool,
+}
+
+/// A schema, and its message once a channel has needed it: many channels may have one.
+#[derive(Default)]
+struct Schema {
+    name: Rc<str>,
+    encoding: String,
+    data: Vec<u8>,
+    message: Option<Result<Described, String>>,
+}
+
+/// A message by the file's descriptors, and its columns.
+#[derive(Clone)]
+struct Described {
+    message: MessageDescriptor,
+    columns: Rc<[String]>,
 }
 
 /// Reads a file and passes on the messages of the `wanted` topics, in the order of the file.
@@ -86,15 +113,18 @@ pub fn values<E: From<ScanError>>(
     passed.damage = each_record::<E>(input, |record| {
         match record {
             Record::Schema { header, data } => {
-                schemas
-                    .entry(header.id)
-                    .or_insert_with(|| (header.name, header.encoding, data.into_owned()));
+                schemas.entry(header.id).or_insert_with(|| Schema {
+                    name: header.name.into(),
+                    encoding: header.encoding,
+                    data: data.into_owned(),
+                    message: None,
+                });
             }
             Record::Channel(channel) => {
-                let id = channel.id;
-                channels
-                    .entry(id)
-                    .or_insert_with(|| Channel::new(channel, &schemas, &wanted));
+                channels.entry(channel.id).or_insert_with(|| {
+                    let schema = schemas.get_mut(&channel.schema_id);
+                    Channel::new(channel, schema.unwrap_or(&mut Schema::default()), &wanted)
+                });
             }
             Record::Message { header, data } => {
                 if let Some(channel) = channels
@@ -119,30 +149,28 @@ pub fn values<E: From<ScanError>>(
 impl Channel {
     fn new(
         channel: mcap::records::Channel,
-        schemas: &BTreeMap<u16, (String, String, Vec<u8>)>,
+        schema: &mut Schema,
         wanted: impl Fn(&str) -> bool,
     ) -> Self {
-        let empty = (String::new(), String::new(), Vec::new());
-        let (schema, encoding, data) = schemas.get(&channel.schema_id).unwrap_or(&empty);
+        let mut columns = Rc::from([]);
         let how = match channel.message_encoding.as_str() {
-            "protobuf" => match descriptor(schema, encoding, data) {
-                Ok(descriptor) => How::Protobuf(descriptor),
+            "protobuf" => match schema.described() {
+                Ok(described) => {
+                    columns = described.columns;
+                    How::Protobuf(described.message)
+                }
                 Err(why) => How::Unknown(why),
             },
             "json" => How::Json,
-            other => match ros::RosType::of(other, schema, encoding, data) {
+            other => match ros::RosType::of(other, &schema.name, &schema.encoding, &schema.data) {
                 Ok(kind) => How::Ros(kind),
                 Err(error) => How::Unknown(error.to_string()),
             },
         };
-        let mut columns = Vec::new();
-        if let How::Protobuf(descriptor) = &how {
-            list(descriptor, "", 0, &mut columns);
-        }
         Self {
             wanted: wanted(&channel.topic),
             topic: channel.topic,
-            schema: schema.clone(),
+            schema: Rc::clone(&schema.name),
             columns,
             how,
         }
@@ -169,6 +197,8 @@ impl Channel {
     fn decode(&self, data: &[u8]) -> Result<Value, String> {
         match &self.how {
             How::Protobuf(descriptor) => {
+                let mut left = MOST_VALUES;
+                count(descriptor, data, DECODED_DEPTH, &mut left)?;
                 let message = DynamicMessage::decode(descriptor.clone(), data)
                     .map_err(|error| error.to_string())?;
                 // Field names as in the schema, zeros included; 64-bit numbers as numbers.
@@ -202,14 +232,83 @@ fn descriptor(name: &str, encoding: &str, data: &[u8]) -> Result<MessageDescript
         .ok_or_else(|| format!("its descriptors have no message {name:?}"))
 }
 
-/// The scalar fields of a message as dotted paths; those of repeated messages without an index.
-fn list(message: &MessageDescriptor, before: &str, depth: usize, columns: &mut Vec<String>) {
+impl Schema {
+    /// Its message by the descriptors, decoded once.
+    fn described(&mut self) -> Result<Described, String> {
+        let Self {
+            name,
+            encoding,
+            data,
+            message,
+        } = self;
+        let described = message.get_or_insert_with(|| {
+            let message = descriptor(name, encoding, data)?;
+            let (mut columns, mut left) = (Vec::new(), MOST_COLUMN_BYTES);
+            list(&message, "", 0, &mut columns, &mut left);
+            let columns = columns.into();
+            Ok(Described { message, columns })
+        });
+        described.clone()
+    }
+}
+
+/// Takes the values that a message will have in memory off `left`, by its encoding alone.
+///
+/// # Errors
+/// There are more, or something that is not decoded.
+fn count(
+    message: &MessageDescriptor,
+    data: &[u8],
+    depth: usize,
+    left: &mut usize,
+) -> Result<(), String> {
+    take(left, MESSAGE_VALUES + message.fields().len())?;
+    for Field { number, payload } in Fields(data) {
+        let kind = message.get_field(number).map(|field| field.kind());
+        match (payload, kind) {
+            (Payload::Bytes(bytes), Some(Kind::Message(inner))) => {
+                let depth = depth.checked_sub(1);
+                let depth = depth.ok_or_else(|| format!("nested deeper than {DECODED_DEPTH}"))?;
+                count(&inner, bytes, depth, left)?;
+            }
+            (Payload::Bytes(_), None | Some(Kind::String | Kind::Bytes)) | (Payload::Number, _) => {
+                take(left, 1)?;
+            }
+            // Numbers one after the other: at most one for each byte.
+            (Payload::Bytes(bytes), Some(_)) => take(left, bytes.len())?,
+            (Payload::Group, _) => return Err("groups are not decoded".to_owned()),
+        }
+    }
+    Ok(())
+}
+
+fn take(left: &mut usize, values: usize) -> Result<(), String> {
+    let rest = left.checked_sub(values).ok_or_else(|| {
+        format!("more than {MOST_VALUES} values, those left out included, which is the limit")
+    });
+    *left = rest?;
+    Ok(())
+}
+
+/// The scalar fields of a message as dotted paths, as many as `left` bytes of names allow; those of repeated messages
+/// without an index.
+fn list(
+    message: &MessageDescriptor,
+    before: &str,
+    depth: usize,
+    columns: &mut Vec<String>,
+    left: &mut usize,
+) {
     for field in message.fields() {
         let name = format!("{before}{}", field.name());
+        let Some(rest) = left.checked_sub(name.len()) else {
+            return;
+        };
+        *left = rest;
         match field.kind() {
             Kind::Message(inner) if !is_text(&inner) && !field.is_map() => {
                 if depth < MOST_DEPTH {
-                    list(&inner, &format!("{name}."), depth + 1, columns);
+                    list(&inner, &format!("{name}."), depth + 1, columns, left);
                 }
             }
             _ => columns.push(name),

@@ -6,6 +6,7 @@ mod query;
 #[rustfmt::skip]
 #[allow(dead_code, unreachable_pub, clippy::all, reason = "generated")]
 mod proto;
+pub(crate) mod wire_fields;
 
 use std::sync::Arc;
 
@@ -280,6 +281,12 @@ impl Message {
     /// # Errors
     /// The bytes are not a message of this kind, or a number exceeds its field.
     pub fn decode(kind: MessageKind, data: &[u8]) -> Result<Self, DecodeError> {
+        // The rows of an answer are within the answer.
+        let depth = u32::from(kind == MessageKind::Queries);
+        let found = wire_fields::inner(data, depth);
+        if found > MOST_ROWS {
+            return Err(DecodeError::TooManyRows { found });
+        }
         Ok(match kind {
             MessageKind::Samples => {
                 let read: proto::Samples = parse(data)?;
@@ -332,10 +339,20 @@ fn parse<P: prost::Message + Default>(data: &[u8]) -> Result<P, DecodeError> {
     })
 }
 
+/// Maximum number of rows in a message: more than a fleet may have robots. An empty row takes three bytes in a file, and
+/// hundreds in memory.
+const MOST_ROWS: usize = 1 << 20;
+
 /// Errors of decoding a message.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DecodeError {
+    /// It has more rows than a fleet may have robots.
+    #[error("{found} rows; allowed are {MOST_ROWS}, more than the robots of any fleet")]
+    TooManyRows {
+        /// Its rows.
+        found: usize,
+    },
     /// Not protobuf, or not of this kind.
     #[error("{reason}")]
     Protobuf {

@@ -56,14 +56,15 @@ pub(crate) struct Drain {
 }
 
 impl Drain {
-    /// Joins, and opens a port for each `wanted` kind.
+    /// Joins as `member`, and opens a port for each `wanted` kind.
     pub(crate) fn open(
         config: &Config,
+        member: &str,
         clock: Clock,
         shared: Arc<Shared>,
         wanted: impl Fn(MessageKind) -> bool,
     ) -> Result<Self, DrainError> {
-        let bus = Bus::join(&config.domain()?, "recorder")?;
+        let bus = Bus::join(&config.domain()?, member)?;
         let limits = config.limits();
         // At most a quarter of the buffered frames arrives between two drains.
         let frames = limits.forecast_frames.min(limits.sample_frames) as u64;

@@ -84,6 +84,8 @@ pub(crate) struct Files {
     /// Lost messages by topic.
     lost: BTreeMap<String, u64>,
     parts: u32,
+    /// Whether the first file is open, or the memory buffer is filled.
+    has_begun: bool,
 }
 
 struct Open {
@@ -110,10 +112,17 @@ impl Files {
             done: Vec::new(),
             lost: BTreeMap::new(),
             parts: 0,
+            has_begun: false,
         };
-        if files.options.snapshot.is_none() {
-            files.open()?;
+        match &files.target {
+            _ if files.options.snapshot.is_none() => files.open()?,
+            Target::File(path) if !files.options.resume && disk::exists(path) => {
+                let path = path.clone();
+                return Err(WriteError::Exists { path });
+            }
+            _ => {}
         }
+        files.has_begun = true;
         Ok(files)
     }
 
@@ -217,17 +226,16 @@ impl Files {
 
     fn open(&mut self) -> Result<(), WriteError> {
         let settings = self.options.settings;
-        if let (Target::File(path), true) = (&self.target, self.options.resume) {
-            while disk::exists(&part(path, self.parts)) {
-                self.parts += 1;
-            }
-        }
+        // Only the first file is the user's choice: a recording that has begun does not end because of a name.
+        let passes_over = self.options.resume || self.has_begun;
         let (path, out) = match &mut self.target {
-            Target::File(path) => {
+            Target::File(path) => loop {
                 let path = part(path, self.parts);
-                let file = CaptureFile::create(&path)?;
-                (path, Out::File(file))
-            }
+                match CaptureFile::create(&path) {
+                    Err(WriteError::Exists { .. }) if passes_over => self.parts += 1,
+                    created => break (path, Out::File(created?)),
+                }
+            },
             Target::Stream(out) => {
                 let out = std::mem::replace(out, Box::new(io::sink()));
                 (PathBuf::from("-"), Out::Stream(out))
@@ -315,16 +323,17 @@ impl Files {
     }
 }
 
-/// The file name of a part: `run.mcap`, `run_1.mcap`, `run_2.mcap`.
+/// The file name of a part: `run.mcap`, `run_1.mcap`, `run_2.mcap`. A name that is taken is passed over.
 fn part(path: &Path, number: u32) -> PathBuf {
     if number == 0 {
         return path.to_owned();
     }
-    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-    let name = match path.extension() {
-        Some(extension) => format!("{stem}_{number}.{}", extension.to_string_lossy()),
-        None => format!("{stem}_{number}"),
-    };
+    let mut name = path.file_stem().unwrap_or_default().to_owned();
+    name.push(format!("_{number}"));
+    if let Some(extension) = path.extension() {
+        name.push(".");
+        name.push(extension);
+    }
     path.with_file_name(name)
 }
 
@@ -522,6 +531,67 @@ mod tests {
         let written = files.written().iter().map(|(_, file)| file.messages).sum();
         let kept = files.kept().map_or(0, |kept| kept.messages);
         [written, files.lost().values().sum(), kept]
+    }
+
+    #[test]
+    fn a_recording_that_has_begun_passes_over_names_that_are_taken() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("run.mcap");
+        let tick = |at_ns| item(at_ns, Message::Ticks(TickHeader::default(), Vec::new()));
+        let kept = Snapshot {
+            keep_ns: 1_000,
+            max_bytes: 1 << 20,
+            on_alarm: false,
+        };
+        let begin = |snapshot, resume| {
+            let options = Options {
+                max_file_ns: 10,
+                snapshot,
+                resume,
+                ..Options::default()
+            };
+            Files::begin(Target::File(path.clone()), Attachments::default(), options)
+        };
+        let names = |files: &Files| -> Vec<String> {
+            let name = |path: &Path| path.file_name().unwrap().to_str().unwrap().to_owned();
+            files.written().iter().map(|(path, _)| name(path)).collect()
+        };
+        std::fs::write(folder.path().join("run_1.mcap"), "somebody's").unwrap();
+        for (snapshot, resume, times, wanted) in [
+            (None, false, 0..4, ["run.mcap", "run_2.mcap", "run_3.mcap"]),
+            (
+                Some(kept),
+                true,
+                0..3,
+                ["run_4.mcap", "run_5.mcap", "run_6.mcap"],
+            ),
+        ] {
+            let mut files = begin(snapshot, resume).unwrap();
+            for at in times.clone() {
+                files.take(tick(10 * at)).unwrap();
+                files.write_down().unwrap();
+            }
+            files.end().unwrap();
+            assert_eq!(names(&files), wanted);
+            let messages: u64 = files.written().iter().map(|(_, it)| it.messages).sum();
+            assert_eq!(messages, times.end);
+            // The first name is refused at the start, also where nothing is written yet.
+            for snapshot in [None, Some(kept)] {
+                let refused = begin(snapshot, false).err();
+                assert!(
+                    matches!(refused, Some(WriteError::Exists { .. })),
+                    "{refused:?}"
+                );
+            }
+        }
+        std::fs::remove_file(&path).unwrap();
+        let mut files = begin(Some(kept), false).unwrap();
+        std::fs::write(&path, "came later").unwrap();
+        files.take(tick(0)).unwrap();
+        files.write_down().unwrap();
+        assert_eq!(names(&files), ["run_7.mcap"]);
+        let first = std::fs::read_to_string(folder.path().join("run_1.mcap"));
+        assert_eq!(first.unwrap(), "somebody's");
     }
 
     #[test]

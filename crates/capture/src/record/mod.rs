@@ -33,7 +33,7 @@ use shared::Shared;
 
 pub use drain::DrainError;
 pub use files::{Kept, Target};
-pub use options::{Options, Snapshot};
+pub use options::{Options, RECORDER, Snapshot};
 pub use shared::{Lost, Summary};
 
 /// Interval at which the writing thread looks for messages, and whether a chunk is due.
@@ -153,7 +153,7 @@ impl Recorder {
         let options = options.clone();
         self.drain = Some(Background::start("joulebus-drain", move || {
             let wanted = |kind| options.wants(kind, config.fleet());
-            Ok::<_, StartError>(Drain::open(&config, clock, shared, wanted)?)
+            Ok::<_, StartError>(Drain::open(&config, options.member, clock, shared, wanted)?)
         })?);
         Ok(())
     }

@@ -5,6 +5,9 @@ use std::sync::Arc;
 
 use crate::{CaptureSettings, MessageKind};
 
+/// Name, among the members of a fleet, of processes that record it.
+pub const RECORDER: &str = "recorder";
+
 /// Options of a recording.
 #[derive(Clone)]
 pub struct Options {
@@ -25,6 +28,8 @@ pub struct Options {
     pub snapshot: Option<Snapshot>,
     /// Size of the queue in front of the disk, bytes; messages beyond it are dropped.
     pub queue_bytes: usize,
+    /// Name of the process among the members of the fleet. [`RECORDER`] is told as one that records.
+    pub member: &'static str,
 }
 
 impl fmt::Debug for Options {
@@ -37,6 +42,7 @@ impl fmt::Debug for Options {
             .field("resume", &self.resume)
             .field("snapshot", &self.snapshot)
             .field("queue_bytes", &self.queue_bytes)
+            .field("member", &self.member)
             .finish_non_exhaustive()
     }
 }
@@ -64,6 +70,7 @@ impl Default for Options {
             resume: false,
             snapshot: None,
             queue_bytes: 128 << 20,
+            member: RECORDER,
         }
     }
 }

@@ -7,12 +7,13 @@
 mod ledger;
 
 use std::collections::BTreeMap;
-use std::io::{Read, Seek, SeekFrom, Write};
+use std::io::{self, Read, Seek, SeekFrom, Write};
 
 use mcap::records::{Channel, Footer, MessageHeader, Metadata, Record, Statistics, op};
 use mcap::{Attachment, Compression, McapError, WriteOptions};
 
 use crate::scan::{Event, Place, Raw, Scan, ScanError, kind_name};
+use crate::writer::reason;
 use ledger::Ledger;
 pub use ledger::{Counts, Recovery, Trouble};
 
@@ -36,6 +37,15 @@ pub enum RecoverError {
         /// The error.
         reason: String,
     },
+}
+
+impl From<io::Error> for RecoverError {
+    /// Of the result.
+    fn from(error: io::Error) -> Self {
+        Self::Write {
+            reason: error.to_string(),
+        }
+    }
 }
 
 /// Copies everything readable of `input` to `output` as a valid file.
@@ -368,6 +378,6 @@ fn refused(added: Result<u16, McapError>) -> Result<Option<String>, RecoverError
 #[expect(clippy::needless_pass_by_value, reason = "for `map_err`")]
 fn failed(error: McapError) -> RecoverError {
     RecoverError::Write {
-        reason: error.to_string(),
+        reason: reason(&error),
     }
 }

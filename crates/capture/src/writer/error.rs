@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use mcap::McapError;
+
 /// Errors of writing.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -43,4 +45,12 @@ pub enum WriteError {
         /// Channels that a file may have.
         allowed: usize,
     },
+}
+
+/// What went wrong, with the operating system's error, which mcap's text omits.
+pub(crate) fn reason(error: &McapError) -> String {
+    match error {
+        McapError::Io(source) => source.to_string(),
+        error => error.to_string(),
+    }
 }

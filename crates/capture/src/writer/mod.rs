@@ -17,6 +17,7 @@ use mcap::write::NoSeek;
 
 use crate::{Attachments, Message, MessageKind};
 pub use error::WriteError;
+pub(crate) use error::reason;
 pub use file::CaptureFile;
 use output::Output;
 pub use settings::{CaptureSettings, Preset};
@@ -404,12 +405,9 @@ impl<W: Write> Writer<W> {
     }
 }
 
-/// With the operating system's error, which mcap's text omits.
 #[expect(clippy::needless_pass_by_value, reason = "for `map_err`")]
 fn failed(error: mcap::McapError) -> WriteError {
-    let reason = match &error {
-        mcap::McapError::Io(reason) => reason.to_string(),
-        error => error.to_string(),
-    };
-    WriteError::Failed { reason }
+    WriteError::Failed {
+        reason: reason(&error),
+    }
 }

@@ -1,7 +1,7 @@
 //! Which files of an archive are the trials of a recording.
 
 use std::fs;
-use std::io::{self, Read as _};
+use std::io;
 use std::path::{Component, Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::head::Head;
 use super::read;
 use super::schema::SCHEMA;
+use super::sum::beginning;
 use crate::trial::{Table, TrialError};
 
 /// The folder of an archive that has the listings. Readers of Parquet skip names with a `_` at the beginning.
@@ -180,21 +181,9 @@ pub(crate) fn table(at: &Path, listing: &Listing, number: usize) -> Result<Table
 
 /// Refuses a file that is not as it was written.
 fn check_sum(path: &Path, trial: &ListedTrial) -> Result<(), ListingError> {
-    let mut file = joulebus_files::open(path)?;
-    let (mut crc, mut bytes) = (crc32fast::Hasher::new(), 0);
-    let mut block = vec![0; 1 << 17];
-    loop {
-        match file.read(&mut block)? {
-            0 => break,
-            read => {
-                crc.update(&block[..read]);
-                bytes += read as u64;
-            }
-        }
-        if bytes > trial.bytes {
-            break;
-        }
-    }
+    let file = joulebus_files::open(path)?;
+    // One byte more, so that a longer file is noticed.
+    let (bytes, crc) = beginning(&file, trial.bytes.saturating_add(1))?;
     if bytes == trial.bytes && crc.finalize() == trial.crc32 {
         return Ok(());
     }

@@ -1,6 +1,7 @@
 //! Reads a trial from a Parquet file. Anybody may have written it.
 
 use std::fs::File;
+use std::io;
 use std::path::{Path, PathBuf};
 
 use parquet::basic::Compression;
@@ -9,10 +10,13 @@ use parquet::data_type::DataType;
 use parquet::errors::ParquetError;
 use parquet::file::metadata::{FileMetaData, RowGroupMetaData};
 use parquet::file::reader::{FileReader, RowGroupReader, SerializedFileReader};
+use parquet::schema::printer::print_schema;
+use parquet::schema::types::Type;
 
 use super::head::Head;
 use super::quiet::caught;
-use super::schema::{Field, HEAD_KEY, Kind, SCHEMA, SCHEMA_KEY, fields, schema};
+use super::schema::{Field, HEAD_KEY, Kind, SCHEMA, SCHEMA_KEY, SUM_KEY, fields, schema};
+use super::sum::{Sum, beginning};
 use crate::trial::{Cell, Column, MAX_ROWS, Table, TrialError};
 
 /// The first bytes of a Parquet file.
@@ -20,6 +24,9 @@ pub(crate) const MAGIC: &[u8] = b"PAR1";
 
 /// Largest file that is read: [`MAX_ROWS`] rows have less.
 const MAX_BYTES: u64 = 1 << 30;
+
+/// Longest line of a schema that is shown, characters.
+const MOST_SHOWN: usize = 100;
 
 /// Why a file is refused: what was found, and what is allowed.
 struct Refused(String);
@@ -29,6 +36,12 @@ impl From<ParquetError> for Refused {
         Self(format!(
             "damaged or no Parquet file: {error}; export the recording again"
         ))
+    }
+}
+
+impl From<io::Error> for Refused {
+    fn from(error: io::Error) -> Self {
+        Self(error.to_string())
     }
 }
 
@@ -71,8 +84,11 @@ fn columns(file: File) -> Result<(Head, Values), Refused> {
             "found {found_bytes} bytes; allowed are {MAX_BYTES}, more than the longest trial has"
         )));
     }
+    let rows_of = file.try_clone()?;
     let reader = SerializedFileReader::new(file)?;
-    let head = head(reader.metadata().file_metadata())?;
+    let about = reader.metadata().file_metadata();
+    let head = head(about)?;
+    check_sum(&rows_of, about)?;
     let fields = fields();
     let mut values = Values::default();
     for group in 0..reader.num_row_groups() {
@@ -86,13 +102,34 @@ fn columns(file: File) -> Result<(Head, Values), Refused> {
     Ok((head, values))
 }
 
+/// What the footer states under a key.
+fn value<'a>(about: &'a FileMetaData, key: &str) -> Option<&'a str> {
+    let mut all = about.key_value_metadata()?.iter();
+    let found = all.rfind(|pair| pair.key == key)?;
+    found.value.as_deref()
+}
+
+/// Refuses rows that are not as they were written: a damaged number is a number.
+fn check_sum(file: &File, about: &FileMetaData) -> Result<(), Refused> {
+    let Some(stated) = value(about, SUM_KEY).and_then(Sum::parse) else {
+        return Err(Refused(format!(
+            "damaged: no {SUM_KEY} in its footer; export the recording again"
+        )));
+    };
+    let (bytes, crc) = beginning(file, stated.bytes)?;
+    let found = Sum::of(bytes, crc, value(about, HEAD_KEY).unwrap_or_default());
+    if found == stated {
+        return Ok(());
+    }
+    Err(Refused(format!(
+        "damaged: its rows are {found} (bytes, CRC-32), {stated} were written; copy it again, or export the recording \
+         again"
+    )))
+}
+
 /// What the footer states, of a file with the columns of this version.
 fn head(about: &FileMetaData) -> Result<Head, Refused> {
-    let value = |key: &str| {
-        let mut all = about.key_value_metadata()?.iter();
-        let found = all.rfind(|pair| pair.key == key)?;
-        found.value.as_deref()
-    };
+    let value = |key| value(about, key);
     let remedy = "allowed are files that `joulebus export` wrote; write others as CSV";
     match value(SCHEMA_KEY) {
         None => {
@@ -107,12 +144,11 @@ fn head(about: &FileMetaData) -> Result<Head, Refused> {
         }
         Some(_) => {}
     }
-    if about.schema() != schema()?.as_ref() {
-        let found = about.schema_descr().columns().iter();
-        let names: Vec<&str> = found.take(30).map(|column| column.name()).collect();
+    let allowed = schema()?;
+    if about.schema() != allowed.as_ref() {
+        let differs = difference(about.schema(), &allowed);
         return Err(Refused(format!(
-            "states schema {SCHEMA}, but has other columns or types: {}; {remedy}",
-            names.join(" ")
+            "states schema {SCHEMA}, but has other columns or types: {differs}; another program has written it since: {remedy}"
         )));
     }
     let text = value(HEAD_KEY).unwrap_or_default();
@@ -124,6 +160,32 @@ fn head(about: &FileMetaData) -> Result<Head, Refused> {
         Some(name) => Err(Refused(format!(
             "{HEAD_KEY} in its footer: no column is called {name:?}; {remedy}"
         ))),
+    }
+}
+
+/// The first column that is not as it should be.
+fn difference(found: &Type, allowed: &Type) -> String {
+    let lines = |of: &Type| {
+        let mut text = Vec::new();
+        print_schema(&mut text, of);
+        String::from_utf8_lossy(&text).into_owned()
+    };
+    let (found, allowed) = (lines(found), lines(allowed));
+    // The first line has the name of the whole.
+    let found = found.lines().skip(1).chain(std::iter::repeat("}"));
+    let mut pairs = found.zip(allowed.lines().skip(1));
+    let shown = |line: &str| match line {
+        "}" => "no further column".to_owned(),
+        line => line
+            .trim()
+            .trim_end_matches(';')
+            .chars()
+            .take(MOST_SHOWN)
+            .collect(),
+    };
+    match pairs.find(|(found, allowed)| found != allowed) {
+        Some((found, allowed)) => format!("found {}, allowed is {}", shown(found), shown(allowed)),
+        None => "found another name or numbers of the columns".to_owned(),
     }
 }
 

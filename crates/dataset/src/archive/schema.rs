@@ -17,6 +17,9 @@ pub(super) const UNITS_KEY: &str = "joulebus.units";
 /// Key of the [`Head`](super::Head), as JSON.
 pub(super) const HEAD_KEY: &str = "joulebus.trial";
 
+/// Key of the [`Sum`](super::sum::Sum) of what comes before the footer.
+pub(super) const SUM_KEY: &str = "joulebus.sum";
+
 /// Type of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {

@@ -12,7 +12,10 @@ use parquet::file::properties::{EnabledStatistics, WriterProperties};
 use parquet::file::writer::{SerializedColumnWriter, SerializedFileWriter};
 
 use super::head::{Head, RowStamp};
-use super::schema::{Field, HEAD_KEY, Kind, SCHEMA, SCHEMA_KEY, UNITS_KEY, fields, schema, units};
+use super::schema::{
+    Field, HEAD_KEY, Kind, SCHEMA, SCHEMA_KEY, SUM_KEY, UNITS_KEY, fields, schema, units,
+};
+use super::sum::Sum;
 use crate::trial::Table;
 
 /// Rows of a row group: what readers that skip by statistics can skip.
@@ -60,7 +63,10 @@ pub fn write<W: Write + Send>(
         bytes: 0,
         crc: crc32fast::Hasher::new(),
     };
-    let mut writer = SerializedFileWriter::new(out, schema()?, Arc::new(properties(head)))?;
+    // A struct of text and numbers can always be written.
+    let head_text = serde_json::to_string(head).unwrap_or_default();
+    let properties = Arc::new(properties(&head_text));
+    let mut writer = SerializedFileWriter::new(out, schema()?, properties)?;
     let fields = fields();
     let mut start = 0;
     while start < table.rows() {
@@ -76,6 +82,10 @@ pub fn write<W: Write + Send>(
         group.close()?;
         start = rows.end;
     }
+    writer.flush()?;
+    let before = writer.inner();
+    let sum = Sum::of(before.bytes, before.crc.clone(), &head_text);
+    writer.append_key_value_metadata(KeyValue::new(SUM_KEY.to_owned(), sum.to_string()));
     let mut out = writer.into_inner()?;
     out.flush()?;
     Ok(Exported {
@@ -86,14 +96,12 @@ pub fn write<W: Write + Send>(
 
 /// Without compression: readings repeat, and whole numbers rise evenly, so encodings leave little for it; and nothing in
 /// a hostile file can expand.
-fn properties(head: &Head) -> WriterProperties {
+fn properties(head: &str) -> WriterProperties {
     let value = |key: &str, value: String| KeyValue::new(key.to_owned(), value);
-    // A struct of text and numbers can always be written.
-    let head = serde_json::to_string(head).unwrap_or_default();
     let metadata = vec![
         value(SCHEMA_KEY, SCHEMA.to_string()),
         value(UNITS_KEY, units()),
-        value(HEAD_KEY, head),
+        value(HEAD_KEY, head.to_owned()),
     ];
     let mut properties = WriterProperties::builder()
         .set_created_by(concat!("joulebus ", env!("CARGO_PKG_VERSION")).to_owned())

@@ -150,6 +150,18 @@ pub enum TrialError {
         /// Bytes of header and rows.
         expected_bytes: u64,
     },
+    /// Fields are not separated by commas.
+    #[error(
+        "{path}: the header's fields are separated by {found:?}, allowed are commas: save the table as CSV with commas, \
+         and with a point in its numbers",
+        path = path.display()
+    )]
+    Separator {
+        /// The file.
+        path: PathBuf,
+        /// What separates them.
+        found: char,
+    },
     /// Required columns are missing.
     #[error(
         "{path}: no column for {missing}; found {found}; name them with --map, such as \

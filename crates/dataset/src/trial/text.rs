@@ -162,6 +162,14 @@ impl Layout {
             .iter()
             .map(|name| String::from_utf8_lossy(name).into_owned())
             .collect::<Vec<_>>();
+        if let [only] = names.as_slice()
+            && let Some(found) = only.chars().find(|each| matches!(each, ';' | '\t' | '|'))
+        {
+            return Err(TrialError::Separator {
+                path: path.to_owned(),
+                found,
+            });
+        }
         let shown = || names.join(", ").chars().take(400).collect::<String>();
         let absent = map
             .named()

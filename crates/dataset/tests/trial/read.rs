@@ -189,6 +189,12 @@ fn malformed_text_is_refused_with_row_column_what_was_found_and_what_is_allowed(
             &["power_mW", "power_W", "voltage and current"],
         ),
         (
+            "semicolons.csv",
+            text.replace(',', ";").into_bytes(),
+            |e| matches!(e, TrialError::Separator { found: ';', .. }),
+            &["';'", "commas"],
+        ),
+        (
             "no_header.csv",
             text.split_once('\n').unwrap().1.as_bytes().to_vec(),
             |e| matches!(e, TrialError::MissingColumns { .. }),

@@ -61,7 +61,8 @@ pub(crate) fn sparse(folder: &Path, name: &str, rows: u64, robots: u64) -> PathB
         for robot in 0..robots {
             let power_w = power_mw(row, robot) / 1000.0;
             let time_s = 1e5 + row as f64 / 10.0;
-            text += &format!("r/{robot} ü,{time_s},{power_w}\n");
+            // The name has quotes of its own, and what looks like an escape.
+            text += &format!("\"r/{robot} \"\"ü\"\" %41=,\",{time_s},{power_w}\n");
         }
     }
     write(folder, name, &text)

@@ -210,3 +210,26 @@ fn the_documents_table_has_every_column_with_its_type_and_unit() {
         assert!(docs.contains(&row), "docs/datasets.md lacks {row}");
     }
 }
+
+#[test]
+fn parquet_files_that_no_listing_names_are_kept() {
+    let place = tempfile::tempdir().unwrap();
+    let [one, two, three] = [("a.csv", 1), ("b.csv", 2), ("c.csv", 3)]
+        .map(|(name, seed)| full(place.path(), name, 50, seed));
+    let [folder, other] = ["archive", "other"].map(|name| place.path().join(name));
+    assert_eq!(export(&[&one, &two], &folder).code(), Some(0));
+    assert_eq!(export(&[&three, &two, &one], &other).code(), Some(0));
+    // Partitions of another archive, whose numbers are taken, next or far ahead; and a listing that got lost.
+    let mut kept = Vec::new();
+    for (at, file) in parquet(&other).into_iter().enumerate() {
+        let partition = folder.join(format!("fleet=yard/day=2026-11-{:02}/robot=7", at + 1));
+        fs::create_dir_all(&partition).unwrap();
+        kept.push(partition.join(file.file_name().unwrap()));
+        fs::copy(&file, &kept[at]).unwrap();
+    }
+    kept.extend(parquet(&folder));
+    fs::remove_file(folder.join("_joulebus/000000.recording")).unwrap();
+    let ended = export(&[&three], &folder);
+    assert_eq!(ended.code(), Some(0), "{}", ended.errors());
+    assert!(kept.iter().all(|file| file.exists()), "{kept:?}");
+}

@@ -63,18 +63,23 @@ pub struct ServeArguments {
     #[arg(long)]
     pub foxglove: bool,
     /// With --foxglove: address to listen on; 0.0.0.0 admits the whole network
-    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1")]
+    #[arg(
+        long,
+        value_name = "ADDRESS",
+        default_value = "127.0.0.1",
+        requires = "foxglove"
+    )]
     pub host: IpAddr,
     /// With --foxglove: port to listen on; 0: any free port
-    #[arg(long, default_value_t = 8765)]
+    #[arg(long, default_value_t = 8765, requires = "foxglove")]
     pub port: u16,
     #[allow(rustdoc::bare_urls, reason = "`--help` shows the text as it is")]
-    /// Also accept web pages of this origin, like https://lab.example:8080; may be repeated. Pages of
+    /// With --foxglove: also accept web pages of this origin, like https://lab.example:8080; may be repeated. Pages of
     /// this host and of https://app.foxglove.dev are always accepted
-    #[arg(long, value_name = "ORIGIN", value_parser = origin)]
+    #[arg(long, value_name = "ORIGIN", value_parser = origin, requires = "foxglove")]
     pub allow_origin: Vec<String>,
-    /// Also a channel for each robot's sample, forecast, diagnostics and budget
-    #[arg(long)]
+    /// With --foxglove: also a channel for each robot's sample, forecast, diagnostics and budget
+    #[arg(long, requires = "foxglove")]
     pub per_robot: bool,
     /// The fleet's config.
     #[command(flatten)]
