@@ -10,7 +10,6 @@ use iceoryx2::prelude::CallbackProgression;
 
 use crate::cleanup::incomplete::incomplete_objects;
 use crate::cleanup::objects::objects;
-use crate::cleanup::removed::{RemovedFiles, removed_files};
 use crate::iceoryx_config::{self, IceoryxConfigError};
 use crate::ipc::Ipc;
 use crate::os::files::{effective_uid, filesystem, is_memory};
@@ -32,9 +31,6 @@ pub struct Inspection {
     pub worker: Option<WorkerOwner>,
     /// Incomplete objects on which a process may be blocked.
     pub incomplete: Vec<PathBuf>,
-    /// Processes of this user that use removed files of the fleet: processes started now cannot
-    /// reach them.
-    pub removed: Vec<RemovedFiles>,
     /// Objects with our prefix that belong to another user.
     pub foreign: Vec<PathBuf>,
     /// Objects of the domain in shared memory.
@@ -97,7 +93,6 @@ pub fn inspect(domain: &Domain) -> Result<Inspection, InspectError> {
         },
         worker: WorkerLock::owner(domain).unwrap_or_default(),
         incomplete: incomplete_objects(domain)?,
-        removed: removed_files(domain),
         foreign: others.into_iter().map(|object| object.path).collect(),
         objects: mine.len() as u64,
         object_bytes: mine.iter().map(|object| object.bytes).sum(),

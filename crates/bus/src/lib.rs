@@ -60,7 +60,7 @@ mod private;
 mod reserved;
 
 pub use bus::Bus;
-pub use cleanup::removed::RemovedFiles;
+pub use cleanup::removed::{RemovedFiles, removed_files};
 pub use cleanup::report::SweepReport;
 pub use cleanup::sweep::{SweepError, sweep};
 pub use cleanup::thread::Housekeeping;

@@ -246,6 +246,27 @@ fn members_clean_up_after_dead_members() {
 }
 
 #[test]
+fn processes_killed_faster_than_their_nodes_are_removed_leave_places_for_the_next_one() {
+    let place = Place::new();
+    // It alone lives, and does not clean up: as on a machine whose processors are busy.
+    let mut worker = place.joined("worker");
+    worker.stop();
+    for role in ["source", "planner"] {
+        // Four times as many as there are places, none of which lives long enough to clean up.
+        for _ in 0..12 {
+            place.joined(role).kill();
+        }
+    }
+    worker.resume();
+    let mut source = place.joined("source");
+    must(&mut source, "send 3");
+    assert_eq!(must(&mut worker, "take"), "0:3");
+    source.finish();
+    worker.finish();
+    place.assert_nothing_left();
+}
+
+#[test]
 fn after_twenty_kills_during_a_start_the_next_one_joins() {
     let place = Place::new();
     let mut source = place.joined("source");

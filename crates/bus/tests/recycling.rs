@@ -4,7 +4,7 @@
 
 use std::fs;
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use joulebus_bus::{Bus, Domain, FrameBuf, Limits, WorkerLock};
 use joulebus_wire::{Forecast, ForecastHeader, Sample, SampleHeader};
@@ -90,13 +90,15 @@ fn planners_and_sources_that_leave_give_back_every_descriptor_object_and_file() 
         if life > 2 * (limits.max_sources + limits.max_planners) as u64 {
             let before = *before.get_or_insert_with(|| least(&domain));
             // The thread that looks for removed files opens directories for a moment.
-            let is_same = (0..1000).any(|_| {
-                held(&domain) == before || {
-                    std::thread::sleep(Duration::from_millis(1));
-                    false
+            let give_up = Instant::now() + Duration::from_secs(60);
+            loop {
+                let now = held(&domain);
+                if now == before {
+                    break;
                 }
-            });
-            assert!(is_same, "life {life}: {before:?} {:?}", held(&domain));
+                assert!(Instant::now() < give_up, "life {life}: {before:?} {now:?}");
+                std::thread::sleep(Duration::from_millis(1));
+            }
         }
     }
     drop((forecasts, samples, bus, lock));

@@ -4,6 +4,8 @@ use joulebus_bus::{OpenQuery, PeerWatch};
 use joulebus_plan::{Question, Refused, Work};
 use joulebus_wire::{AnswerHeader, QueryHeader, QueryRefusal};
 
+/// A question's process is watched from this age on, ns: most are answered before.
+const WATCHED_FROM_NS: u64 = 1_000_000;
 /// Longest time that a question is kept, whatever its client says, ns.
 const LONGEST_NS: u64 = 10_000_000_000;
 /// A question waits this many ticks for a new frame, then it is answered from the old one.
@@ -53,7 +55,7 @@ impl Job {
             answer: AnswerHeader::default(),
             state: State::Waiting(question),
             renewals: 0,
-            watch: PeerWatch::open(client),
+            watch: None,
         };
         (job, checked)
     }
@@ -74,13 +76,17 @@ impl Job {
     }
 
     /// Why it is not worth answering any more, if so.
-    pub(crate) fn is_over(&self, now_ns: u64) -> Option<Refused> {
+    pub(crate) fn is_over(&mut self, now_ns: u64) -> Option<Refused> {
         let limit_ns = self.taken_ns.saturating_add(LONGEST_NS);
         if now_ns >= self.header.deadline_ns.min(limit_ns) {
             let waited_s = now_ns.saturating_sub(self.taken_ns) as f64 * 1e-9;
             let text =
                 format!("not answered within the client's time; it waited for {waited_s:.3} s");
             return Some(Refused::new(QueryRefusal::Deadline, text));
+        }
+        if now_ns.saturating_sub(self.taken_ns) >= WATCHED_FROM_NS {
+            // One that has ended before costs an answer that nobody reads, until the cleanup finds it.
+            self.watch = self.watch.take().or_else(|| PeerWatch::open(self.client));
         }
         let is_gone = self.watch.as_ref().is_some_and(PeerWatch::is_gone);
         (is_gone || !self.query.is_connected())

@@ -193,7 +193,7 @@ impl Server {
     fn next(&mut self) -> Result<(Option<usize>, bool), ServerError> {
         let now_ns = clock::monotonic_ns();
         let mut place = 0;
-        while let Some(job) = self.jobs.get(place) {
+        while let Some(job) = self.jobs.get_mut(place) {
             match job.is_over(now_ns) {
                 Some(refused) => {
                     let job = self.jobs.remove(place);

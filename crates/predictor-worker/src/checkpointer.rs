@@ -2,7 +2,7 @@
 //! that the tick must not do: it writes the ledger's checkpoints and logs refusals.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use joulebus_bus::{
@@ -23,7 +23,7 @@ use crate::state_directory::checkpoint_path;
 const PERIOD_NS: u64 = 200_000_000;
 /// Polling interval for a keyframe being sent, ns.
 const POLL_EVERY_NS: u64 = PERIOD_NS / 10;
-/// Interval between two logs of refusals, ns.
+/// Interval between two logs of refusals, or of saves that failed, ns.
 const LOG_EVERY_NS: u64 = 5 * PERIOD_NS;
 /// Accounts in the ledger per robot of the fleet's capacity: as many again for departed robots.
 const ACCOUNTS_PER_ROBOT: usize = 2;
@@ -50,6 +50,8 @@ pub(crate) struct Failures {
     pub receive: AtomicU64,
     /// Ticks without diagnostics.
     pub shed: AtomicU64,
+    /// The ledger could not be saved when it was tried last.
+    pub unsaved: AtomicBool,
 }
 
 /// Starts the checkpointer and waits until it reads. `before`: the ledger of an earlier run and its
@@ -88,6 +90,8 @@ struct Checkpointer {
     sheds: bool,
     /// When the next lines are logged, monotonic ns.
     log_ns: u64,
+    /// When a save that fails is told again, monotonic ns: it is tried some times a second.
+    told_ns: u64,
 }
 
 impl Checkpointer {
@@ -124,6 +128,7 @@ impl Checkpointer {
             shed: 0,
             sheds: false,
             log_ns: 0,
+            told_ns: 0,
         })
     }
 
@@ -161,13 +166,18 @@ impl Checkpointer {
             return;
         };
         let saved = files.write(&self.checkpoint);
-        if let Err(error) = &saved {
+        if let Err(error) = &saved
+            && begun_ns >= self.told_ns
+        {
+            self.told_ns = begun_ns.saturating_add(LOG_EVERY_NS);
             tracing::error!(%error, "the ledger was not saved");
         }
         self.changed = saved.is_err();
+        self.failures.unsaved.store(self.changed, Ordering::Relaxed);
         let ended_ns = clock::monotonic_ns();
         let times = (begun_ns, ended_ns);
-        if let Some(exposed_ns) = self.schedule.tried(of_ns, times, saved.is_ok()) {
+        let late = self.schedule.tried(of_ns, times, saved.is_ok());
+        if let Some(exposed_ns) = late.filter(|_| saved.is_ok()) {
             let (took_ms, exposed_ms) = ((ended_ns - begun_ns) / 1_000_000, exposed_ns / 1_000_000);
             tracing::warn!(
                 exposed_ms,

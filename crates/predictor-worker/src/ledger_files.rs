@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 
 use joulebus_files::disk::{self, File};
 use joulebus_wire::fnv1a;
+use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
 use crate::checkpoint::Checkpoint;
@@ -21,8 +22,6 @@ const SCHEMA: u32 = 3;
 const BEFORE: u32 = 2;
 /// Maximum size of a file: the accounts of two million robots take about half of it.
 const MOST_BYTES: u64 = 1 << 30;
-/// Maximum number of damaged files kept; the last name is reused.
-const MOST_DAMAGED: u32 = 9;
 
 /// Contents of a file.
 #[derive(Debug, Serialize, Deserialize)]
@@ -125,6 +124,10 @@ impl LedgerFiles {
         let mut whole: Option<(u64, Checkpoint, PathBuf)> = None;
         let mut damaged = Vec::new();
         for path in [self.newest.clone(), self.older(), self.unfinished()] {
+            let is_unfinished = path == self.unfinished();
+            if is_unfinished && !disk::is_file(&path) {
+                continue;
+            }
             match read(&path, fleet) {
                 Ok(Some((generation, ledger))) => {
                     if whole
@@ -135,8 +138,9 @@ impl LedgerFiles {
                     }
                 }
                 Ok(None) => {}
-                // The worker was killed while writing it: the others are intact.
-                Err(Flaw::Damaged(_)) if path == self.unfinished() => {}
+                // The worker was killed while writing it, or it is not the ledger's: the others are intact, and the next
+                // save clears the place.
+                Err(flaw) if is_unfinished && flaw.is_of_content() => {}
                 Err(Flaw::Damaged(reason)) => damaged.push((path, reason)),
                 Err(Flaw::Fatal(error)) => return Err(error),
             }
@@ -197,7 +201,9 @@ impl LedgerFiles {
         if self.is_unfinished {
             self.resume()?;
         }
-        let mut file = File::create(self.unfinished())?;
+        self.clear()?;
+        // Whatever comes there meanwhile is not overwritten, and a link is not followed.
+        let mut file = File::create_new(self.unfinished())?;
         file.write_all(&encode(self.generation + 1, ledger)?)?;
         file.sync_all()?;
         drop(file);
@@ -206,6 +212,25 @@ impl LedgerFiles {
         self.generation += 1;
         self.is_unfinished = true;
         self.finish()
+    }
+
+    /// Frees the place of the temporary file, which is none of the generations: what a save has left that was cut off is
+    /// removed, and anything else set aside.
+    fn clear(&self) -> io::Result<()> {
+        let path = self.unfinished();
+        if !disk::exists(&path) {
+            return Ok(());
+        }
+        if is_cut_off(&path)? {
+            return disk::remove_file(&path);
+        }
+        let aside = set_aside(&path)?;
+        tracing::warn!(
+            ?path,
+            ?aside,
+            "what lay in the place of the ledger's temporary file is not the ledger's: it was set aside"
+        );
+        Ok(())
     }
 
     /// Finishes the save that was cut off: emptied now, its file would be lost if this save is cut off too.
@@ -257,12 +282,37 @@ fn with(path: &Path, ending: &str) -> PathBuf {
     PathBuf::from(name)
 }
 
+/// Renames a file to the first free name. However many were set aside before, none is overwritten, and the fleet has a
+/// worker: they are less than what it would lose without one.
 fn set_aside(path: &Path) -> io::Result<PathBuf> {
-    let mut names = (1..=MOST_DAMAGED).map(|number| with(path, &format!("damaged-{number}")));
-    let free = names.clone().find(|name| !disk::exists(name));
-    let aside = free.or_else(|| names.next_back()).unwrap_or_default();
+    let mut number = 1_u64;
+    let aside = loop {
+        let name = with(path, &format!("damaged-{number}"));
+        if !disk::exists(&name) {
+            break name;
+        }
+        number += 1;
+    };
     disk::rename(path, &aside)?;
     Ok(aside)
+}
+
+/// Whether a file is what a save leaves that is cut off: the beginning of a ledger, or, after a power failure, nothing or
+/// zeros.
+fn is_cut_off(path: &Path) -> io::Result<bool> {
+    if !disk::is_file(path) {
+        return Ok(false);
+    }
+    let bytes = match joulebus_files::read(path, MOST_BYTES) {
+        Err(error) if error.kind() == io::ErrorKind::FileTooLarge => return Ok(false),
+        read => read?,
+    };
+    let beginning = format!("{{\"schema\":{SCHEMA},\"generation\":");
+    let first = &bytes[..bytes.len().min(beginning.len())];
+    // Whole, it is another fleet's, or of another version.
+    let is_whole = serde_json::from_slice::<IgnoredAny>(&bytes).is_ok();
+    let is_beginning = beginning.as_bytes().starts_with(first) && !is_whole;
+    Ok(is_beginning || first.iter().all(|byte| *byte == 0))
 }
 
 fn checksum(
@@ -295,6 +345,19 @@ fn is_of_known_version(bytes: &[u8]) -> bool {
         checksum(schema, content.generation, &content.ledger)
             .is_ok_and(|expected| expected == content.fnv1a)
     })
+}
+
+impl Flaw {
+    /// Whether it is in what the file holds, not in reading it.
+    fn is_of_content(&self) -> bool {
+        match self {
+            Self::Damaged(_) => true,
+            Self::Fatal(LedgerFileError::Io { source, .. }) => {
+                source.kind() == io::ErrorKind::FileTooLarge
+            }
+            Self::Fatal(_) => true,
+        }
+    }
 }
 
 /// Reads a file; `None` if it does not exist.
@@ -372,18 +435,108 @@ mod tests {
     #[test]
     fn a_write_that_fails_is_no_generation() {
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("ledger.json");
+        let state = folder.path().join("state");
+        let path = state.join("ledger.json");
         let mut files = LedgerFiles::new(&path);
-        // Nothing can be written into a folder.
-        fs::create_dir(with(&path, "new")).unwrap();
-        assert!(files.write(&drawn(1)).is_err());
+        fs::write(&state, "a file where the folder should be").unwrap();
+        files.write(&drawn(1)).unwrap_err();
         assert_eq!(files.generation, 0);
-        fs::remove_dir(with(&path, "new")).unwrap();
+        fs::remove_file(&state).unwrap();
         files.write(&drawn(2)).unwrap();
         files.write(&drawn(3)).unwrap();
         assert_eq!(files.generation, 2);
         assert!(with(&path, "older").exists());
         assert_eq!(kept(&path), Some(3));
+    }
+
+    #[test]
+    fn what_is_not_the_ledgers_in_the_temporary_files_place_keeps_no_worker_from_starting() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ledger.json");
+        let new = with(&path, "new");
+        let another = folder.path().join("another.json");
+        let mut of_another = drawn(99);
+        of_another.fleet = "another".to_owned();
+        LedgerFiles::new(&another).write(&of_another).unwrap();
+        let whole = fs::read(&another).unwrap();
+        let places: [&dyn Fn(); 5] = [
+            &|| fs::create_dir(&new).unwrap(),
+            &|| std::os::unix::fs::symlink(&another, &new).unwrap(),
+            &|| fs::write(&new, "{\"schema\":7}").unwrap(),
+            &|| fs::write(&new, &whole).unwrap(),
+            &|| fs::write(&new, &whole[..whole.len() / 2]).unwrap(),
+        ];
+        LedgerFiles::new(&path).write(&drawn(0)).unwrap();
+        for (place, drawn_uj) in places.into_iter().zip(1..) {
+            place();
+            assert_eq!(kept(&path), Some(drawn_uj - 1));
+            let mut files = LedgerFiles::new(&path);
+            files.read("lab").unwrap();
+            files.secure().unwrap();
+            files.write(&drawn(drawn_uj)).unwrap();
+            assert_eq!(kept(&path), Some(drawn_uj));
+        }
+        // A save that was cut off is removed, everything else stays.
+        let aside = |number| with(&new, &format!("damaged-{number}"));
+        assert!(aside(1).is_dir() && aside(2).is_symlink() && !aside(5).exists());
+        assert_eq!(fs::read(aside(4)).unwrap(), whole);
+        assert_eq!(fs::read(&another).unwrap(), whole);
+    }
+
+    #[test]
+    fn of_any_number_of_files_that_were_set_aside_none_is_overwritten() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ledger.json");
+        let new = with(&path, "new");
+        let aside = |number| with(&new, &format!("damaged-{number}"));
+        (1..=150).for_each(|number| fs::write(aside(number), "before").unwrap());
+        fs::write(&new, "somebody's").unwrap();
+        LedgerFiles::new(&path).write(&drawn(1)).unwrap();
+        for number in 1..=150 {
+            assert_eq!(fs::read_to_string(aside(number)).unwrap(), "before");
+        }
+        assert_eq!(fs::read_to_string(aside(151)).unwrap(), "somebody's");
+        assert_eq!(kept(&path), Some(1));
+    }
+
+    #[test]
+    fn what_lies_in_the_temporary_files_place_is_somebodys_or_a_cut_off_save() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ledger.json");
+        let new = with(&path, "new");
+        let aside = with(&new, "damaged-1");
+        let victim = folder.path().join("victim");
+        fs::write(&victim, "precious").unwrap();
+        let mut files = LedgerFiles::new(&path);
+        let mut save = |drawn_uj| {
+            files.write(&drawn(drawn_uj)).unwrap();
+            assert_eq!(kept(&path), Some(drawn_uj));
+            assert!(!new.exists());
+        };
+        for text in [
+            "precious",
+            "{\"schema\":\"of another program\"}",
+            "\0\0and more",
+        ] {
+            fs::write(&new, text).unwrap();
+            save(1);
+            assert_eq!(fs::read_to_string(&aside).unwrap(), text);
+            fs::remove_file(&aside).unwrap();
+        }
+        // A link, also one that leads nowhere, is moved, and not followed.
+        for to in [victim.as_path(), Path::new("nowhere")] {
+            std::os::unix::fs::symlink(to, &new).unwrap();
+            save(2);
+            assert_eq!(fs::read_link(&aside).unwrap(), to);
+            fs::remove_file(&aside).unwrap();
+        }
+        assert_eq!(fs::read_to_string(&victim).unwrap(), "precious");
+        let whole = whole(9);
+        for cut_off in [&b""[..], &whole[..5], &whole[..whole.len() - 1], &[0; 40]] {
+            fs::write(&new, cut_off).unwrap();
+            save(3);
+            assert!(!aside.exists());
+        }
     }
 
     #[test]

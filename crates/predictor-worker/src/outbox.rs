@@ -92,7 +92,7 @@ impl Outbox {
             sent_unix_ns,
             ..headers.plan_states
         };
-        if !speaking.holds(sent_ns) {
+        if !speaking.holds(clock::boot_ns()) {
             return unsent;
         }
         unsent
@@ -181,7 +181,7 @@ fn send_forecasts(
     header.compute_end_ns = clock::monotonic_ns();
     header.sent_unix_ns = clock::unix_ns();
     header.sent_ns = clock::monotonic_ns();
-    if !speaking.holds(header.sent_ns) {
+    if !speaking.holds(clock::boot_ns()) {
         return 0;
     }
     *forecasts.header_mut() = header;

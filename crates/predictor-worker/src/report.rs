@@ -32,6 +32,8 @@ pub struct Report {
     pub frames_unsent: u64,
     /// Failures to receive.
     pub receive_errors: u64,
+    /// The ledger could not be saved when it was tried last: at the end, what was metered since the save before is lost.
+    pub ledger_unsaved: bool,
     /// From the start of a tick to its last frame sent.
     pub tick: Spread,
     /// Mean time of each stage.

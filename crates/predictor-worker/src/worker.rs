@@ -222,7 +222,7 @@ impl Worker {
             capacity: fleet.capacity(),
             ..ForecastHeader::default()
         };
-        if speaking.holds(header.worker_epoch) {
+        if speaking.holds(clock::boot_ns()) {
             keyframes.offer(&fleet, (header.worker_epoch, 0));
         }
         let schedule = Schedule::new(
@@ -277,7 +277,8 @@ impl Worker {
             if now_ns >= look_ns {
                 look_ns = now_ns.saturating_add(PERMIT_EVERY_NS);
                 let permit = Permit::read(&places.permit)?;
-                if let Some(permit) = permit.filter(|permit| permit.holds(now_ns)) {
+                let boot_ns = clock::boot_ns();
+                if let Some(permit) = permit.filter(|permit| permit.holds(boot_ns)) {
                     self.take_over(&permit, &places, backlog)?;
                     return Ok(true);
                 }
@@ -389,7 +390,7 @@ impl Worker {
         self.bus.check()?;
         self.drain();
         let now_ns = clock::monotonic_ns();
-        if !self.speaking.holds(now_ns) {
+        if !self.speaking.holds(clock::boot_ns()) {
             return Err(self.speaking.over().into());
         }
         let taken_ns = self.fleet.intake().first.map(|(_, _, taken_ns)| taken_ns);
@@ -433,6 +434,7 @@ impl Worker {
             samples_dropped: by_name(&self.fleet.drops()),
             frames_unsent: self.failures.unsent.load(Ordering::Relaxed),
             receive_errors: self.failures.receive.load(Ordering::Relaxed),
+            ledger_unsaved: self.failures.unsaved.load(Ordering::Relaxed),
             tick: Spread::of(&self.ticks_ns),
             parts: Parts::of(self.header.tick, self.intake_ns, self.pool.spent()),
         }
@@ -480,7 +482,7 @@ impl Worker {
             &self.speaking,
         );
         self.failures.unsent.fetch_add(unsent, Ordering::Relaxed);
-        if !self.speaking.holds(clock::monotonic_ns()) {
+        if !self.speaking.holds(clock::boot_ns()) {
             // The next turn ends it.
             return;
         }

@@ -84,6 +84,8 @@ impl Foxglove {
             resume: false,
             snapshot: None,
             queue_bytes: QUEUE_BYTES,
+            // It shows what it reads, and keeps nothing.
+            member: "foxglove",
         };
         // Reads from the beginning: a recorder starts with the models, which may be more than a pipe holds.
         let sent = Arc::new(AtomicU64::new(0));

@@ -6,6 +6,7 @@
 
 use std::collections::{BTreeMap, HashSet};
 use std::fs;
+use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
 use super::objects::{
@@ -13,6 +14,7 @@ use super::objects::{
 };
 use super::turn::Turn;
 use crate::directory::{NODES, SERVICES};
+use crate::os::memory::SHM_DIR;
 use crate::{Domain, RootError, clock};
 
 /// A static description (of a service, a node, a port of a node) loses this permission once it is
@@ -39,32 +41,121 @@ pub(crate) fn incomplete_objects(domain: &Domain) -> Result<Vec<PathBuf>, RootEr
 /// Restricted to objects of this user that are older than 250 ms and that no process has open.
 /// Returns the number of removed objects.
 pub(crate) fn remove_incomplete(domain: &Domain) -> Result<u64, RootError> {
-    let mut objects = objects(domain)?;
-    objects.retain(|object| object.is_incomplete() && object.is_old());
-    let mut descriptions = services(domain);
-    descriptions.extend(node_details(domain));
-    descriptions.retain(|file| file.mode & OWNER_WRITE != 0 && file.is_old());
-    let nodes = incomplete_nodes(domain);
-    if objects.is_empty() && descriptions.is_empty() && nodes.is_empty() {
-        return Ok(0);
-    }
-    // Read after the candidates: a live creator has had them open since before.
-    let open = open_files();
-    let mut removed = 0;
-    objects.retain(|object| !open.contains(&object.identity));
-    for object in objects {
-        // It may have been completed in the meantime.
-        let still = Object::new(object.path)
-            .is_some_and(|object| object.is_incomplete() && fs::remove_file(&object.path).is_ok());
-        removed += u64::from(still);
-    }
-    removed += remove_unless_open(descriptions, &open);
-    for node in nodes {
-        if !node.files.iter().any(|file| open.contains(&file.identity)) {
-            removed += u64::from(node.remove());
+    Ok(Candidates::find(domain)?.remove())
+}
+
+/// Searches again and again, and passes over directories that have not changed: nothing becomes incomplete without a name
+/// that is added to one of them. A search costs some 200 system calls, and every member searches four times a second.
+#[derive(Debug, Default)]
+pub(super) struct Search {
+    /// The directories before the last search, with what changes when a name is added.
+    seen: Vec<(PathBuf, Change)>,
+    /// Nothing was incomplete in them, twice: a name may be added at the instant of a search, in which the clock of the
+    /// file system stands still.
+    is_settled: bool,
+    passed_over: u32,
+}
+
+/// Device and inode of a directory, and when it was changed, s and ns.
+type Change = Option<(u64, u64, i64, i64)>;
+
+/// Searches in a row that are passed over: somebody may have changed a file itself.
+const MOST_PASSED_OVER: u32 = 15;
+
+impl Search {
+    /// As [`remove_incomplete`].
+    pub(super) fn remove(&mut self, domain: &Domain) -> Result<u64, RootError> {
+        if self.is_settled && self.passed_over < MOST_PASSED_OVER {
+            let is_same = |(path, seen): &(PathBuf, Change)| change(path) == *seen;
+            if self.seen.iter().all(is_same) {
+                self.passed_over += 1;
+                return Ok(0);
+            }
         }
+        let before = directories(domain);
+        let found = Candidates::find(domain)?;
+        self.is_settled = found.is_empty() && before == self.seen;
+        (self.seen, self.passed_over) = (before, 0);
+        Ok(found.remove())
     }
-    Ok(removed)
+}
+
+/// The directories in which something can be incomplete.
+fn directories(domain: &Domain) -> Vec<(PathBuf, Change)> {
+    let [nodes, services] = [NODES, SERVICES].map(|inner| domain.directory().join(inner));
+    let details = list_own(&nodes);
+    let details = details.into_iter().filter(|path| is_of_node(path));
+    let all = [PathBuf::from(SHM_DIR), services, nodes.clone()];
+    let with_change = |path: PathBuf| {
+        let change = change(&path);
+        (path, change)
+    };
+    all.into_iter().chain(details).map(with_change).collect()
+}
+
+fn change(directory: &Path) -> Change {
+    let found = fs::symlink_metadata(directory).ok()?;
+    Some((found.dev(), found.ino(), found.mtime(), found.mtime_nsec()))
+}
+
+/// What is incomplete, of whatever age: only what is old is removed.
+struct Candidates {
+    objects: Vec<Object>,
+    descriptions: Vec<Object>,
+    nodes: Vec<NodeFiles>,
+}
+
+impl Candidates {
+    fn find(domain: &Domain) -> Result<Self, RootError> {
+        let mut objects = objects(domain)?;
+        objects.retain(Object::is_incomplete);
+        let mut descriptions = services(domain);
+        descriptions.extend(node_details(domain));
+        descriptions.retain(|file| file.mode & OWNER_WRITE != 0);
+        let nodes = incomplete_nodes(domain);
+        Ok(Self {
+            objects,
+            descriptions,
+            nodes,
+        })
+    }
+
+    fn is_empty(&self) -> bool {
+        self.objects.is_empty() && self.descriptions.is_empty() && self.nodes.is_empty()
+    }
+
+    /// Removes what is old and open in no process; returns the number removed.
+    fn remove(self) -> u64 {
+        let Self {
+            mut objects,
+            mut descriptions,
+            mut nodes,
+        } = self;
+        objects.retain(Object::is_old);
+        descriptions.retain(Object::is_old);
+        nodes.retain(|node| node.files.iter().all(Object::is_old));
+        if objects.is_empty() && descriptions.is_empty() && nodes.is_empty() {
+            return 0;
+        }
+        // Read after the candidates: a live creator has had them open since before.
+        let open = open_files();
+        let mut removed = 0;
+        objects.retain(|object| !open.contains(&object.identity));
+        for object in objects {
+            // It may have been completed in the meantime.
+            let still = Object::new(object.path).is_some_and(|object| {
+                object.is_incomplete() && fs::remove_file(&object.path).is_ok()
+            });
+            removed += u64::from(still);
+        }
+        removed += remove_unless_open(descriptions, &open);
+        for node in nodes {
+            if !node.files.iter().any(|file| open.contains(&file.identity)) {
+                removed += u64::from(node.remove());
+            }
+        }
+        removed
+    }
 }
 
 /// Descriptions of services that looked abandoned, and since when, monotonic ns.
@@ -206,6 +297,91 @@ fn incomplete_nodes(domain: &Domain) -> Vec<NodeFiles> {
         node.parts += u32::from(is_whole);
         node.files.push(object);
     }
-    let incomplete = |node: &NodeFiles| node.parts < 3 && node.files.iter().all(Object::is_old);
+    let incomplete = |node: &NodeFiles| node.parts < 3;
     nodes.into_values().filter(incomplete).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::PermissionsExt as _;
+    use std::thread::sleep;
+    use std::time::Duration;
+
+    use super::*;
+
+    /// Files of a domain with one node, without iceoryx2.
+    fn domain(name: &str) -> Domain {
+        let root = std::env::temp_dir().join(format!("joulebus-{name}-{}", std::process::id()));
+        let domain = Domain::new("lab", &root, "jbinc_").unwrap();
+        for inner in [NODES, SERVICES] {
+            fs::create_dir_all(domain.directory().join(inner)).unwrap();
+        }
+        let nodes = domain.directory().join(NODES);
+        fs::create_dir_all(nodes.join("7")).unwrap();
+        for part in ["", CONTEXT, OWNER_LOCK] {
+            let path = nodes.join(format!("{}7{MONITOR}{part}", domain.shm_prefix()));
+            fs::write(&path, "").unwrap();
+            fs::set_permissions(&path, fs::Permissions::from_mode(0o400)).unwrap();
+        }
+        domain
+    }
+
+    /// A description that its creator has not completed.
+    fn describe(domain: &Domain, directory: &Path, name: &str) -> PathBuf {
+        let path = directory.join(format!("{}{name}", domain.shm_prefix()));
+        fs::write(&path, "half of it").unwrap();
+        path
+    }
+
+    fn settle(search: &mut Search, domain: &Domain) {
+        // Other programs of this host may add names to /dev/shm meanwhile.
+        for _ in 0..1_000 {
+            search.remove(domain).unwrap();
+            if search.passed_over > 0 {
+                return;
+            }
+            sleep(Duration::from_millis(5));
+        }
+        panic!("every search finds a change");
+    }
+
+    #[test]
+    fn what_is_added_after_a_search_that_was_passed_over_is_found_in_each_directory_and_removed_when_it_is_old()
+     {
+        let domain = domain("settled");
+        let mut search = Search::default();
+        let [nodes, services] = [NODES, SERVICES].map(|inner| domain.directory().join(inner));
+        for directory in [services, nodes.join("7")] {
+            settle(&mut search, &domain);
+            let path = describe(&domain, &directory, "x.service");
+            let at_once = search.remove(&domain).unwrap();
+            assert!(!search.is_settled, "{path:?}");
+            sleep(Duration::from_millis(300));
+            let removed = at_once + search.remove(&domain).unwrap();
+            assert_eq!(removed, 1, "{path:?}");
+            assert!(!path.exists());
+        }
+        settle(&mut search, &domain);
+        let object = describe(&domain, Path::new(SHM_DIR), "x.data");
+        fs::set_permissions(&object, fs::Permissions::from_mode(0o200)).unwrap();
+        sleep(Duration::from_millis(300));
+        assert_eq!(search.remove(&domain).unwrap(), 1, "{object:?}");
+        fs::remove_dir_all(domain.root()).unwrap();
+    }
+
+    #[test]
+    fn a_file_that_is_changed_without_a_new_name_is_found_after_a_bounded_number_of_searches() {
+        let domain = domain("changed");
+        let services = domain.directory().join(SERVICES);
+        let path = describe(&domain, &services, "x.service");
+        let complete = fs::Permissions::from_mode(0o400);
+        fs::set_permissions(&path, complete).unwrap();
+        let mut search = Search::default();
+        settle(&mut search, &domain);
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o600)).unwrap();
+        sleep(Duration::from_millis(300));
+        let removed = (0..=MOST_PASSED_OVER).map(|_| search.remove(&domain).unwrap());
+        assert_eq!(removed.sum::<u64>(), 1);
+        fs::remove_dir_all(domain.root()).unwrap();
+    }
 }

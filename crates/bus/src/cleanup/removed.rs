@@ -1,7 +1,9 @@
 //! Files of a fleet that were removed while in use.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use super::objects::{is_of, list};
 use crate::Domain;
@@ -19,22 +21,44 @@ pub struct RemovedFiles {
     pub count: usize,
 }
 
-/// Processes of this user with open files of the domain that no longer exist. Files that a leaving
-/// process has removed are excluded: connections, and frames that are only read.
-pub(crate) fn removed_files(domain: &Domain) -> Vec<RemovedFiles> {
-    let mut found = Vec::new();
+/// Processes hold the events of a reader that has left until their next look at who is there.
+const SETTLES_WITHIN: Duration = Duration::from_millis(2_500);
+
+/// Processes of this user with open files of the domain that no longer exist: processes started now cannot
+/// reach them. Files that a leaving process has removed are excluded: connections, frames that are only read, and what is
+/// closed within 2.5 s, for which this waits where there are removed files.
+#[must_use]
+pub fn removed_files(domain: &Domain) -> Vec<RemovedFiles> {
+    let before = in_use(domain);
+    if before.is_empty() {
+        return Vec::new();
+    }
+    std::thread::sleep(SETTLES_WITHIN);
+    let mut found: Vec<RemovedFiles> = Vec::new();
+    for (pid, path) in in_use(domain).intersection(&before) {
+        match found.last_mut().filter(|last| last.pid == *pid) {
+            Some(last) => last.count += 1,
+            None => found.push(RemovedFiles {
+                pid: *pid,
+                first: path.clone(),
+                count: 1,
+            }),
+        }
+    }
+    found
+}
+
+/// Removed files and the processes that have them open.
+fn in_use(domain: &Domain) -> BTreeSet<(u32, PathBuf)> {
+    let mut found = BTreeSet::new();
     for process in list(Path::new("/proc")) {
         let name = process.file_name().unwrap_or_default().to_string_lossy();
         let Ok(pid) = name.parse() else { continue };
         let descriptors = list(&process.join("fd"));
-        let mut removed = descriptors
+        let removed = descriptors
             .iter()
-            .filter_map(|descriptor| removed_file(domain, descriptor))
-            .peekable();
-        if let Some(first) = removed.peek().cloned() {
-            let count = removed.count();
-            found.push(RemovedFiles { pid, first, count });
-        }
+            .filter_map(|descriptor| removed_file(domain, descriptor));
+        found.extend(removed.map(|path| (pid, path)));
     }
     found
 }

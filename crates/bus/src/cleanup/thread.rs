@@ -10,13 +10,13 @@ use std::time::Duration;
 use iceoryx2::config::Config;
 
 use super::dead_nodes::remove_dead_nodes;
-use super::incomplete::remove_incomplete;
+use super::incomplete::Search;
 use super::report::SweepReport;
 use crate::Domain;
 use crate::liveness::presence::{FilesRemoved, Presence};
 use crate::marker::{Marked, open_directory};
 
-/// A member may be blocked on an incomplete object, so this is frequent; one pass takes 20 µs.
+/// A member may be blocked on an incomplete object, so this is frequent; most passes read no directory ([`Search`]).
 const INCOMPLETE_EVERY: Duration = Duration::from_millis(250);
 /// Number of rounds between searches for dead nodes: once a second.
 const DEAD_NODES_EVERY: u64 = 4;
@@ -99,6 +99,7 @@ impl CleanupThread {
 impl Shared {
     /// Cleans up until stopped, or until files of this process are missing.
     fn run(&self, domain: &Domain, config: &Config, presence: &Presence) -> Option<FilesRemoved> {
+        let mut search = Search::default();
         for round in 1_u64.. {
             if self.wait() {
                 return None;
@@ -106,7 +107,7 @@ impl Shared {
             if let Err(error) = presence.look() {
                 return Some(error);
             }
-            if let Ok(removed) = remove_incomplete(domain) {
+            if let Ok(removed) = search.remove(domain) {
                 self.incomplete.fetch_add(removed, Ordering::Relaxed);
                 if removed > 0 {
                     tracing::info!(removed, "removed incomplete objects of dead processes");

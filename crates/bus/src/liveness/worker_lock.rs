@@ -112,7 +112,9 @@ impl WorkerLock {
             Err(error) if is_symlink(&error) => return Err(WorkerLockError::NotALock { path }),
             Err(error) => return Err(failed(error)),
         };
-        for look in 1_u32.. {
+        let begin = Instant::now();
+        let mut looks_held = 0;
+        loop {
             match flock(&file, FlockOperation::NonBlockingLockExclusive) {
                 Ok(()) => break,
                 Err(Errno::INTR) => return Ok(None),
@@ -123,13 +125,25 @@ impl WorkerLock {
             if !is_same(&file, &path).map_err(failed)? {
                 return Ok(None);
             }
-            // Processes that look whether a killed worker's lock is held have it for a moment.
-            if is_named || look == LOOKS {
-                return Err(WorkerLockError::AlreadyRunning {
-                    fleet: domain.fleet().to_owned(),
-                    owner,
-                    path,
-                });
+            // Who looks whether a killed worker's lock is held has it shared for a moment, and longer where the
+            // process gets no processor: that is not a worker's.
+            if flock(&file, FlockOperation::NonBlockingLockShared).is_ok() {
+                flock(&file, FlockOperation::Unlock).map_err(|error| failed(error.into()))?;
+                if begin.elapsed() > RETRY_LIMIT {
+                    return Err(WorkerLockError::Looked { path });
+                }
+            } else {
+                looks_held += 1;
+                // A process that is seen here, and has written no name, may be one that removes the file of a killed
+                // worker.
+                let is_seen = owner.pid.is_some();
+                if is_named || looks_held >= if is_seen { LOOKS_AT_SEEN } else { LOOKS } {
+                    return Err(WorkerLockError::AlreadyRunning {
+                        fleet: domain.fleet().to_owned(),
+                        owner,
+                        path,
+                    });
+                }
             }
             std::thread::sleep(LOOK_EVERY);
         }
@@ -170,6 +184,7 @@ impl Drop for WorkerLock {
 
 /// Looks at a lock whose holder the file does not name, and the pause between two.
 const LOOKS: u32 = 50;
+const LOOKS_AT_SEEN: u32 = 500;
 const LOOK_EVERY: Duration = Duration::from_millis(2);
 /// A file that is longer than this is not a lock's, bytes.
 pub(crate) const LONGEST_BYTES: u64 = 64;
@@ -324,6 +339,16 @@ pub enum WorkerLockError {
         fleet: String,
         /// The holder.
         owner: WorkerOwner,
+        /// The lock file.
+        path: PathBuf,
+    },
+    /// No worker has the lock, but a process that looked for one does not let it go.
+    #[error(
+        "{path:?} is held for more than {} s by a process that looks whether there is a worker: it is stopped, or \
+         in a debugger; `lslocks` names it. Let it go on, or end it",
+        RETRY_LIMIT.as_secs()
+    )]
+    Looked {
         /// The lock file.
         path: PathBuf,
     },

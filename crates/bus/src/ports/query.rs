@@ -20,6 +20,7 @@ use iceoryx2::port::client::Client;
 use iceoryx2::port::server::Server;
 use iceoryx2::prelude::{AllocationStrategy, BackpressureStrategy, CallbackProgression};
 use iceoryx2::service::port_factory::PortFactory as _;
+use iceoryx2::service::port_factory::client::ClientCreateError;
 use joulebus_wire::{ANSWER_WORDS, AnswerHeader, QUERY_VALUES, QueryHeader, Service, WakeEvent};
 
 use super::degradation::Failures;
@@ -30,7 +31,7 @@ use super::worn::Wear;
 use super::{ReceiveError, SendError};
 use crate::ipc::Ipc;
 use crate::liveness::kept::Kept;
-use crate::liveness::worker_lock::WorkerLock;
+use crate::liveness::worker_lock::{Owner, WorkerLock};
 use crate::liveness::worker_ports::{WorkerPorts, process_of};
 use crate::membership::Membership;
 use crate::os::memory;
@@ -232,7 +233,7 @@ pub struct QueryClient {
     asked: Waker,
     workers: WorkerPorts,
     domain: Domain,
-    worker: Option<(u32, PeerWatch)>,
+    worker: Option<(Owner, PeerWatch)>,
     /// The worker that answered last.
     answered_by: Option<u32>,
     number: u64,
@@ -249,14 +250,18 @@ impl QueryClient {
         let answered = Waiter::open(bus, Service::Answered, limits, events)?;
         let asked = Waker::open(bus, Service::Asked, limits, (events.1, events.0))?;
         let factory = service::open_queries(bus, limits)?;
-        let client = factory
-            .client_builder()
-            .initial_max_slice_len(QUERY_VALUES)
-            .allocation_strategy(AllocationStrategy::Static)
-            .backpressure_strategy(BackpressureStrategy::DiscardData)
-            .set_request_degradation_handler(|_, _| DegradationAction::Ignore)
-            .set_response_degradation_handler(|_, _| DegradationAction::Ignore)
-            .create()
+        let create = || {
+            factory
+                .client_builder()
+                .initial_max_slice_len(QUERY_VALUES)
+                .allocation_strategy(AllocationStrategy::Static)
+                .backpressure_strategy(BackpressureStrategy::DiscardData)
+                .set_request_degradation_handler(|_, _| DegradationAction::Ignore)
+                .set_response_degradation_handler(|_, _| DegradationAction::Ignore)
+                .create()
+        };
+        let is_full = |error: &_| matches!(error, ClientCreateError::ExceedsMaxSupportedClients);
+        let client = service::create(bus, create, is_full)
             .map_err(|reason| OpenError::port(Service::Ask, reason))?;
         service::check_shortage()?;
         let id = client.id().value();
@@ -293,7 +298,7 @@ impl QueryClient {
         loop {
             let sent = self.send(header, values);
             let asked = sent.and_then(|()| self.wait(header.deadline_ns));
-            let worker = self.worker.as_ref().map(|(pid, _)| *pid);
+            let worker = self.worker.as_ref().map(|(owner, _)| owner.pid);
             match &asked {
                 Ok(_) => self.answered_by = worker,
                 Err(QueryError::NotServed) => {
@@ -374,6 +379,11 @@ impl QueryClient {
         deadline_ns: u64,
     ) -> Result<Option<(AnswerHeader, Vec<u64>)>, QueryError> {
         self.member.presence.check()?;
+        let received = self.receive();
+        if !matches!(received, Ok(None)) {
+            self.pending = None;
+            return received;
+        }
         let worker = self.worker.as_ref();
         let is_gone = worker.is_some_and(|(_, watch)| watch.is_gone());
         let connected = |pending: &Pending| pending.is_connected();
@@ -417,14 +427,21 @@ impl QueryClient {
         }
     }
 
-    /// Watches the process that holds the worker's lock.
+    /// Watches the process that holds the worker's lock. It is not looked up while the port for questions is its own:
+    /// a fleet has one such port, and its process closes it before another may be the worker.
     fn watch(&mut self) -> Result<(), QueryError> {
+        let worker = self.worker.as_ref();
+        let serves =
+            |(of, watch): &(Owner, PeerWatch)| self.is_served_by(of.port_pid) && !watch.is_gone();
+        if worker.is_some_and(serves) {
+            return Ok(());
+        }
         let file = self.domain.worker_file();
         let named = || WorkerLock::named_owner(&file);
         let owner = named().ok_or(QueryError::NoWorker)?;
-        let is_watched = |(of, watch): &(u32, PeerWatch)| *of == owner.pid && !watch.is_gone();
+        let is_watched = |(of, watch): &(Owner, PeerWatch)| *of == owner && !watch.is_gone();
         if !self.worker.as_ref().is_some_and(is_watched) {
-            self.worker = PeerWatch::open(owner.pid).map(|watch| (owner.pid, watch));
+            self.worker = PeerWatch::open(owner.pid).map(|watch| (owner, watch));
             let is_alive = match &self.worker {
                 // The pid may have been reused since the file was read.
                 Some((_, watch)) => !watch.is_gone() && named() == Some(owner),

@@ -4,7 +4,7 @@ use std::marker::PhantomData;
 use std::rc::Rc;
 use std::sync::Arc;
 
-use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::port::subscriber::{Subscriber, SubscriberCreateError};
 use iceoryx2::prelude::CallbackProgression;
 use iceoryx2::sample::Sample as Borrowed;
 use iceoryx2::service::port_factory::PortFactory as _;
@@ -53,7 +53,10 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     ) -> Result<Self, OpenError> {
         let factory = service::open::<H, T>(bus, service, limits, shape)?;
         let failures = Failures::new();
-        let subscriber = subscribe(&factory, shape.buffer, &failures)
+        let create = || subscribe(&factory, shape.buffer, &failures);
+        let is_full =
+            |error: &_| matches!(error, SubscriberCreateError::ExceedsMaxSupportedSubscribers);
+        let subscriber = service::create(bus, create, is_full)
             .map_err(|reason| OpenError::port(service, reason))?;
         // A failed connection is only counted, above.
         service::check_shortage()?;
@@ -227,7 +230,9 @@ impl<H: Payload, T: Payload> Reader<H, T> {
         if !is_whole {
             return Err(ReceiveError::Degraded { connections });
         }
-        self.port.0 = created?;
+        self.port.0 = created.map_err(|reason| ReceiveError::Receive {
+            reason: reason.to_string(),
+        })?;
         self.failures.forget();
         Ok(())
     }
@@ -237,15 +242,12 @@ fn subscribe<H: Payload, T: Payload>(
     factory: &PortFactory<Ipc, [T], H>,
     buffer: usize,
     failures: &Arc<Failures>,
-) -> Result<Subscriber<Ipc, [T], H>, ReceiveError> {
+) -> Result<Subscriber<Ipc, [T], H>, SubscriberCreateError> {
     factory
         .subscriber_builder()
         .buffer_size(buffer)
         .set_degradation_handler(failures.handler(|info| info.sender_port_id))
         .create()
-        .map_err(|reason| ReceiveError::Receive {
-            reason: reason.to_string(),
-        })
 }
 
 /// A frame in shared memory, held while this value lives.

@@ -173,6 +173,33 @@ fn retry<S, E: Debug>(
     }
 }
 
+/// Creates a port. The ports of killed processes take places until their nodes are removed, which members do once a second:
+/// where no place is left it is done at once, as long as there are such nodes.
+///
+/// # Errors
+/// That of iceoryx2.
+pub(super) fn create<P, E>(
+    bus: &Bus,
+    port: impl Fn() -> Result<P, E>,
+    is_full: impl Fn(&E) -> bool,
+) -> Result<P, E> {
+    let limit_ns = clock::monotonic_ns() + OPEN_LIMIT_NS;
+    loop {
+        match port() {
+            Err(error) if is_full(&error) => {}
+            result => return result,
+        }
+        let mut report = SweepReport::default();
+        remove_dead_nodes(bus.domain(), bus.node.config(), &mut report);
+        let is_any_dead = report.dead_nodes + report.failed_nodes > 0;
+        if !is_any_dead || clock::monotonic_ns() > limit_ns {
+            // Another member may have removed them meanwhile.
+            return port();
+        }
+        std::thread::sleep(OPEN_AGAIN_AFTER);
+    }
+}
+
 const fn is_transient(error: &PublishSubscribeOpenOrCreateError) -> bool {
     use PublishSubscribeCreateError as Create;
     use PublishSubscribeOpenError as Open;

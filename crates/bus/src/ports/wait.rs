@@ -6,14 +6,14 @@ use std::io;
 use std::os::fd::{AsFd, BorrowedFd};
 use std::rc::Rc;
 
-use iceoryx2::port::listener::Listener;
-use iceoryx2::port::notifier::Notifier;
+use iceoryx2::port::listener::{Listener, ListenerCreateError};
+use iceoryx2::port::notifier::{Notifier, NotifierCreateError};
 use iceoryx2::prelude::{CallbackProgression, EventId, FileDescriptorBased};
 use joulebus_wire::{Service, WakeEvent};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
-use super::service::{OpenError, need, open_event};
+use super::service::{self, OpenError, need, open_event};
 use crate::ipc::Ipc;
 use crate::liveness::kept::Kept;
 use crate::membership::Membership;
@@ -40,10 +40,15 @@ impl Waker {
         ports: (usize, usize),
     ) -> Result<Self, OpenError> {
         let factory = open_event(bus, service, limits, ports)?;
-        let notifier = factory
-            .notifier_builder()
-            .default_event_id(EventId::new(WakeEvent::Frame.id()))
-            .create()
+        let create = || {
+            factory
+                .notifier_builder()
+                .default_event_id(EventId::new(WakeEvent::Frame.id()))
+                .create()
+        };
+        let is_full =
+            |error: &_| matches!(error, NotifierCreateError::ExceedsMaxSupportedNotifiers);
+        let notifier = service::create(bus, create, is_full)
             .map_err(|reason| OpenError::port(service, reason))?;
         Ok(Self {
             notifier: Kept::new(notifier, need(bus, &factory, None)),
@@ -125,9 +130,9 @@ impl Waiter {
         ports: (usize, usize),
     ) -> Result<Self, OpenError> {
         let factory = open_event(bus, service, limits, ports)?;
-        let listener = factory
-            .listener_builder()
-            .create()
+        let is_full =
+            |error: &_| matches!(error, ListenerCreateError::ExceedsMaxSupportedListeners);
+        let listener = service::create(bus, || factory.listener_builder().create(), is_full)
             .map_err(|reason| OpenError::port(service, reason))?;
         let need = need(bus, &factory, Some(listener.id().value()));
         Ok(Self {

@@ -5,7 +5,7 @@ use std::marker::PhantomData;
 use std::rc::Rc;
 use std::sync::Arc;
 
-use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::publisher::{Publisher, PublisherCreateError};
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::port::{DegradationAction, LoanError};
 use iceoryx2::prelude::{AllocationStrategy, CallbackProgression};
@@ -52,13 +52,18 @@ impl<H: Payload, T: Payload> Writer<H, T> {
         check_free(usize::try_from(needed).unwrap_or(usize::MAX))?;
         let failures = Failures::new();
         let factory = service::open::<H, T>(bus, service, limits, shape)?;
-        let publisher = factory
-            .publisher_builder()
-            .initial_max_slice_len(max_len)
-            .max_loaned_samples(1)
-            .allocation_strategy(AllocationStrategy::Static)
-            .set_degradation_handler(failures.handler(|info| info.receiver_port_id))
-            .create()
+        let create = || {
+            factory
+                .publisher_builder()
+                .initial_max_slice_len(max_len)
+                .max_loaned_samples(1)
+                .allocation_strategy(AllocationStrategy::Static)
+                .set_degradation_handler(failures.handler(|info| info.receiver_port_id))
+                .create()
+        };
+        let is_full =
+            |error: &_| matches!(error, PublisherCreateError::ExceedsMaxSupportedPublishers);
+        let publisher = service::create(bus, create, is_full)
             .map_err(|reason| OpenError::port(service, reason))?;
         service::check_shortage()?;
         memory::populate(&publisher.id().value().to_string());

@@ -17,7 +17,8 @@ const NEVER: &str = "never";
 pub struct Permit {
     /// Number of the turn, from 1: greater than that of every worker that has served before.
     pub term: u64,
-    /// The worker sends nothing from this instant of the monotonic clock on; `None`: until the permit is withdrawn.
+    /// The worker sends nothing from this instant on, ns since boot with suspend ([`clock::boot_ns`]); `None`: until the permit is
+    /// withdrawn.
     pub until_ns: Option<u64>,
     /// The lease that it follows from, for a link that starts again; 0 without one.
     pub lease: u64,

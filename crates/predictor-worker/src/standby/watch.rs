@@ -48,7 +48,7 @@ impl Speaking {
         }
     }
 
-    /// Whether a frame may be sent at `now_ns`.
+    /// Whether a frame may be sent at `now_ns`, since boot with suspend.
     pub(crate) fn holds(&self, now_ns: u64) -> bool {
         let until_ns = self.until_ns.load(Ordering::Acquire);
         now_ns < until_ns || until_ns == u64::MAX

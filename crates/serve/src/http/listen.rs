@@ -1,7 +1,7 @@
 //! Where clients connect: an address, a Unix socket, or both.
 
 use std::fs::{self, File, TryLockError};
-use std::io;
+use std::io::{self, Read, Write as _};
 use std::net::{IpAddr, SocketAddr, TcpListener};
 use std::os::fd::OwnedFd;
 use std::os::unix::fs::{
@@ -13,11 +13,14 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, bail};
 use rustix::fs::OFlags;
 use rustix::net;
+use rustix::process::geteuid;
 
 /// Mode of a socket: whoever may enter its folder and is in its group may connect.
 const SOCKET_MODE: u32 = 0o660;
 /// Connections that wait to be accepted.
 const WAITING: i32 = 128;
+/// What is written into the lock's file when it is made, so that it can be told from others of its name.
+const MARKER: &[u8] = b"the lock of a socket of joulebus\n";
 /// Why a path cannot be had.
 const ANOTHER: &str = "another server does; end it, or name another file";
 
@@ -142,10 +145,11 @@ impl SocketLock {
         let failed = || format!("cannot lock {}", path.display());
         let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
         let mut options = File::options();
-        options.write(true).create(true).truncate(false).mode(0o600);
+        options.read(true).write(true).create(true);
+        options.truncate(false).mode(0o600);
         options.custom_flags(flags.bits().cast_signed());
         loop {
-            let file = options.open(&path).with_context(failed)?;
+            let mut file = options.open(&path).with_context(failed)?;
             match file.try_lock() {
                 Ok(()) => {}
                 Err(TryLockError::WouldBlock) => {
@@ -157,11 +161,35 @@ impl SocketLock {
             let own = file.metadata().with_context(failed)?;
             let is_there = fs::symlink_metadata(&path)
                 .is_ok_and(|found| (found.dev(), found.ino()) == (own.dev(), own.ino()));
-            if is_there {
-                return Ok(Self { path, _file: file });
+            if !is_there {
+                continue;
             }
+            if !mark(&mut file).with_context(failed)? {
+                bail!(
+                    "cannot lock {}: there is something else than our lock; move it away, or name another socket",
+                    path.display()
+                );
+            }
+            return Ok(Self { path, _file: file });
         }
     }
+}
+
+/// Writes the marker into a lock that was just made. False if the file is somebody else's, which is left as it is.
+fn mark(file: &mut File) -> io::Result<bool> {
+    let about = file.metadata()?;
+    if !about.is_file() || about.nlink() != 1 || about.uid() != geteuid().as_raw() {
+        return Ok(false);
+    }
+    let mut found = Vec::new();
+    let most = MARKER.len() as u64 + 1;
+    Read::by_ref(file).take(most).read_to_end(&mut found)?;
+    // One that was killed while it wrote has left a part.
+    if found != MARKER && MARKER.starts_with(&found) {
+        file.write_all(&MARKER[found.len()..])?;
+        return Ok(true);
+    }
+    Ok(found == MARKER)
 }
 
 impl Drop for SocketLock {
@@ -210,6 +238,40 @@ mod tests {
         let sender = UnixDatagram::unbound()?;
         sender.send_to(b"still there", &path)?;
         drop(datagrams);
+        Ok(())
+    }
+
+    #[test]
+    fn a_file_in_the_place_of_the_lock_that_is_not_ours_is_left_as_it_is() -> anyhow::Result<()> {
+        let folder = tempfile::tempdir()?;
+        let (path, lock) = (
+            folder.path().join("Cargo"),
+            folder.path().join("Cargo.lock"),
+        );
+        let longer = [MARKER, b"and more"].concat();
+        let other = folder.path().join("other");
+        for text in [&b"version = 4"[..], b"\0\0", &longer] {
+            fs::write(&lock, text)?;
+            let refused = at_socket(&path).map(drop).unwrap_err().to_string();
+            assert!(refused.contains("something else"), "{refused}");
+            assert_eq!(fs::read(&lock)?, text);
+            // A second name of somebody's file, and a link to it.
+            fs::rename(&lock, &other)?;
+            fs::hard_link(&other, &lock)?;
+            assert!(at_socket(&path).is_err());
+            fs::remove_file(&lock)?;
+            std::os::unix::fs::symlink(&other, &lock)?;
+            assert!(at_socket(&path).is_err());
+            assert_eq!(fs::read(&other)?, text);
+            fs::remove_file(&lock)?;
+            assert!(!path.exists());
+        }
+        // What servers that were killed have left.
+        for text in [&b""[..], &MARKER[..7], MARKER] {
+            fs::write(&lock, text)?;
+            drop(at_socket(&path)?);
+            assert!(!lock.exists());
+        }
         Ok(())
     }
 

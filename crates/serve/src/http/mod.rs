@@ -45,6 +45,7 @@ use hyper::service::{Service as _, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use joulebus_bus::{inspect, yield_to_the_worker};
+use joulebus_capture::record::RECORDER;
 use joulebus_config::Config;
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::say;
@@ -73,8 +74,6 @@ const MOST_KEPT_BYTES: usize = 64 << 10;
 const NICE: u8 = 10;
 /// Interval of looking for recorders.
 const INSPECT_EVERY: Duration = Duration::from_secs(5);
-/// Name of a recorder's node.
-const RECORDER: &str = "recorder";
 /// After a failed `accept`: no free descriptor, which passes.
 const ACCEPT_AGAIN: Duration = Duration::from_millis(50);
 
