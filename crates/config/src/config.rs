@@ -1,7 +1,6 @@
 //! A checked config.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use joulebus_bus::Scheduling;
 use joulebus_settings::{
@@ -86,13 +85,26 @@ impl Config {
     /// The file cannot be read, or it or a platform's file is refused: lists all errors, each with
     /// file, line and remedy.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, ConfigError> {
+        Self::load_within(path.as_ref(), None)
+    }
+
+    /// As [`Config::load`], of a config that was attached to a capture: platform files that are not below its folder are
+    /// refused, and not read.
+    ///
+    /// # Errors
+    /// As there, or such a file.
+    pub fn load_attached(path: impl AsRef<Path>) -> Result<Self, ConfigError> {
         let path = path.as_ref();
+        Self::load_within(path, path.parent())
+    }
+
+    fn load_within(path: &Path, within: Option<&Path>) -> Result<Self, ConfigError> {
         let text = files::read(path).map_err(|source| ConfigError::Read {
             path: path.to_owned(),
             source,
         })?;
         let directory = path.parent().unwrap_or(Path::new(""));
-        Self::read(&text, &path.display().to_string(), directory)
+        Self::read(&text, &path.display().to_string(), directory, within)
     }
 
     /// Reads the text of a fleet's file; paths in it are relative to `base_dir`.
@@ -100,20 +112,22 @@ impl Config {
     /// # Errors
     /// As [`Config::load`]; messages call the text `<config>`.
     pub fn parse(text: &str, base_dir: &Path) -> Result<Self, ConfigError> {
-        Self::read(text, "<config>", base_dir)
+        Self::read(text, "<config>", base_dir, None)
     }
 
-    fn read(text: &str, name: &str, directory: &Path) -> Result<Self, ConfigError> {
-        let source = Source {
-            text,
-            name: Arc::from(name),
-            directory: Some(Arc::new(directory.to_owned())),
-        };
+    /// `within`: where platform files may lie; `None`: anywhere.
+    fn read(
+        text: &str,
+        name: &str,
+        directory: &Path,
+        within: Option<&Path>,
+    ) -> Result<Self, ConfigError> {
+        let source = Source::new(text, name, Some(directory));
         let mut problems = Vec::new();
         let mut warnings = Vec::new();
         let mut read = source.fleet(&mut problems);
         if !read.cut_short {
-            files::platforms(&mut read, &mut problems);
+            files::platforms(&mut read, within, &mut problems);
             consistency::check(&read, &source.name, &mut problems, &mut warnings);
         }
         let built = if problems.is_empty() {

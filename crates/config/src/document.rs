@@ -1,25 +1,32 @@
 //! Parses a TOML text to checked values; every problem has its line.
 
+use std::borrow::Cow;
 use std::ops::Range;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use joulebus_settings::bounds;
 use toml::Spanned;
 use toml::de::{DeString, DeTable, DeValue};
 
 use crate::key::{File, Key, ValueKind};
 use crate::keys::{self, KEYS};
 use crate::numbers::{integer, number};
-use crate::problem::Problem;
+use crate::problem::{MOST_PROBLEMS, Problem};
 use crate::remedy;
 use crate::robots;
 use crate::values::{Place, Value, Values};
 
+/// Letters of a key or a value that are shown.
+const MOST_SHOWN: usize = 60;
+
 /// A text and its name.
 pub(crate) struct Source<'a> {
-    pub(crate) text: &'a str,
+    text: &'a str,
     pub(crate) name: Arc<str>,
-    pub(crate) directory: Option<Arc<PathBuf>>,
+    directory: Option<Arc<PathBuf>>,
+    /// Where each line begins.
+    lines: Vec<usize>,
 }
 
 /// Contents of the fleet's file.
@@ -39,6 +46,19 @@ pub(crate) struct Listed {
     pub(crate) header: Place,
     /// Its own file could not be read: missing keys are not reported.
     pub(crate) cut_short: bool,
+}
+
+impl<'a> Source<'a> {
+    /// A text, its name in messages, and the directory to which its paths are relative; `None` for built-in texts.
+    pub(crate) fn new(text: &'a str, name: &str, directory: Option<&Path>) -> Self {
+        let breaks = text.match_indices('\n').map(|(at, _)| at + 1);
+        Self {
+            text,
+            name: Arc::from(name),
+            directory: directory.map(|directory| Arc::new(directory.to_owned())),
+            lines: [0].into_iter().chain(breaks).collect(),
+        }
+    }
 }
 
 impl Source<'_> {
@@ -70,6 +90,16 @@ impl Source<'_> {
                 );
                 continue;
             };
+            let (found, most) = (tables.len(), *bounds::PLATFORMS.end());
+            if found > most as usize {
+                walk.wrong(
+                    &place,
+                    "platform",
+                    format!("is listed {found} times, allowed are {most}"),
+                    "List the robots of one kind in one [[platform]]".to_owned(),
+                );
+                continue;
+            }
             for (table, span) in tables {
                 let mut values = Values::default();
                 walk.table(table, "platform", &mut values);
@@ -110,7 +140,7 @@ impl Source<'_> {
         Place {
             file: Arc::clone(&self.name),
             directory: self.directory.clone(),
-            line: line_of(self.text, span.start),
+            line: self.lines.partition_point(|line| *line <= span.start),
         }
     }
 
@@ -119,10 +149,7 @@ impl Source<'_> {
         let text = self.text.get(item.span()).unwrap_or_default();
         match item.get_ref() {
             DeValue::Table(_) if text.starts_with('[') => "a table".to_owned(),
-            value => {
-                let text: String = text.chars().take(60).collect();
-                format!("{text} ({})", value.type_str())
-            }
+            value => format!("{} ({})", shown(text), value.type_str()),
         }
     }
 
@@ -162,8 +189,7 @@ impl Source<'_> {
     /// Where the line begins that an error without a place stands in: the text up to any line before
     /// it has no such error.
     fn start_of(&self, error: &toml::de::Error) -> usize {
-        let breaks = self.text.match_indices('\n').map(|(at, _)| at + 1);
-        let starts: Vec<usize> = [0].into_iter().chain(breaks).collect();
+        let starts = &self.lines;
         let fails_before = |start: &usize| {
             let found = DeTable::parse(&self.text[..*start]).err();
             found.is_some_and(|found| found.span().is_none() && found.message() == error.message())
@@ -173,10 +199,12 @@ impl Source<'_> {
     }
 }
 
-/// The line, from 1, of a byte offset.
-fn line_of(text: &str, offset: usize) -> usize {
-    let upto = &text.as_bytes()[..offset.min(text.len())];
-    1 + upto.iter().filter(|byte| **byte == b'\n').count()
+/// The beginning of a key or a value.
+fn shown(text: &str) -> Cow<'_, str> {
+    match text.char_indices().nth(MOST_SHOWN) {
+        Some((end, _)) => format!("{}…", &text[..end]).into(),
+        None => text.into(),
+    }
 }
 
 /// The line before `line` that sets the same key or opens the same section.
@@ -273,6 +301,9 @@ impl Walk<'_> {
     }
 
     fn unknown(&mut self, place: &Place, path: &str, item: &Spanned<DeValue<'_>>) {
+        if self.problems.len() > MOST_PROBLEMS {
+            return;
+        }
         let file = (self.file == File::Platform).then_some(File::Platform);
         let value = number(item.get_ref());
         let (what, remedy) = if item.get_ref().is_table() {
@@ -286,13 +317,19 @@ impl Walk<'_> {
     }
 
     fn wrong(&mut self, place: &Place, path: &str, what: String, remedy: String) {
-        self.problems.push(Problem {
-            file: place.file.to_string(),
-            line: Some(place.line),
-            key: path.to_owned(),
-            what,
-            remedy,
-        });
+        let line = Some(place.line);
+        let problem = match self.problems.len() {
+            ..MOST_PROBLEMS => Problem {
+                file: place.file.to_string(),
+                line,
+                key: shown(path).into_owned(),
+                what,
+                remedy,
+            },
+            MOST_PROBLEMS => Problem::more(&place.file, line),
+            _ => return,
+        };
+        self.problems.push(problem);
     }
 
     /// The value if the key's kind and range allow it, else what was found and the remedy.
@@ -330,6 +367,8 @@ impl Walk<'_> {
                 if words.contains(&text) {
                     return Ok(Value::Text(text.to_owned()));
                 }
+                let text = shown(text);
+                let text = text.as_ref();
                 let near = words.iter().max_by(|one, other| {
                     strsim::jaro_winkler(one, text).total_cmp(&strsim::jaro_winkler(other, text))
                 });
@@ -342,7 +381,7 @@ impl Walk<'_> {
             ValueKind::Text(rule) => {
                 let text = item.get_ref().as_str().ok_or_else(mistaken)?;
                 if !rule.allows(text) {
-                    return Err(refused(format!("is {text:?}"), None));
+                    return Err(refused(format!("is {:?}", shown(text)), None));
                 }
                 Ok(Value::Text(text.to_owned()))
             }

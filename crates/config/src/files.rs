@@ -1,8 +1,7 @@
 //! Files that a config refers to.
 
 use std::io;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::path::{Component, Path, PathBuf};
 
 use crate::builtin;
 use crate::document::{FleetFile, Source};
@@ -18,13 +17,19 @@ pub(crate) fn read(path: &Path) -> io::Result<String> {
     joulebus_files::read_to_string(path, MOST_BYTES)
 }
 
-/// Reads the file of each platform; keys in the fleet's file override it.
-pub(crate) fn platforms(fleet: &mut FleetFile, problems: &mut Vec<Problem>) {
+/// Whether `path` is below `folder`, and by its text alone: one with `..` is not.
+#[must_use]
+pub fn is_below(path: &Path, folder: &Path) -> bool {
+    path.starts_with(folder) && path.components().all(|part| part != Component::ParentDir)
+}
+
+/// Reads the file of each platform; keys in the fleet's file override it. `within`: where they may lie; `None`: anywhere.
+pub(crate) fn platforms(fleet: &mut FleetFile, within: Option<&Path>, problems: &mut Vec<Problem>) {
     for listed in &mut fleet.platforms {
         if !listed.values.names("platform.file") {
             continue;
         }
-        match platform(&listed.values, problems) {
+        match platform(&listed.values, within, problems) {
             Ok(Some(mut of_file)) => {
                 of_file.override_with(std::mem::take(&mut listed.values));
                 listed.values = of_file;
@@ -48,6 +53,7 @@ pub(crate) fn platforms(fleet: &mut FleetFile, problems: &mut Vec<Problem>) {
 /// The values of the platform's file; `None` together with a problem.
 fn platform(
     values: &Values,
+    within: Option<&Path>,
     problems: &mut Vec<Problem>,
 ) -> Result<Option<Values>, (String, String)> {
     let Some(file) = values.text("platform.file") else {
@@ -59,14 +65,13 @@ fn platform(
             let what = format!("is {file:?}, and there is no such built-in platform");
             (what, format!("Built-in platforms: {}", known.join(", ")))
         })?;
-        let source = Source {
-            text,
-            name: Arc::from(file.as_str()),
-            directory: None,
-        };
-        return Ok(source.platform(problems));
+        return Ok(Source::new(text, &file, None).platform(problems));
     }
     let path = resolve(values, "platform.file").unwrap_or_else(|| PathBuf::from(&file));
+    if within.is_some_and(|folder| !is_below(&path, folder)) {
+        let what = format!("is {file:?}, which is not attached");
+        return Err((what, "Give a config with --config".to_owned()));
+    }
     let text = read(&path).map_err(|error| {
         let what = format!("names {}, which cannot be read: {error}", path.display());
         (
@@ -74,11 +79,8 @@ fn platform(
             "The path is relative to the file that names it".to_owned(),
         )
     })?;
-    let source = Source {
-        text: &text,
-        name: Arc::from(path.display().to_string()),
-        directory: Some(Arc::new(path.parent().unwrap_or(Path::new("")).to_owned())),
-    };
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let source = Source::new(&text, &path.display().to_string(), Some(folder));
     Ok(source.platform(problems))
 }
 

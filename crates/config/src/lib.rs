@@ -48,6 +48,7 @@ pub use builtin::{Demo, builtin_model, builtin_models, builtin_platform, builtin
 pub use bundle::{Bundle, BundleError};
 pub use config::{Checkpoint, Config, Queries, Threads};
 pub use explain::{Explanation, UnknownKey, explain, explanations};
+pub use files::is_below;
 pub use joulebus_bus::{Domain, Limits, Scheduling};
 pub use joulebus_settings as settings;
 pub use key::{DefaultValue, File, Key, TextRule, ValueKind};

@@ -5,6 +5,11 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
+/// Problems that are listed: a text of many wrong keys is no config.
+pub(crate) const MOST_PROBLEMS: usize = 100;
+/// Letters of what was found that are shown: it may quote a file of any length.
+const MOST_SHOWN: usize = 400;
+
 /// An error or a warning about a config file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Problem {
@@ -21,38 +26,69 @@ pub struct Problem {
 }
 
 impl Problem {
-    /// A problem of `key` in `text`, the contents of `file`: at byte `at`, or else in the line that sets the last part of
-    /// the key, if one does.
-    #[must_use]
-    pub fn in_text(
+    /// Adds a problem of `key` in `text`, the contents of `file`: at byte `at`, or else in the line that sets the last part of
+    /// the key, if one does. Of a `what` of more than 400 letters the middle is left out, and of more than a hundred problems
+    /// only that there are more is added.
+    pub fn add(
+        problems: &mut Vec<Self>,
         (file, text): (&str, &str),
         at: Option<usize>,
         key: &str,
         what: String,
         remedy: &str,
-    ) -> Self {
-        let name = key.rsplit('.').next().unwrap_or(key);
-        let sets = |line: &str| {
-            let line = line.trim_start();
-            let rest = line.strip_prefix(name).filter(|_| !name.is_empty());
-            rest.is_some_and(|rest| rest.trim_start().starts_with('='))
-                || (!name.is_empty() && line.starts_with(&format!("[{name}]")))
+    ) {
+        let problem = match problems.len() {
+            ..MOST_PROBLEMS => Self {
+                file: file.to_owned(),
+                line: line(text, at, key),
+                key: key.to_owned(),
+                what: shortened(what),
+                remedy: remedy.to_owned(),
+            },
+            MOST_PROBLEMS => Self::more(file, None),
+            _ => return,
         };
-        let line = match at {
-            Some(at) => {
-                let before = &text.as_bytes()[..at.min(text.len())];
-                Some(1 + before.iter().filter(|byte| **byte == b'\n').count())
-            }
-            None => text.lines().position(sets).map(|line| line + 1),
-        };
+        problems.push(problem);
+    }
+
+    /// What is said instead of the problem after the last one that is listed.
+    pub(crate) fn more(file: &str, line: Option<usize>) -> Self {
         Self {
             file: file.to_owned(),
             line,
-            key: key.to_owned(),
-            what,
-            remedy: remedy.to_owned(),
+            key: String::new(),
+            what: format!("there are more than {MOST_PROBLEMS} problems"),
+            remedy: "Correct those listed; the others were not looked for".to_owned(),
         }
     }
+}
+
+/// The line of byte `at`, or else the one that sets the last part of the key, if one does.
+fn line(text: &str, at: Option<usize>, key: &str) -> Option<usize> {
+    if let Some(at) = at {
+        let before = &text.as_bytes()[..at.min(text.len())];
+        return Some(1 + before.iter().filter(|byte| **byte == b'\n').count());
+    }
+    let name = key.rsplit('.').next().unwrap_or(key);
+    let sets = |line: &str| {
+        let line = line.trim_start();
+        let rest = line.strip_prefix(name).filter(|_| !name.is_empty());
+        rest.is_some_and(|rest| rest.trim_start().starts_with('='))
+            || (!name.is_empty() && line.starts_with(&format!("[{name}]")))
+    };
+    text.lines().position(sets).map(|line| line + 1)
+}
+
+/// Beginning and end of a long text: between them is what it quotes.
+fn shortened(text: String) -> String {
+    let letters = text.chars().count();
+    if letters <= MOST_SHOWN {
+        return text;
+    }
+    let part = MOST_SHOWN / 2;
+    let head: String = text.chars().take(part).collect();
+    let tail: String = text.chars().skip(letters - part).collect();
+    format!("{head}…{tail}")
 }
 
 impl fmt::Display for Problem {

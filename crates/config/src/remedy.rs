@@ -158,8 +158,14 @@ fn split_unit(name: &str) -> (&str, Option<&'static str>) {
         .unwrap_or((name, None))
 }
 
+/// Longest path that is compared with those of keys, bytes: the work grows with its length.
+const LONGEST_PATH: usize = 100;
+
 /// The key of `file` nearest to `path`, if one is similar.
 pub(crate) fn nearest(file: Option<File>, path: &str) -> Option<&'static Key> {
+    if path.len() > LONGEST_PATH {
+        return None;
+    }
     let wanted = path.to_lowercase();
     KEYS.iter()
         .filter(|key| file.is_none_or(|file| key.file == file))
@@ -248,6 +254,7 @@ pub(crate) fn unknown_section(file: Option<File>, path: &str) -> String {
         .filter_map(|key| Some(key.path.rsplit_once('.')?.0));
     let alike = |section: &&str| strsim::normalized_damerau_levenshtein(section, path);
     let nearest = sections
+        .filter(|_| path.len() <= LONGEST_PATH)
         .max_by(|one, other| alike(one).total_cmp(&alike(other)))
         .filter(|section| alike(section) >= 0.5);
     match nearest {

@@ -97,6 +97,39 @@ fn assert_refused(from: &str, to: &str, key: &str, says: &[&str]) {
 }
 
 #[test]
+fn of_many_problems_the_first_hundred_are_listed_and_long_texts_are_cut() {
+    let many: String = (0..300_000).map(|key| format!("k{key} = 1\n")).collect();
+    let long = "x".repeat(3 << 20);
+    let platforms = "[[platform]]\nrobots = [\"a\"]\n".repeat(20_000);
+    for (text, problems, named) in [
+        (
+            format!("{many}{WHOLE}"),
+            101,
+            "there are more than 100 problems",
+        ),
+        (format!("{long} = 1\n{WHOLE}"), 1, "is not a known key"),
+        (
+            format!("[{long}]\nkey = 1\n{WHOLE}"),
+            1,
+            "is not a known section",
+        ),
+        (WHOLE.replace("on_frame", &long), 1, "xxx…"),
+        (WHOLE.replace("\"lab\"", &format!("\"/{long}\"")), 1, "xxx…"),
+        (WHOLE.replace("= 10.0", &format!("= \"{long}\"")), 3, "xxx…"),
+        (
+            format!("{WHOLE}{platforms}"),
+            1,
+            "is listed 20002 times, allowed are 256",
+        ),
+    ] {
+        let refused = parse(&text).unwrap_err();
+        assert_eq!(refused.problems().len(), problems, "{named}");
+        let shown = refused.to_string();
+        assert!(shown.contains(named) && shown.len() < 20_000, "{named}");
+    }
+}
+
+#[test]
 fn the_complete_text_is_accepted() {
     let config = parse(WHOLE).unwrap_or_else(|error| panic!("{error}"));
     assert_eq!(config.warnings(), []);

@@ -216,6 +216,22 @@ fn a_path_is_relative_to_the_file_that_names_it() {
     };
     assert_eq!(fs::read(model).unwrap(), b"not parsed");
 
+    // Its platform is below the folder; that of a config in another folder is not.
+    assert!(Config::load_attached(at("own-fleet.toml")).is_ok());
+    let fleet = fs::read_to_string(at("own-fleet.toml")).unwrap();
+    let foreign = at("elsewhere/fleet.toml");
+    fs::create_dir(at("elsewhere")).unwrap();
+    for file in [
+        at("kinds/own.toml").display().to_string(),
+        "../kinds/own.toml".to_owned(),
+    ] {
+        fs::write(&foreign, fleet.replace("kinds/own.toml", &file)).unwrap();
+        assert!(Config::load(&foreign).is_ok(), "{file}");
+        let refused = Config::load_attached(&foreign).unwrap_err();
+        assert_eq!(refused.problems()[0].key, "platform.file");
+        assert!(refused.to_string().contains("is not attached"), "{refused}");
+    }
+
     fs::remove_file(at("weights/own.safetensors")).unwrap();
     let refused = Config::load(at("own-fleet.toml")).unwrap_err();
     let [problem] = refused.problems() else {
