@@ -234,7 +234,14 @@ impl Etcd {
                 lease: it.lease.0,
             })
         });
-        let number = |it: &KeyValue| it.text()?.parse().context("the term's key");
+        let number = |it: &KeyValue| {
+            let term: u64 = it.text()?.parse().context("the term's key")?;
+            anyhow::ensure!(
+                term < u64::MAX,
+                "the term's key: after {term} there is no other; set it anew"
+            );
+            Ok(term)
+        };
         Ok(Seen {
             holder: holder.transpose()?,
             term: term.as_ref().map_or(Ok(0), number)?,
@@ -356,4 +363,191 @@ fn certificates(path: &Path) -> anyhow::Result<Vec<Certificate<'static>>> {
         );
     }
     Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Read as _, Write as _};
+    use std::net::{TcpListener, TcpStream};
+    use std::time::Instant;
+
+    use super::*;
+
+    const TTL_S: u32 = 6;
+
+    fn etcd(port: u16) -> Etcd {
+        let settings = LeaseSettings {
+            endpoints: vec![format!("http://127.0.0.1:{port}")],
+            ttl_s: TTL_S,
+            prefix: "joulebus/".to_owned(),
+            ca: None,
+            own: None,
+            user: None,
+        };
+        Etcd::new(&settings, ("lab", "hall", "base")).unwrap()
+    }
+
+    /// Reads a request whole: a body of the stated length after an empty line.
+    fn read_request(stream: &mut TcpStream) {
+        let (mut read, mut byte) = (Vec::new(), [0]);
+        while !read.ends_with(b"\r\n\r\n") && stream.read(&mut byte).unwrap_or(0) == 1 {
+            read.extend_from_slice(&byte);
+        }
+        let text = String::from_utf8_lossy(&read).to_lowercase();
+        let length = text
+            .lines()
+            .find_map(|line| line.strip_prefix("content-length: "));
+        let length = length.map_or(0, |length| length.trim().parse().unwrap());
+        let _ = stream.read_exact(&mut vec![0; length]);
+    }
+
+    /// What a call says to a member that answers with these bytes, and then with the last ones for as long as anybody listens.
+    fn answer(call: &Call, bytes: &[u8], for_ever: &'static [u8]) -> (Reply, Duration) {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = listener.local_addr().unwrap().port();
+        let bytes = bytes.to_vec();
+        let member = std::thread::spawn(move || {
+            let (mut stream, _) = listener.accept().unwrap();
+            read_request(&mut stream);
+            let mut sent = stream.write_all(&bytes);
+            while sent.is_ok() && !for_ever.is_empty() {
+                std::thread::sleep(Duration::from_millis(5));
+                sent = stream.write_all(for_ever);
+            }
+        });
+        let asked = Instant::now();
+        let reply = etcd(port).call(call);
+        let took = asked.elapsed();
+        member.join().unwrap();
+        (reply, took)
+    }
+
+    fn ok(body: &str) -> Vec<u8> {
+        let length = body.len();
+        format!("HTTP/1.1 200 OK\r\nContent-Length: {length}\r\n\r\n{body}").into_bytes()
+    }
+
+    const RENEW: Call = Call::Renew { lease: 7 };
+
+    #[test]
+    fn an_answer_that_is_cut_short_odd_huge_or_endless_is_none_and_nobody_waits_longer_for_it() {
+        let holder = |value: &str| {
+            let value = BASE64.encode(value);
+            format!(
+                "{{\"responses\":[{{\"responseRange\":{{\"kvs\":[{{\"value\":\"{value}\"}}]}}}},{{\"responseRange\":{{}}}},{{\"responseRange\":{{}}}}]}}"
+            )
+        };
+        let term = |value: &str| {
+            let value = BASE64.encode(value);
+            format!(
+                "{{\"responses\":[{{\"responseRange\":{{}}}},{{\"responseRange\":{{\"kvs\":[{{\"value\":\"{value}\"}}]}}}},{{\"responseRange\":{{}}}}]}}"
+            )
+        };
+        let bodies = [
+            "",
+            "{}",
+            "[]",
+            "null",
+            "{\"result\":",
+            "\u{feff}{}",
+            "{\"error\":{\"code\":5}}",
+            "not JSON",
+        ];
+        for call in [Call::Grant, Call::Look, RENEW] {
+            for body in bodies {
+                assert_eq!(
+                    answer(&call, &ok(body), b"").0,
+                    Reply::Failed,
+                    "{call:?} {body:?}"
+                );
+            }
+        }
+        for (call, body) in [
+            (Call::Grant, r#"{"TTL":"3"}"#.to_owned()),
+            (Call::Grant, r#"{"ID":"7"}"#.to_owned()),
+            (Call::Grant, r#"{"ID":"-7","TTL":"3"}"#.to_owned()),
+            (
+                Call::Grant,
+                r#"{"ID":"7","TTL":"18446744073709551616"}"#.to_owned(),
+            ),
+            (Call::Grant, r#"{"ID":7.5,"TTL":3}"#.to_owned()),
+            (RENEW, r#"{"result":{"TTL":"-1"}}"#.to_owned()),
+            (
+                RENEW,
+                r#"{"result":{"TTL":"2"}}{"result":{"TTL":"2"}}"#.to_owned(),
+            ),
+            (
+                Call::Look,
+                r#"{"responses":[{"responseRange":{}},{"responseRange":{}}]}"#.to_owned(),
+            ),
+            (Call::Look, r#"{"responses":[{},{},{}]}"#.to_owned()),
+            (Call::Look, holder("not JSON")),
+            (Call::Look, holder(r#"{"name":"base"}"#)),
+            (Call::Look, holder(r#"{"name":"base","term":-1}"#)),
+            (Call::Look, term("seven")),
+            (Call::Look, term("18446744073709551615")),
+            (
+                Call::Look,
+                format!("{{\"responses\":[{}]}}", " ".repeat(70_000)),
+            ),
+        ] {
+            assert_eq!(
+                answer(&call, &ok(&body), b"").0,
+                Reply::Failed,
+                "{body:.200}"
+            );
+        }
+        let good = r#"{"result":{"TTL":"2"}}"#;
+        assert_eq!(
+            answer(&RENEW, &ok(good), b"").0,
+            Reply::Renewed {
+                ttl_ns: 2 * NANOSECONDS
+            }
+        );
+        let cut = ok(good);
+        let chunked = b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n";
+        let limit = Duration::from_secs(TTL_S.into()) / CALL_DIVISOR;
+        let cases: [(&[u8], &'static [u8]); 9] = [
+            (&cut[..cut.len() - 1], b""),
+            (&cut[..20], b""),
+            (b"", b""),
+            (b"garbage\r\n\r\n", b""),
+            (
+                b"HTTP/1.1 302 Found\r\nLocation: http://127.0.0.1:1/\r\nContent-Length: 0\r\n\r\n",
+                b"",
+            ),
+            (
+                b"HTTP/1.1 503 Busy\r\nContent-Length: 22\r\n\r\n{\"result\":{\"TTL\":\"2\"}}",
+                b"",
+            ),
+            (b"HTTP/1.1 200 OK\r\n", b"X: y\r\n"),
+            (chunked, b"1\r\n \r\n"),
+            (
+                b"HTTP/1.1 200 OK\r\nContent-Length: 99999999999\r\n\r\n",
+                b" ",
+            ),
+        ];
+        for (bytes, for_ever) in cases {
+            let (reply, took) = answer(&RENEW, bytes, for_ever);
+            let shown = String::from_utf8_lossy(bytes);
+            assert_eq!(reply, Reply::Failed, "{shown}");
+            // Generous beside a busy machine; without a limit it would not end.
+            assert!(took < 20 * limit, "{shown}: {took:?}");
+        }
+    }
+
+    #[test]
+    fn fields_that_are_not_known_and_keys_that_are_not_there_are_no_fault() {
+        let body = r#"{"header":{"revision":"9"},"succeeded":true,"new":[1],
+            "responses":[{"responseRange":{"count":"0"}},{"responseRange":{}},{"response_range":{}}]}"#;
+        assert_eq!(
+            answer(&Call::Look, &ok(body), b"").0,
+            Reply::Seen(Seen::default())
+        );
+        let gone = r#"{"result":{"header":{},"ID":"7"}}"#;
+        assert_eq!(
+            answer(&RENEW, &ok(gone), b"").0,
+            Reply::Renewed { ttl_ns: 0 }
+        );
+    }
 }

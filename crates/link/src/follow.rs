@@ -9,17 +9,20 @@ use joulebus_bus::{SendError, WorkerLock, clock};
 use joulebus_config::Config;
 use joulebus_wire::WakeEvent;
 
-use crate::config::{Follow, MOST_TTL_S, Settings};
+use crate::config::{Follow, Settings};
 use crate::gathered::Gathered;
 use crate::network::{Bytes, Event, Inbox, Kind, Network, longest_bytes};
 use crate::outlets::{Outlets, PassError};
 use crate::protocol::carried::Carried;
+use crate::protocol::lease::MOST_TTL_S;
 use crate::protocol::message::Worker;
 use crate::protocol::receiver::Accepted;
 use crate::taking::{TakenRecord, Taking};
 
 /// Longest sleep: how late a stop, a silence or a new reader of plan states may be noticed.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// The same after a message: longer than the period of most fleets, so that the next message is what ends the sleep.
+const AFTER_MESSAGE: Duration = Duration::from_millis(40);
 /// The same while frames of several shards are gathered: a shard that is late holds the others up by as much.
 const GATHER_EVERY: Duration = Duration::from_millis(5);
 /// A term in which nobody has sent for so long fences nobody: longer than the longest lease, so that no older one lasts.
@@ -39,15 +42,17 @@ pub(crate) fn run(
     bus.needs_lock(lock);
     let mut inbox = Inbox::new(longest_bytes(config.limits().capacity));
     let shards = open(config, settings, follow, network, &mut inbox)?;
+    let every = follow.selection.every;
     let gathered = match &settings.shards {
-        Some(map) if shards.len() > 1 => Some(Gathered::new(map, config)),
+        Some(map) if shards.len() > 1 => Some(Gathered::new(map, config, every)),
         _ => None,
     };
     let mut following = Following {
-        outlets: Outlets::open(&bus, config)?,
+        outlets: Outlets::open(&bus, config, every)?,
         shards,
         gathered,
         asks: follow.selection.services,
+        has_message: false,
         told: Worker::Unknown,
     };
     ready();
@@ -188,6 +193,8 @@ struct Following {
     gathered: Option<Gathered>,
     /// Services that the file names.
     asks: u32,
+    /// The last turn took a message.
+    has_message: bool,
     /// State of the fleet's workers that planners here have been told last.
     told: Worker,
 }
@@ -208,14 +215,19 @@ impl Following {
         }
         let wait = match self.gathered {
             Some(_) => GATHER_EVERY,
+            None if self.has_message => AFTER_MESSAGE,
             None => LOOK_EVERY,
         };
+        self.has_message = false;
         match inbox.next(wait) {
             Ok(Event::Message {
                 from,
                 bytes,
                 arrived_ns,
-            }) => self.message(&from, &bytes, arrived_ns)?,
+            }) => {
+                self.has_message = true;
+                self.message(&from, &bytes, arrived_ns)?;
+            }
             Ok(Event::Lost { name }) => {
                 for taking in self.takings().filter(|taking| *taking.from() == *name) {
                     taking.receiver().lost();

@@ -9,7 +9,7 @@ use joulebus_wire::{
     PlanState, PlanStateHeader, WakeEvent,
 };
 
-use crate::outlets::{Outlets, PassError, not_ahead};
+use crate::outlets::{Outlets, PassError, frames_apart_ns, not_ahead};
 use crate::protocol::carried::{Carried, RawFrame};
 use crate::protocol::merge::{Continued, Header, Merge, Own, Row};
 use crate::protocol::receiver::Accepted;
@@ -24,6 +24,10 @@ pub(crate) struct Gathered {
     shards: Arc<Shards>,
     /// Rows of a frame at most.
     capacity: usize,
+    /// Every how many ticks of a worker its frame comes.
+    every: u32,
+    /// Period of the ticks, that of all hosts' config: a false one of a worker would hold up the others.
+    period_ns: u64,
     run: u64,
     tick: u64,
     counters: Vec<Continued>,
@@ -36,11 +40,13 @@ pub(crate) struct Gathered {
 }
 
 impl Gathered {
-    pub(crate) fn new(shards: &Arc<Shards>, config: &Config) -> Self {
+    pub(crate) fn new(shards: &Arc<Shards>, config: &Config, every: u32) -> Self {
         let count = shards.all().len();
         Self {
             shards: Arc::clone(shards),
             capacity: config.limits().capacity,
+            every,
+            period_ns: config.tick_period_ns(),
             run: clock::monotonic_ns(),
             tick: 0,
             counters: (0..count).map(|_| Continued::default()).collect(),
@@ -62,6 +68,7 @@ impl Gathered {
             Carried::Forecasts => {
                 let mut header: ForecastHeader = frame.header();
                 header.shift(offset_ns);
+                header.period_ns = frames_apart_ns(header.period_ns, self.every);
                 not_ahead(&header)?;
                 self.counters[shard].add(&mut header);
                 let rows = rows(frame, offset_ns, is_own);
@@ -80,6 +87,7 @@ impl Gathered {
             Carried::PlanStates => {
                 let mut header: PlanStateHeader = frame.header();
                 header.shift(offset_ns);
+                header.period_ns = frames_apart_ns(header.period_ns, self.every);
                 let rows = rows(frame, offset_ns, is_own);
                 self.plan_states.put(shard, header, rows, now_ns);
             }
@@ -97,7 +105,7 @@ impl Gathered {
     ) -> Result<(), SendError> {
         let now_ns = clock::monotonic_ns();
         let is_heard = self.is_heard(speaks, now_ns);
-        let at = (now_ns, self.period_ns());
+        let at = (now_ns, self.period_ns, self.every);
         if self.forecasts.is_due((speaks, &is_heard), at) {
             let own = self.own(self.tick + 1);
             let merge = &mut self.forecasts;
@@ -140,13 +148,6 @@ impl Gathered {
             worker_epoch: self.run,
             tick,
         }
-    }
-
-    /// That of the slowest worker.
-    fn period_ns(&self) -> u64 {
-        let shards = 0..self.differ.len();
-        let of = |shard| self.forecasts.header(shard).map(|header| header.period_ns);
-        shards.filter_map(of).max().unwrap_or_default()
     }
 
     /// The shards whose forecasts are not stale.

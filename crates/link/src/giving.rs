@@ -12,9 +12,14 @@ use crate::protocol::carried::Carried;
 use crate::protocol::message::{Body, FleetId, Request, Voice, read};
 use crate::protocol::stream::{LocalFrame, Sent, Stream};
 use crate::refusals::Refusals;
+use crate::wall_clock::WallClock;
 
 /// Links that are sent to at once.
 const MOST_RECEIVERS: usize = 64;
+
+/// Receivers that have left which are told one by one; the others together, since anybody who may ask can ask under any name.
+const MOST_PAST: usize = 256;
+const OTHERS: &str = "others";
 
 /// Longest request, bytes.
 const LONGEST_REQUEST: usize = 4 << 10;
@@ -40,6 +45,7 @@ pub(crate) struct Giving {
     /// Of receivers that have left.
     past: BTreeMap<Arc<str>, Sent>,
     pub(crate) voice: Voice,
+    clock: WallClock,
     pub(crate) refused: Refusals,
 }
 
@@ -61,15 +67,16 @@ impl Giving {
             streams: BTreeMap::new(),
             past: BTreeMap::new(),
             voice: Voice::default(),
+            clock: network.wall_clock(),
             refused: Refusals::default(),
         })
     }
 
-    /// Takes the requests that have come, forgets receivers that are silent, and sends what waited.
+    /// Takes the requests that have come.
     ///
     /// # Errors
     /// [`NetworkError`].
-    pub(crate) fn turn(&mut self) -> Result<(), NetworkError> {
+    pub(crate) fn take(&mut self) -> Result<(), NetworkError> {
         while let Ok(event) = self.inbox.next(Duration::ZERO) {
             let (from, bytes, arrived_ns) = match event {
                 Event::Message {
@@ -92,6 +99,15 @@ impl Giving {
                 Err(error) => self.refused.count(error.name(), &from, &error),
             }
         }
+        Ok(())
+    }
+
+    /// Takes the requests that have come, forgets receivers that are silent, and sends what waited.
+    ///
+    /// # Errors
+    /// [`NetworkError`].
+    pub(crate) fn turn(&mut self) -> Result<(), NetworkError> {
+        self.take()?;
         let now_ns = clock::monotonic_ns();
         let silent = |(name, (stream, _)): (&Arc<str>, &(Stream, Outlet))| {
             stream.is_over(now_ns).then(|| Arc::clone(name))
@@ -101,7 +117,9 @@ impl Giving {
             self.forget(&name);
         }
         let voice = self.voice;
+        let realtime_ns = self.clock.read().map(|clock| clock.realtime_ns);
         for (stream, outlet) in self.streams.values_mut() {
+            stream.tells(realtime_ns);
             let mut out = Vec::new();
             while stream.due(voice, now_ns, &mut out) {
                 outlet.send(std::mem::take(&mut out));
@@ -114,10 +132,13 @@ impl Giving {
     fn forget(&mut self, name: &Arc<str>) {
         if let Some((stream, _)) = self.streams.remove(name) {
             tracing::info!("link {name} no longer asks");
-            add(
-                self.past.entry(Arc::clone(name)).or_default(),
-                stream.sent(),
-            );
+            let is_told = self.past.len() < MOST_PAST || self.past.contains_key(name);
+            let name = if is_told {
+                Arc::clone(name)
+            } else {
+                OTHERS.into()
+            };
+            add(self.past.entry(name).or_default(), stream.sent());
         }
     }
 
@@ -160,6 +181,11 @@ impl Giving {
     pub(crate) fn wants(&self, service: Carried) -> bool {
         let mut streams = self.streams.values();
         streams.any(|(stream, _)| stream.request_of().selection.wants(service))
+    }
+
+    /// Whether a frame waits until a receiver has acknowledged an earlier one.
+    pub(crate) fn waits(&self) -> bool {
+        self.streams.values().any(|(stream, _)| stream.waits())
     }
 
     /// Sends a frame to all who want it, or keeps it for those that are not ready.

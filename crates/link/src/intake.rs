@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use joulebus_bus::{SampleWriter, SendError, clock, process_id};
 use joulebus_config::Config;
-use joulebus_wire::{Sample, SampleHeader};
+use joulebus_wire::{Sample, SampleHeader, fnv1a};
 
 use crate::config::{Settings, Take};
 use crate::network::{Event, Inbox, Kind, Network, longest_bytes};
@@ -20,6 +20,9 @@ use crate::taking::{TakenRecord, Taking};
 
 /// Longest sleep: how late a stop or a silence may be noticed.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
+
+/// The same after a message: longer than the period of most sources, so that the next message is what ends the sleep.
+const AFTER_MESSAGE: Duration = Duration::from_millis(40);
 
 /// Takes until `stop`. Calls `ready` when the fleet is joined.
 ///
@@ -44,6 +47,7 @@ pub(crate) fn run(
         hosts.insert(take.from.as_str(), (taking, &take.robots));
     }
     ready();
+    let mut wait = LOOK_EVERY;
     while !stop.load(Ordering::Relaxed) {
         bus.check()?;
         for (taking, _) in hosts.values_mut() {
@@ -52,7 +56,12 @@ pub(crate) fn run(
                 tracing::warn!("no samples come from {}", taking.from());
             }
         }
-        match inbox.next(LOOK_EVERY) {
+        let event = inbox.next(wait);
+        wait = match event {
+            Ok(Event::Message { .. }) => AFTER_MESSAGE,
+            _ => LOOK_EVERY,
+        };
+        match event {
             Ok(Event::Message {
                 from,
                 bytes,
@@ -64,7 +73,7 @@ pub(crate) fn run(
                 let mut ended = Ok(());
                 taking.message(&bytes, arrived_ns, |accepted| {
                     let has = |robot| robots.has_robot(robot) && settings.has_robot(robot);
-                    publish(&mut writer, &accepted, has).map_err(|error| {
+                    publish(&mut writer, (&*from, &accepted), has).map_err(|error| {
                         let shown = error.to_string();
                         if error.is_final() {
                             ended = Err(error);
@@ -92,21 +101,42 @@ pub(crate) fn run(
     Ok(records)
 }
 
-/// Publishes a frame as its source did, with the times of this host. Robots that are not that host's, or not of this shard, are
-/// left out: a host speaks for its own.
+/// Publishes a frame as its source did, with the times of this host and the id that the source has here. Robots that are not
+/// that host's, or not of this shard, are left out: a host speaks for its own.
 fn publish(
     writer: &mut SampleWriter,
-    accepted: &Accepted<'_>,
+    (from, accepted): (&str, &Accepted<'_>),
     has: impl Fn(u32) -> bool,
 ) -> Result<(), SendError> {
     let (frame, offset_ns) = (&accepted.frame, accepted.offset_ns);
     let mut header: SampleHeader = frame.header();
     header.shift(offset_ns);
     header.pid = process_id();
+    header.source_id = source_here(from, header.source_id);
     let samples = (0..frame.len()).map(|at| frame.element::<Sample>(at));
     let mut kept: Vec<Sample> = samples.filter(|sample| has(sample.robot)).collect();
     for sample in &mut kept {
         sample.shift(offset_ns);
     }
     writer.send(header, kept.len(), |at| kept[at]).map(drop)
+}
+
+/// The id of a source of the link `from`: of two sources of one name on two hosts neither replaces the other, and no host speaks
+/// in the name of another's source.
+fn source_here(from: &str, source: u64) -> u64 {
+    fnv1a(from.bytes().chain(source.to_le_bytes()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sources_of_one_name_on_two_hosts_are_two_and_stay_the_same_over_restarts() {
+        let bridge = fnv1a("bridge".bytes());
+        let [one, other] = ["edge-1", "edge-2"].map(|from| source_here(from, bridge));
+        assert!(one != other && one != bridge);
+        assert_eq!(one, source_here("edge-1", bridge));
+        assert_ne!(one, source_here("edge-1", fnv1a("sim".bytes())));
+    }
 }

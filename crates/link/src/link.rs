@@ -27,8 +27,8 @@ use crate::taking::TakenRecord;
 use crate::turn::Turn;
 use crate::{follow, forward, intake, outputs, standby, take_over};
 
-/// Interval of checking whether to stop.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// Interval of checking whether to stop: nothing else is done here.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
 /// Pause before a router is looked for again.
 const ROUTER_AGAIN_NS: u64 = 500_000_000;
 /// Nice value of all threads: the worker and its sources run first.
@@ -401,10 +401,16 @@ impl LinkReport {
             || given
                 .clone()
                 .any(|it| it.sent.dropped > 0 || it.sent.unheard > 0)
-            || self
-                .taken
-                .iter()
-                .any(|it| it.received.lost > 0 || it.received.dropped > 0 || it.refused.total() > 0)
+            || self.taken.iter().any(
+                |TakenRecord {
+                     received, refused, ..
+                 }| {
+                    received.lost > 0
+                        || received.dropped > 0
+                        || received.future > 0
+                        || refused.total() > 0
+                },
+            )
     }
 }
 
@@ -433,13 +439,19 @@ impl fmt::Display for LinkReport {
                 it.silences
             )?;
             if let Some(uncertainty_s) = taken.clock_uncertainty_s {
+                let by = if taken.clock_realtime {
+                    " by realtime clocks"
+                } else {
+                    ""
+                };
                 writeln!(
                     out,
-                    "clock of {}: within {:.3} ms, {} refits, {} steps",
+                    "clock of {}: within {:.3} ms{by}, {} refits, {} steps, {} contradictions",
                     taken.from,
                     uncertainty_s * 1e3,
                     taken.clock_refits,
-                    taken.clock_steps
+                    taken.clock_steps,
+                    taken.clock_contradictions
                 )?;
             }
             for (reason, count) in taken.refused.iter() {

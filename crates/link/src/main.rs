@@ -18,6 +18,7 @@ mod standby;
 mod take_over;
 mod taking;
 mod turn;
+mod wall_clock;
 
 use std::process::ExitCode;
 

@@ -20,6 +20,7 @@ use zenoh::sample::{Sample, SampleKind};
 
 use crate::config::{Mode, NetworkSettings};
 use crate::protocol::carried::Carried;
+use crate::wall_clock::WallClock;
 
 /// Messages that wait for a thread; with more, the newest are lost, and counted.
 const MOST_WAITING: usize = 256;
@@ -175,6 +176,7 @@ pub(crate) struct Network {
     session: zenoh::Session,
     fleet: String,
     name: String,
+    realtime_within_ns: Option<u64>,
     _token: LivelinessToken,
 }
 
@@ -224,8 +226,14 @@ impl Network {
             session,
             fleet: fleet.to_owned(),
             name: name.to_owned(),
+            realtime_within_ns: settings.realtime_within_ns,
             _token: token,
         })
+    }
+
+    /// This host's realtime clock, for a stream.
+    pub(crate) fn wall_clock(&self) -> WallClock {
+        WallClock::new(self.realtime_within_ns)
     }
 
     /// Where frames go to the link `to`.

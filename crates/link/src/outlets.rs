@@ -22,10 +22,12 @@ pub(crate) struct Outlets {
     ticks: TickWriter,
     pub(crate) planners: Waker,
     runs: Runs,
+    /// Every how many ticks a frame comes, at least 1.
+    every: u32,
 }
 
 impl Outlets {
-    pub(crate) fn open(bus: &Bus, config: &Config) -> anyhow::Result<Self> {
+    pub(crate) fn open(bus: &Bus, config: &Config, every: u32) -> anyhow::Result<Self> {
         let limits = config.limits();
         Ok(Self {
             forecasts: bus.forecast_writer(&limits)?,
@@ -35,19 +37,24 @@ impl Outlets {
             ticks: bus.tick_writer(&limits)?,
             planners: bus.planner_waker(&limits)?,
             runs: Runs::default(),
+            every,
         })
     }
 
     /// Writes a frame where the worker of this host would.
     pub(crate) fn pass_on(&mut self, accepted: &Accepted<'_>) -> Result<(), PassError> {
         let (frame, offset_ns) = (&accepted.frame, accepted.offset_ns);
-        let pid = process_id();
+        // As of a slower worker: consecutive where none is lost, so that readers miss only what was lost.
+        let (pid, every) = (process_id(), u64::from(self.every));
         let runs = &mut self.runs;
+        let mut place = |run, tick: u64| (pid, runs.of(run), tick / every);
         match frame.service {
             Carried::Forecasts => {
                 let mut header: ForecastHeader = frame.header();
                 header.shift(offset_ns);
-                (header.pid, header.worker_epoch) = (pid, runs.of(header.worker_epoch));
+                (header.pid, header.worker_epoch, header.tick) =
+                    place(header.worker_epoch, header.tick);
+                header.period_ns = frames_apart_ns(header.period_ns, self.every);
                 not_ahead(&header)?;
                 write(&mut self.forecasts, header, frame, offset_ns)?;
                 self.planners
@@ -56,25 +63,30 @@ impl Outlets {
             }
             Carried::Diagnostics => {
                 let mut header: DiagnosticHeader = frame.header();
-                (header.pid, header.worker_epoch) = (pid, runs.of(header.worker_epoch));
+                (header.pid, header.worker_epoch, header.tick) =
+                    place(header.worker_epoch, header.tick);
                 write(&mut self.diagnostics, header, frame, offset_ns)?;
             }
             Carried::Budgets => {
                 let mut header: BudgetHeader = frame.header();
                 header.shift(offset_ns);
-                (header.pid, header.worker_epoch) = (pid, runs.of(header.worker_epoch));
+                (header.pid, header.worker_epoch, header.tick) =
+                    place(header.worker_epoch, header.tick);
                 write(&mut self.budgets, header, frame, offset_ns)?;
             }
             Carried::PlanStates => {
                 let mut header: PlanStateHeader = frame.header();
                 header.shift(offset_ns);
-                (header.pid, header.worker_epoch) = (pid, runs.of(header.worker_epoch));
+                (header.pid, header.worker_epoch, header.tick) =
+                    place(header.worker_epoch, header.tick);
+                header.period_ns = frames_apart_ns(header.period_ns, self.every);
                 write(&mut self.plan_states, header, frame, offset_ns)?;
             }
             Carried::Ticks => {
                 let mut header: TickHeader = frame.header();
                 header.shift(offset_ns);
-                (header.pid, header.worker_epoch) = (pid, runs.of(header.worker_epoch));
+                (header.pid, header.worker_epoch, header.tick) =
+                    place(header.worker_epoch, header.tick);
                 write(&mut self.ticks, header, frame, offset_ns)?;
             }
             // Not asked for, and therefore not accepted.
@@ -92,9 +104,9 @@ fn write<H: Payload, T: Payload + Instants>(
 ) -> Result<(), SendError> {
     let mut loan = writer.loan_to_fill(frame.len())?;
     *loan.header_mut() = header;
-    frame.copy_to(loan.payload_mut());
-    for element in loan.payload_mut() {
+    for (to, mut element) in loan.payload_mut().iter_mut().zip(frame.elements::<T>()) {
         element.shift(offset_ns);
+        *to = element;
     }
     loan.send()?;
     Ok(())
@@ -118,6 +130,11 @@ impl Runs {
         self.now = Some((run, here));
         here
     }
+}
+
+/// The period that a header states where every n-th tick has a frame: one of two periods without a frame is stale.
+pub(crate) fn frames_apart_ns(period_ns: u64, every: u32) -> u64 {
+    period_ns.saturating_mul(u64::from(every))
 }
 
 /// Refuses a frame from the future.

@@ -25,10 +25,20 @@ use crate::turn::Turn;
 
 /// Longest sleep: how late a request or a stop may be noticed.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// The same after a frame, where nothing waits for a request: longer than the period of most fleets, so that the next frame
+/// is what ends the sleep.
+const AFTER_FRAME: Duration = Duration::from_millis(40);
 /// Pause before a feed that could not be opened is tried again.
 const OPEN_EVERY_NS: u64 = 1_000_000_000;
 /// Pause after a frame of forecasts before what the worker writes behind it is looked for.
 const BEHIND: Duration = Duration::from_millis(1);
+/// What the worker writes behind its forecasts.
+const BEHIND_FORECASTS: [Carried; 4] = [
+    Carried::Diagnostics,
+    Carried::Budgets,
+    Carried::PlanStates,
+    Carried::Ticks,
+];
 /// How often is looked for a newer state of the worker, which writes one a second.
 const STATE_EVERY_NS: u64 = 100_000_000;
 /// Frames in a row without a permit after which a worker is told to be none that stands by: one whose permit has ended sends
@@ -68,6 +78,8 @@ pub(crate) fn run(
                     if let Some(turn) = turn {
                         turn.worker_works();
                     }
+                    // What has been acknowledged meanwhile makes room for this one.
+                    giving.take()?;
                     let header = frame.header();
                     giving.offer(LocalFrame {
                         service: Carried::Forecasts,
@@ -77,7 +89,13 @@ pub(crate) fn run(
                         elements: cast_slice(frame.robots()),
                     });
                 }
-                BEHIND
+                if BEHIND_FORECASTS.iter().any(|it| giving.wants(*it)) {
+                    BEHIND
+                } else if giving.waits() {
+                    LOOK_EVERY
+                } else {
+                    AFTER_FRAME
+                }
             }
             Ok(_) => LOOK_EVERY,
             // Connections that failed are made again.

@@ -1,5 +1,6 @@
 //! The threads of a host whose worker is one of several that may serve: one holds the lease, the other follows the others.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
@@ -71,7 +72,8 @@ pub(crate) fn hold(
     while !stop.load(Ordering::Relaxed) {
         candidate.hears(turn.heard());
         candidate.is_able(worker.is_able(turn));
-        let now_ns = clock::monotonic_ns();
+        // A lease ends while this host is suspended.
+        let now_ns = clock::boot_ns();
         match candidate.next(now_ns) {
             Next::Wait(until_ns) => {
                 thread::sleep(
@@ -79,12 +81,12 @@ pub(crate) fn hold(
                 );
             }
             Next::Call(call) => {
-                let asked_ns = clock::monotonic_ns();
+                let asked_ns = clock::boot_ns();
                 let reply = etcd.call(&call);
-                candidate.answered(&call, reply, (asked_ns, clock::monotonic_ns()));
+                candidate.answered(&call, reply, (asked_ns, clock::boot_ns()));
             }
         }
-        holding.follow(candidate.right(clock::monotonic_ns()));
+        holding.follow(candidate.right(clock::boot_ns()));
         let found = candidate.holder().map(|it| it.name.clone());
         if found != holder {
             match &found {
@@ -305,7 +307,14 @@ impl Following<'_> {
         }
         if self.turn.term() == 0 {
             if self.claim == 0 || self.claim < self.turn.heard() {
-                self.claim = self.turn.heard().saturating_add(1);
+                let heard = self.turn.heard();
+                let Some(claim) = heard.checked_add(1) else {
+                    tracing::error!(
+                        "after term {heard} there is none: stop all links of this shard, and start them again"
+                    );
+                    return remove(request);
+                };
+                self.claim = claim;
                 self.turn.hear(self.claim);
             }
             let speaks = |(_, taking): &mut (usize, Taking)| {
@@ -322,8 +331,12 @@ impl Following<'_> {
             })?;
             tracing::warn!("by command this host serves, term {}", self.claim);
         }
-        std::fs::remove_file(request).with_context(|| format!("{request:?}"))
+        remove(request)
     }
+}
+
+fn remove(request: &Path) -> anyhow::Result<()> {
+    std::fs::remove_file(request).with_context(|| format!("{request:?}"))
 }
 
 /// Keeps the state of the worker that serves for the one of this host.

@@ -35,7 +35,7 @@ pub(crate) fn run(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::
     }
     let shard = &standby.shard;
     let serves = || -> anyhow::Result<Option<Permit>> {
-        let now_ns = clock::monotonic_ns();
+        let now_ns = clock::boot_ns();
         let permit = Permit::read(&places.permit)?.filter(|permit| permit.holds(now_ns));
         Ok(permit.filter(|_| !places.request.exists()))
     };

@@ -10,6 +10,7 @@ use crate::protocol::message::{FleetId, Sender, read};
 use crate::protocol::receiver::{Accepted, Received, Receiver, Unused};
 use crate::protocol::selection::Selection;
 use crate::refusals::Refusals;
+use crate::wall_clock::WallClock;
 
 /// What was taken from one link.
 #[derive(Debug, Clone, Serialize)]
@@ -27,6 +28,10 @@ pub(crate) struct TakenRecord {
     pub(crate) clock_refits: u64,
     /// Steps of a clock.
     pub(crate) clock_steps: u64,
+    /// Whether realtime clocks narrow the uncertainty.
+    pub(crate) clock_realtime: bool,
+    /// Times that realtime clocks said what round trips rule out.
+    pub(crate) clock_contradictions: u64,
     pub(crate) refused: Refusals,
 }
 
@@ -38,6 +43,7 @@ pub(crate) struct Taking {
     /// Elements that a frame may have.
     most: usize,
     receiver: Receiver,
+    clock: WallClock,
     outlet: Outlet,
     before_clock: u64,
     pub(crate) fenced: u64,
@@ -60,6 +66,7 @@ impl Taking {
             fleet,
             most,
             receiver: Receiver::new(Sender { fleet, run }, selection),
+            clock: network.wall_clock(),
             outlet: network.requests_to(kind, from)?,
             before_clock: 0,
             fenced: 0,
@@ -88,12 +95,21 @@ impl Taking {
             }
         };
         let (number, before) = (message.number, self.receiver.received());
+        let contradictions = self.receiver.offset().contradictions;
+        self.receiver.reads(self.clock.read());
         let taken = self.receiver.take(&message, bytes.len(), arrived_ns);
         let after = self.receiver.received();
         if before.contested == 0 && after.contested > 0 {
             tracing::warn!(
                 "another link than the one that is heard sends as {from}, and is not heard: the files of two hosts have this name, or \
                  a stranger does; give each link a name of its own",
+                from = self.from
+            );
+        }
+        if contradictions == 0 && self.receiver.offset().contradictions > 0 {
+            tracing::warn!(
+                "the realtime clocks of this host and {from} are further apart than `clock.realtime_within_s`, as round trips show: \
+                 for a minute they do not count",
                 from = self.from
             );
         }
@@ -125,7 +141,8 @@ impl Taking {
 
     pub(crate) fn record(&self) -> TakenRecord {
         let offset = self.receiver.offset();
-        let uncertainty_ns = offset.uncertainty_ns(clock::monotonic_ns());
+        let now_ns = clock::monotonic_ns();
+        let uncertainty_ns = offset.uncertainty_ns(now_ns);
         TakenRecord {
             from: self.from.clone(),
             received: self.receiver.received(),
@@ -134,6 +151,8 @@ impl Taking {
             clock_uncertainty_s: uncertainty_ns.map(|ns| ns as f64 * 1e-9),
             clock_refits: offset.refits,
             clock_steps: offset.steps,
+            clock_realtime: offset.is_kept(now_ns),
+            clock_contradictions: offset.contradictions,
             refused: self.refused.clone(),
         }
     }

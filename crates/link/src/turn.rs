@@ -11,6 +11,7 @@ pub(crate) struct Turn {
     places: Places,
     /// 0: another serves, or nobody.
     term: AtomicU64,
+    /// As [`Permit::until_ns`].
     until_ns: AtomicU64,
     /// Greatest term in which anybody was heard to serve, or this host has.
     heard: AtomicU64,
@@ -25,7 +26,8 @@ impl Turn {
     /// [`PermitError`].
     pub(crate) fn resume(places: Places) -> Result<(Self, Option<Permit>), PermitError> {
         let now_ns = clock::monotonic_ns();
-        let permit = Permit::read(&places.permit)?.filter(|permit| permit.holds(now_ns));
+        let boot_ns = clock::boot_ns();
+        let permit = Permit::read(&places.permit)?.filter(|permit| permit.holds(boot_ns));
         let turn = Self {
             places,
             term: AtomicU64::new(0),
@@ -48,7 +50,7 @@ impl Turn {
         // The term last: with it the time until which it holds.
         let term = self.term.load(Ordering::Acquire);
         let until_ns = self.until_ns.load(Ordering::Acquire);
-        if until_ns == u64::MAX || clock::monotonic_ns() < until_ns {
+        if until_ns == u64::MAX || clock::boot_ns() < until_ns {
             term
         } else {
             0

@@ -49,7 +49,6 @@ impl Check<'_> {
     /// `at`: byte of the text; without it the line that sets the last part of `key`, if one does.
     pub(super) fn problem(&mut self, at: Option<usize>, key: &str, what: String, remedy: &str) {
         let place = (self.file.as_str(), self.text);
-        let problem = Problem::in_text(place, at, key, what, remedy);
-        self.problems.push(problem);
+        Problem::add(&mut self.problems, place, at, key, what, remedy);
     }
 }

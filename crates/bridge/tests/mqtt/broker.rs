@@ -49,7 +49,9 @@ impl Broker {
             .unwrap()
             .port();
         let folder = tempfile::tempdir().unwrap();
-        let text = format!("listener {port} 127.0.0.1\npersistence false\nuser root\n{more}\n");
+        let text = format!(
+            "listener {port} 127.0.0.1\npersistence false\nmax_queued_messages 100000\nuser root\n{more}\n"
+        );
         fs::write(folder.path().join("mosquitto.conf"), text).unwrap();
         let child = spawn(program, folder.path(), port);
         Self {

@@ -16,7 +16,6 @@ impl Check<'_> {
     /// A problem of `key`, at byte `at` or in the line that sets it.
     pub(super) fn problem(&mut self, at: Option<usize>, key: &str, what: String, remedy: &str) {
         let place = (self.file.as_str(), self.text);
-        let problem = Problem::in_text(place, at, key, what, remedy);
-        self.problems.push(problem);
+        Problem::add(&mut self.problems, place, at, key, what, remedy);
     }
 }

@@ -16,6 +16,7 @@ pub(super) struct LinkFile {
     /// File of the fleet's shards, the same on all hosts; without it one worker has all robots.
     pub(super) shards: Option<Text>,
     pub(super) network: NetworkSection,
+    pub(super) clock: Option<ClockSection>,
     pub(super) worker: Option<WorkerSection>,
     pub(super) samples: Option<SamplesSection>,
     pub(super) follow: Option<FollowSection>,
@@ -37,6 +38,14 @@ pub(super) struct NetworkSection {
     #[serde(default)]
     pub(super) unencrypted: bool,
     pub(super) tls: Option<TlsSection>,
+}
+
+/// What keeps the clocks of all hosts.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct ClockSection {
+    /// The most by which the realtime clocks of two hosts differ.
+    pub(super) realtime_within_s: Spanned<f64>,
 }
 
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]

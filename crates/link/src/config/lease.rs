@@ -5,10 +5,9 @@ use std::path::{Path, PathBuf};
 use crate::config::check::Check;
 use crate::config::file::{LeaseSection, NetworkSection, Text};
 use crate::config::network::is_loopback;
+use crate::protocol::lease::MOST_TTL_S;
 
-/// Longest time to live of a lease, s.
-pub(crate) const MOST_TTL_S: u32 = 60;
-/// Its range. etcd makes two of one.
+/// Range of a lease's time to live. etcd makes two of one.
 const TTL_S: (u32, u32) = (2, MOST_TTL_S);
 /// Members of the store.
 const MOST_ENDPOINTS: usize = 16;

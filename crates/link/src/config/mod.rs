@@ -24,7 +24,7 @@ use crate::protocol::message::FleetId;
 use crate::protocol::selection::{MOST_RANGES, Selection};
 use crate::protocol::shards::Shards;
 
-pub(crate) use lease::{LeaseSettings, MOST_TTL_S};
+pub(crate) use lease::LeaseSettings;
 pub(crate) use network::{Mode, NetworkSettings};
 
 /// Longest file, bytes.
@@ -140,7 +140,7 @@ impl Check<'_> {
             }
         };
         let name = self.name(&file.name, "name");
-        let network = self.network(&file.network);
+        let network = self.network(&file.network, file.clock.as_ref());
         let shards = file.shards.as_ref().map(|path| self.shards(path, config));
         let shards = shards.flatten().map(Arc::new);
         let has_shards = file.shards.is_some();
@@ -401,6 +401,13 @@ mod tests {
             ("base", "edge")
         );
         assert_eq!(takes[0].robots.ranges(), [(0, 4), (7, 7)]);
+        assert_eq!(settings.network.realtime_within_ns, None);
+        let kept = WORKER.replace(
+            "[worker]\n",
+            "[clock]\nrealtime_within_s = 0.00005\n[worker]\n",
+        );
+        let within_ns = load(&kept).unwrap().network.realtime_within_ns;
+        assert_eq!(within_ns, Some(50_000));
         let settings = load(OTHER).unwrap();
         let Side::Other { samples, follow } = settings.side else {
             panic!("another host's");
@@ -446,6 +453,27 @@ mod tests {
             (WORKER, "\"0-4\"", "\"4-0\"", 7, "4-0"),
             (WORKER, "[\"0-4\", 7]", "[]", 7, "1 to 64"),
             (OTHER, "to = \"base\"", "to = \"edge\"", 5, "itself"),
+            (
+                WORKER,
+                "[worker]",
+                "[clock]\nrealtime_within_s = nan\n[worker]",
+                5,
+                "0.000001 to 0.01",
+            ),
+            (
+                WORKER,
+                "[worker]",
+                "[clock]\nrealtime_within_s = 1\n[worker]",
+                5,
+                "0.000001 to 0.01",
+            ),
+            (
+                WORKER,
+                "[worker]",
+                "[clock]\n[worker]",
+                4,
+                "realtime_within_s",
+            ),
             (
                 OTHER,
                 "worker = \"base\"",
@@ -701,6 +729,31 @@ mod tests {
                 .unwrap_or_else(|error| panic!("{name}: {error}"));
         }
         assert!(files >= 4, "{files}");
+    }
+
+    #[test]
+    fn what_is_quoted_of_a_file_has_bounds() {
+        let long = "é".repeat(100_000);
+        for (text, says) in [
+            (OTHER.replace("edge", &long), "1 to 64 letters"),
+            (OTHER.replace("tcp/127.0.0.1:7447", &long), "with a port"),
+            (format!("{OTHER}\"{long}\" = 1\n"), "expected one of"),
+            (format!("{OTHER}robots = [\"{long}\"]\n"), "Write ids"),
+            (
+                format!("{WORKER}{}", "[[worker.take]]\nfrom = \"?\"\n".repeat(250)),
+                "more than 100 problems",
+            ),
+        ] {
+            let error = load(&text).unwrap_err();
+            let shown = error.to_string();
+            assert!(shown.contains(says), "{says}: {shown}");
+            assert!(error.problems().len() <= 101, "{says}");
+            let mut problems = error.problems().iter();
+            assert!(
+                problems.all(|problem| problem.what.chars().count() <= 401),
+                "{shown}"
+            );
+        }
     }
 
     #[test]

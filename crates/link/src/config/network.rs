@@ -5,7 +5,10 @@ use std::net::IpAddr;
 use std::path::PathBuf;
 
 use crate::config::check::Check;
-use crate::config::file::{ModeWord, NetworkSection, Text, TlsSection};
+use crate::config::file::{ClockSection, ModeWord, NetworkSection, Text, TlsSection};
+
+/// Range of `clock.realtime_within_s`: what PTP reaches at best, and what round trips reach without.
+const REALTIME_WITHIN_S: (f64, f64) = (1e-6, 0.01);
 
 /// How other hosts are reached.
 #[derive(Debug, Clone)]
@@ -14,6 +17,8 @@ pub(crate) struct NetworkSettings {
     pub(crate) connect: Vec<String>,
     pub(crate) listen: Vec<String>,
     pub(crate) tls: Option<TlsSettings>,
+    /// The most by which the realtime clocks of two hosts differ; without it they do not count.
+    pub(crate) realtime_within_ns: Option<u64>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -41,7 +46,11 @@ pub(crate) struct TlsSettings {
 }
 
 impl Check<'_> {
-    pub(super) fn network(&mut self, section: &NetworkSection) -> NetworkSettings {
+    pub(super) fn network(
+        &mut self,
+        section: &NetworkSection,
+        clock: Option<&ClockSection>,
+    ) -> NetworkSettings {
         let mode = match section.mode {
             ModeWord::Peer => Mode::Peer,
             ModeWord::Client => Mode::Client,
@@ -67,7 +76,23 @@ impl Check<'_> {
             connect,
             listen,
             tls,
+            realtime_within_ns: clock.map(|clock| self.realtime(clock)),
         }
+    }
+
+    fn realtime(&mut self, section: &ClockSection) -> u64 {
+        let within_s = section.realtime_within_s.get_ref();
+        let (least_s, most_s) = REALTIME_WITHIN_S;
+        if !(least_s <= *within_s && *within_s <= most_s) {
+            let what = format!("= {within_s}");
+            let remedy = format!(
+                "Allowed: {least_s} to {most_s}; leave the section out where nothing keeps the clocks"
+            );
+            let at = Some(section.realtime_within_s.span().start);
+            self.problem(at, "clock.realtime_within_s", what, &remedy);
+        }
+        // Within the bounds a positive whole number; refused otherwise.
+        (within_s * 1e9).round() as u64
     }
 
     fn tls(&mut self, section: &TlsSection) -> TlsSettings {

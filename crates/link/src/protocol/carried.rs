@@ -2,9 +2,8 @@
 
 use bytemuck::{Pod, pod_read_unaligned};
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Payload,
-    PlanState, PlanStateHeader, SCHEMA_VERSION, Sample, SampleHeader, StateHeader, TakenFrame,
-    TickHeader,
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
+    PlanStateHeader, SCHEMA_VERSION, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader,
 };
 
 /// A service whose frames cross a link.
@@ -133,6 +132,19 @@ impl<'a> RawFrame<'a> {
         pod_read_unaligned(self.header)
     }
 
+    /// When the frame was sent on its host, as its header says, monotonic ns there; 0 where headers do not say.
+    pub(crate) fn sent_ns(&self) -> u64 {
+        match self.service {
+            Carried::Forecasts => self.header::<ForecastHeader>().sent_ns,
+            Carried::Diagnostics => 0,
+            Carried::Budgets => self.header::<BudgetHeader>().sent_ns,
+            Carried::PlanStates => self.header::<PlanStateHeader>().sent_ns,
+            Carried::Ticks => self.header::<TickHeader>().sent_ns,
+            Carried::Samples => self.header::<SampleHeader>().sent_ns,
+            Carried::State => self.header::<StateHeader>().sent_ns,
+        }
+    }
+
     /// The number of elements.
     pub(crate) const fn len(&self) -> usize {
         self.elements.len() / self.service.sizes().1
@@ -149,9 +161,10 @@ impl<'a> RawFrame<'a> {
         self.elements
     }
 
-    /// Copies the elements. `into` has room for [`RawFrame::len`] of the service's elements.
-    pub(crate) fn copy_to<T: Payload>(&self, into: &mut [T]) {
-        bytemuck::cast_slice_mut(into).copy_from_slice(self.elements);
+    /// All elements, which are the service's.
+    pub(crate) fn elements<T: Pod>(&self) -> impl Iterator<Item = T> {
+        let bytes = self.service.sizes().1;
+        self.elements.chunks_exact(bytes).map(pod_read_unaligned)
     }
 }
 
@@ -201,9 +214,8 @@ mod tests {
         bytes.extend_from_slice(bytemuck::cast_slice(&rows));
         let frame = RawFrame::new(Carried::Forecasts, 2, 2, &bytes).unwrap();
         assert_eq!(frame.header::<ForecastHeader>(), header);
-        let mut copied = [Forecast::default(); 2];
-        frame.copy_to(&mut copied);
-        assert_eq!((frame.len(), copied), (2, rows));
+        let copied: Vec<Forecast> = frame.elements().collect();
+        assert_eq!((frame.len(), copied.as_slice()), (2, rows.as_slice()));
         for (count, most, length) in [
             (2, 1, bytes.len()),
             (u32::MAX, 2, bytes.len()),

@@ -15,12 +15,15 @@ use crate::protocol::shards::{Shard, Shards};
 use crate::protocol::shift::Instants;
 use crate::protocol::split::Split;
 use crate::protocol::stream::{LocalFrame, Stream};
+use crate::protocol::wall::Kept;
 
 const FLEET: FleetId = FleetId { name: 7, shards: 0 };
 /// Elements that a frame may have.
 const MOST: usize = 4;
 const START_NS: u64 = 5_000_000_000;
 const PERIOD_NS: u64 = 33_333_333;
+/// Realtime minus monotonic on both hosts.
+const REALTIME_NS: u64 = 1_700_000_000_000_000_000;
 
 /// One side of a link, at the mercy of the other.
 struct Victim {
@@ -82,6 +85,10 @@ impl Victim {
             Body::Frame(status, _) => status.sent_ns,
             Body::Request(_) => 0,
         };
+        self.receiver.reads(Some(Kept {
+            realtime_ns: REALTIME_NS,
+            within_ns: 50_000,
+        }));
         let taken = self.receiver.take(&message, bytes.len(), self.now_ns);
         let received = self.receiver.received();
         assert!(received.frames <= self.messages);
@@ -117,7 +124,7 @@ impl Victim {
         let heard = [true, self.now_ns.is_multiple_of(2)];
         if self
             .merge
-            .is_due((&[true; 2], &heard), (self.now_ns, PERIOD_NS))
+            .is_due((&[true; 2], &heard), (self.now_ns, PERIOD_NS, 1))
         {
             let own = Own {
                 pid: 1,
@@ -217,6 +224,7 @@ fn frame(now_ns: u64, number: u64) -> Vec<u8> {
         sent_ns: now_ns,
         dropped: 0,
         voice: Worker::Alive.into(),
+        realtime_ns: REALTIME_NS,
     };
     let sender = Sender {
         fleet: FLEET,

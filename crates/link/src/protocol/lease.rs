@@ -19,6 +19,9 @@ const RENEWALS: u64 = 5;
 /// Looks at a shard of another in a time to live, and the shortest and longest time between two.
 const LOOKS: u64 = 10;
 const LOOK_EVERY_NS: (u64, u64) = (100_000_000, 500_000_000);
+/// Longest time to live of a lease, s: no longer one is asked for, and none is taken to last longer, whatever the store says.
+pub(crate) const MOST_TTL_S: u32 = 60;
+const LONGEST_NS: u64 = MOST_TTL_S as u64 * 1_000_000_000;
 /// How much longer a candidate waits with a free shard than the one before it in the list.
 const RANK_NS: u64 = 300_000_000;
 
@@ -90,7 +93,7 @@ pub(crate) enum Next {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Right {
     pub(crate) term: u64,
-    /// From then on another may have it, monotonic ns.
+    /// From then on another may have it, ns since boot with suspend.
     pub(crate) until_ns: u64,
     pub(crate) lease: u64,
 }
@@ -184,17 +187,18 @@ impl Candidate {
         if now_ns < self.look_ns {
             return Next::Wait(self.look_ns);
         }
-        if self.is_turn(now_ns) {
-            match self.lease.filter(|own| now_ns < own.until_ns) {
-                Some(own) => {
-                    return Next::Call(Call::Acquire {
-                        lease: own.id,
-                        term: self.seen.term.max(self.heard).saturating_add(1),
-                        term_revision: self.seen.term_revision,
-                    });
-                }
-                None => return Next::Call(Call::Grant),
-            }
+        // After the last number no term is greater: better nobody serves than two in one term.
+        if self.is_turn(now_ns)
+            && let Some(term) = self.seen.term.max(self.heard).checked_add(1)
+        {
+            return match self.lease.filter(|own| now_ns < own.until_ns) {
+                Some(own) => Next::Call(Call::Acquire {
+                    lease: own.id,
+                    term,
+                    term_revision: self.seen.term_revision,
+                }),
+                None => Next::Call(Call::Grant),
+            };
         }
         Next::Call(Call::Look)
     }
@@ -234,7 +238,10 @@ impl Candidate {
     /// Takes the answer to a call that was made at `asked_ns` and answered, or given up, at `now_ns`.
     pub(crate) fn answered(&mut self, call: &Call, reply: Reply, (asked_ns, now_ns): (u64, u64)) {
         match (call, reply) {
-            (Call::Grant, Reply::Granted { lease, ttl_ns }) => {
+            // 0 is no lease: what is put with it stays for ever. One that is over by now is asked for again, but not at once.
+            (Call::Grant, Reply::Granted { lease, ttl_ns })
+                if lease > 0 && until(asked_ns, ttl_ns) > now_ns =>
+            {
                 self.lease = Some(Own {
                     id: lease,
                     until_ns: until(asked_ns, ttl_ns),
@@ -307,7 +314,7 @@ impl Candidate {
             return;
         }
         own.until_ns = own.until_ns.max(until(asked_ns, ttl_ns));
-        self.renew_ns = now_ns + ttl_ns / RENEWALS;
+        self.renew_ns = now_ns + ttl_ns.min(LONGEST_NS) / RENEWALS;
     }
 
     /// The shard is no longer this candidate's, nor will it be by this lease.
@@ -321,7 +328,7 @@ impl Candidate {
 /// Until when a lease certainly lasts that the store was asked at `asked_ns` to grant or renew.
 fn until(asked_ns: u64, ttl_ns: u64) -> u64 {
     let apart_ns = ttl_ns / APART_DIVISOR + APART_NS;
-    asked_ns.saturating_add(ttl_ns.saturating_sub(apart_ns))
+    asked_ns.saturating_add(ttl_ns.saturating_sub(apart_ns).min(LONGEST_NS))
 }
 
 #[cfg(test)]

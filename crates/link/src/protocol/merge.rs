@@ -84,15 +84,17 @@ impl<H: Header, T: Row> Merge<H, T> {
         self.parts[shard].as_ref().map(|part| &part.header)
     }
 
-    /// Whether a frame is to be written: each shard that is heard has a new one, or one has waited for a period. The first
-    /// frame waits, some periods, for all shards whose worker speaks: planners take a robot without a row for unknown.
+    /// Whether a frame is to be written: each shard that is heard has a new one, or one has waited for a tick's period; a frame
+    /// comes every so many ticks. The first one waits, some frames, for all shards whose worker speaks: planners take a robot
+    /// without a row for unknown.
     pub(crate) fn is_due(
         &self,
         (speaks, is_heard): (&[bool], &[bool]),
-        (now_ns, period_ns): (u64, u64),
+        (now_ns, period_ns, every): (u64, u64, u32),
     ) -> bool {
         let is_new = |part: &Option<Part<H, T>>| part.as_ref().is_some_and(|part| part.is_new);
-        let begin_ns = period_ns.saturating_mul(BEGIN_PERIODS);
+        let frames_ns = period_ns.saturating_mul(u64::from(every));
+        let begin_ns = frames_ns.saturating_mul(BEGIN_PERIODS);
         let begins = now_ns.saturating_sub(self.written_ns) > begin_ns;
         let (awaited, patience_ns) = if begins {
             (speaks, begin_ns)
@@ -447,6 +449,7 @@ mod tests {
         fn each_frame_has_the_newest_rows_of_every_shard_and_waits_for_no_shard_longer_than_its_patience(
             steps in prop::collection::vec((0_usize..3, 0_u32..4, 1_u64..20), 1..60),
             heard in prop::collection::vec(any::<bool>(), 3),
+            every in 1_u32..4,
         ) {
             let mut merge = Merge::new(3);
             let (mut newest, mut is_new) = (vec![None; 3], [false; 3]);
@@ -460,9 +463,10 @@ mod tests {
                 since_ns = since_ns.or(Some(now_ns));
                 let waits = heard.iter().zip(is_new).any(|(heard, is_new)| *heard && !is_new);
                 let any = heard.iter().zip(is_new).any(|(heard, is_new)| *heard && is_new);
-                let patience = if now_ns - written_ns > 330 { 330 } else { 33 };
+                let begin_ns = 330 * u64::from(every);
+                let patience = if now_ns - written_ns > begin_ns { begin_ns } else { 33 };
                 let due = any && (!waits || now_ns - since_ns.unwrap() >= patience);
-                prop_assert_eq!(merge.is_due((&heard, &heard), (now_ns, 33)), due);
+                prop_assert_eq!(merge.is_due((&heard, &heard), (now_ns, 33, every)), due);
                 if !due {
                     continue;
                 }

@@ -10,7 +10,7 @@ use crate::protocol::carried::{Carried, FrameError, RawFrame};
 use crate::protocol::selection::{MOST_RANGES, Selection};
 
 /// Version of these messages.
-const PROTOCOL: u32 = 3;
+const PROTOCOL: u32 = 4;
 const MAGIC: [u8; 8] = *b"joulelnk";
 const RELEASE_BYTES: usize = 16;
 const FRAME: u32 = 1;
@@ -50,6 +50,7 @@ struct FrameHead {
     dropped: u64,
     term: u64,
     heard: u64,
+    realtime_ns: u64,
 }
 
 /// A request without its ranges.
@@ -65,7 +66,10 @@ struct RequestHead {
     reserved: u32,
 }
 
-const _: () = assert!(size_of::<Prelude>() == 64 && size_of::<FrameHead>() == 64);
+const _: () = assert!(size_of::<Prelude>() == 64 && size_of::<FrameHead>() == 72);
+
+/// Bytes of a frame's message before its header.
+pub(crate) const HEADS_BYTES: usize = size_of::<Prelude>() + size_of::<FrameHead>();
 
 /// Which fleet messages are of: hosts that do not agree refuse each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -141,6 +145,8 @@ pub(crate) struct Status {
     pub(crate) dropped: u64,
     /// The sender's worker.
     pub(crate) voice: Voice,
+    /// Realtime minus monotonic on the sender's host; 0 where its realtime clock does not count.
+    pub(crate) realtime_ns: u64,
 }
 
 /// What a receiver asks for.
@@ -194,6 +200,7 @@ pub(crate) fn write_frame(
         dropped: status.dropped,
         term: status.voice.term,
         heard: status.voice.heard,
+        realtime_ns: status.realtime_ns,
     };
     let at = out.len();
     out.extend_from_slice(bytes_of(&head));
@@ -292,6 +299,7 @@ fn read_frame(bytes: &[u8], most: usize) -> Result<Body<'_>, MessageError> {
             term: head.term,
             heard: head.heard,
         },
+        realtime_ns: head.realtime_ns,
     };
     if head.service == 0 {
         return Ok(Body::Frame(status, None));
@@ -433,6 +441,7 @@ mod tests {
                 term: u64::MAX - 1,
                 heard: u64::MAX,
             },
+            realtime_ns: 5,
         }
     }
 

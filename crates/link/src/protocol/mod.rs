@@ -13,5 +13,6 @@ pub(crate) mod shards;
 pub(crate) mod shift;
 pub(crate) mod split;
 pub(crate) mod stream;
+pub(crate) mod wall;
 #[cfg(test)]
 mod weather;

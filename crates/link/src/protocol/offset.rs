@@ -8,8 +8,13 @@
 //! Stamps are moved by an offset that is not above the lower bound: what was measured there is never taken for
 //! younger than it is, and never lies in the future. It stays the same while the bounds allow, so that distances
 //! between stamps stay as they are.
+//!
+//! Where an operator states that realtime clocks are kept together, further bounds follow from them
+//! ([`crate::protocol::wall`]). They count where they fit those of the round trips.
 
 use std::collections::VecDeque;
+
+use crate::protocol::wall::{Kept, READ_NS, STEADY_NS};
 
 /// Maximum by which two clocks drift apart: Linux slews at most 500 ppm, and each crystal is within 100 ppm of its
 /// frequency (`man 2 adjtimex`; usual data sheets).
@@ -22,7 +27,19 @@ const BOUNDS_EVERY_NS: u64 = 100_000_000;
 const ROOM_NS: i128 = 200_000;
 const MOST_BELOW_NS: i128 = 1_500_000;
 /// Bounds of a round trip that took longer say too little.
-const LONGEST_TRIP_NS: u64 = 10_000_000_000;
+const LONGEST_TRIP_NS: u64 = STEADY_NS;
+/// As [`ROOM_NS`] and [`MOST_BELOW_NS`], for bounds by realtime clocks, which move by as much as clocks are read inexactly.
+const KEPT_ROOM_NS: i128 = 2 * READ_NS as i128;
+const KEPT_MOST_BELOW_NS: i128 = 3 * KEPT_ROOM_NS;
+/// For how long bounds by realtime clocks count after the message that they came with.
+const KEPT_FOR_NS: u64 = 1_000_000_000;
+/// How long realtime clocks that contradict round trips are not used.
+const DISTRUST_NS: u64 = 60_000_000_000;
+
+/// The most by which two clocks drift apart in that time.
+fn apart_ns(time_ns: u64) -> i128 {
+    i128::from(time_ns) * DRIFT_PPM / 1_000_000
+}
 
 #[derive(Debug, Clone, Copy)]
 struct Bounds {
@@ -34,12 +51,20 @@ struct Bounds {
 
 impl Bounds {
     fn at(self, now_ns: u64) -> Self {
-        let age_ns = i128::from(now_ns.saturating_sub(self.at_ns));
-        let drift_ns = age_ns * DRIFT_PPM / 1_000_000;
+        let drift_ns = apart_ns(now_ns.saturating_sub(self.at_ns));
         Self {
             lo_ns: self.lo_ns - drift_ns,
             hi_ns: self.hi_ns + drift_ns,
             at_ns: now_ns,
+        }
+    }
+
+    /// What both say.
+    fn and(self, other: Self) -> Self {
+        Self {
+            lo_ns: self.lo_ns.max(other.lo_ns),
+            hi_ns: self.hi_ns.min(other.hi_ns),
+            at_ns: self.at_ns,
         }
     }
 }
@@ -57,37 +82,88 @@ pub(crate) struct Trip {
 #[derive(Debug, Default)]
 pub(crate) struct Offset {
     bounds: VecDeque<Bounds>,
+    /// Those by realtime clocks, of the newest message.
+    kept: Option<Bounds>,
+    /// Until when realtime clocks are not used.
+    distrust_until_ns: u64,
     /// The offset in use, ns.
     used_ns: Option<i128>,
     /// Times that the offset in use was replaced.
     pub(crate) refits: u64,
     /// Times that a clock has stepped: bounds contradicted each other.
     pub(crate) steps: u64,
+    /// Times that realtime clocks said what round trips rule out.
+    pub(crate) contradictions: u64,
 }
 
 impl Offset {
-    /// Takes note of a round trip; false if its times contradict themselves.
-    pub(crate) fn note(&mut self, trip: Trip) -> bool {
+    /// Takes note of a round trip, and of what both realtime clocks said: the sender's number, and this host's. False if its
+    /// times contradict themselves.
+    pub(crate) fn note(&mut self, trip: Trip, clocks: Option<(u64, Kept)>) -> bool {
         let took_ns = trip.now_ns.checked_sub(trip.asked_ns);
         let there_ns = trip.sent_ns.checked_sub(trip.heard_ns);
         let (Some(took_ns), Some(_)) = (took_ns, there_ns) else {
             return false;
         };
+        // The lower bound is of when they took it, at the earliest when it was asked.
         let found = Bounds {
-            lo_ns: i128::from(trip.asked_ns) - i128::from(trip.heard_ns),
+            lo_ns: i128::from(trip.asked_ns) - i128::from(trip.heard_ns) - apart_ns(took_ns),
             hi_ns: i128::from(trip.now_ns) - i128::from(trip.sent_ns),
             at_ns: trip.now_ns,
         };
-        if took_ns > LONGEST_TRIP_NS || found.lo_ns > found.hi_ns {
+        if took_ns > LONGEST_TRIP_NS {
+            return false;
+        }
+        if found.lo_ns > found.hi_ns {
+            // It took longer there than here: a clock stood still, or was set, in between.
+            self.steps += u64::from(!self.bounds.is_empty());
+            self.forget();
             return false;
         }
         self.take(found);
+        self.keep(found, clocks);
         self.fit(trip.now_ns);
         true
     }
 
+    /// Forgets what was measured, since it may be of another boot.
+    pub(crate) fn forget(&mut self) {
+        self.bounds.clear();
+        self.kept = None;
+    }
+
+    /// Whether anything was measured since then.
+    pub(crate) fn is_measured(&self) -> bool {
+        !self.bounds.is_empty()
+    }
+
+    /// What realtime clocks say counts unless round trips rule it out: then those are right, for a while whatever they say.
+    fn keep(&mut self, newest: Bounds, clocks: Option<(u64, Kept)>) {
+        self.kept = None;
+        let now_ns = newest.at_ns;
+        let (Some((theirs_ns, own)), Some(trips)) = (clocks, self.trips(now_ns)) else {
+            return;
+        };
+        // Older bounds may have widened the newest ones: nothing is ever ahead of its arrival.
+        let trips = trips.and(newest);
+        let between_ns = i128::from(theirs_ns) - i128::from(own.realtime_ns);
+        let within_ns = i128::from(own.within_ns) + 2 * i128::from(READ_NS);
+        let found = Bounds {
+            lo_ns: between_ns - within_ns,
+            hi_ns: between_ns + within_ns,
+            at_ns: now_ns,
+        };
+        let is_trusted = now_ns >= self.distrust_until_ns;
+        if found.lo_ns > trips.hi_ns || trips.lo_ns > found.hi_ns {
+            self.contradictions += u64::from(is_trusted);
+            self.distrust_until_ns = now_ns.saturating_add(DISTRUST_NS);
+        } else if is_trusted {
+            self.kept = Some(found);
+        }
+    }
+
     fn take(&mut self, found: Bounds) {
-        let known = self.intersection(found.at_ns);
+        let known = self.trips(found.at_ns);
         if known.is_some_and(|known| known.lo_ns > found.hi_ns || found.lo_ns > known.hi_ns) {
             self.bounds.clear();
             self.steps += 1;
@@ -97,14 +173,10 @@ impl Offset {
         let recent = recent.filter(|last| found.at_ns.saturating_sub(last.at_ns) < BOUNDS_EVERY_NS);
         if let Some(recent) = recent {
             self.bounds.pop_back();
-            let recent = Bounds {
-                at_ns: recent.at_ns,
-                ..recent.at(found.at_ns)
-            };
+            let at_ns = recent.at_ns;
             self.bounds.push_back(Bounds {
-                lo_ns: recent.lo_ns.max(found.lo_ns),
-                hi_ns: recent.hi_ns.min(found.hi_ns),
-                at_ns: recent.at_ns,
+                at_ns,
+                ..recent.at(found.at_ns).and(found)
             });
             return;
         }
@@ -115,34 +187,49 @@ impl Offset {
     }
 
     fn fit(&mut self, now_ns: u64) {
-        let Some(known) = self.intersection(now_ns) else {
+        let Some(trips) = self.trips(now_ns) else {
             return;
         };
-        let holds =
-            |used_ns: i128| used_ns <= known.lo_ns && used_ns >= known.lo_ns - MOST_BELOW_NS;
+        let kept = self.kept(now_ns);
+        // Bounds of each kind have room of their own below them; the higher place is nearer to the truth.
+        let below = |of_trips_ns: i128, of_kept_ns: i128| {
+            let by_trips_ns = trips.lo_ns - of_trips_ns;
+            kept.map_or(by_trips_ns, |kept| by_trips_ns.max(kept.lo_ns - of_kept_ns))
+        };
+        let (most_ns, least_ns) = (below(0, 0), below(MOST_BELOW_NS, KEPT_MOST_BELOW_NS));
+        let holds = |used_ns: i128| used_ns <= most_ns && used_ns >= least_ns;
         if !self.used_ns.is_some_and(holds) {
             self.refits += u64::from(self.used_ns.is_some());
-            self.used_ns = Some(known.lo_ns - ROOM_NS);
+            self.used_ns = Some(below(ROOM_NS, KEPT_ROOM_NS));
         }
     }
 
-    fn intersection(&self, now_ns: u64) -> Option<Bounds> {
+    /// The bounds that all round trips give.
+    fn trips(&self, now_ns: u64) -> Option<Bounds> {
         let all = self.bounds.iter().map(|bounds| bounds.at(now_ns));
-        all.reduce(|one, other| Bounds {
-            lo_ns: one.lo_ns.max(other.lo_ns),
-            hi_ns: one.hi_ns.min(other.hi_ns),
-            at_ns: now_ns,
-        })
+        all.reduce(Bounds::and)
+    }
+
+    /// The bounds that realtime clocks give: they do not widen, since what keeps the clocks together does so all the time.
+    fn kept(&self, now_ns: u64) -> Option<Bounds> {
+        let is_new = |kept: &Bounds| now_ns.saturating_sub(kept.at_ns) <= KEPT_FOR_NS;
+        self.kept.filter(is_new)
+    }
+
+    /// Whether realtime clocks narrow the bounds.
+    pub(crate) fn is_kept(&self, now_ns: u64) -> bool {
+        self.kept(now_ns).is_some()
     }
 
     /// The offset in use, ns; `None` before the first round trip.
-    pub(crate) const fn used_ns(&self) -> Option<i128> {
-        self.used_ns
+    pub(crate) fn used_ns(&self) -> Option<i128> {
+        self.used_ns.filter(|_| self.is_measured())
     }
 
     /// The most by which stamps may be made older than they are, ns.
     pub(crate) fn uncertainty_ns(&self, now_ns: u64) -> Option<u64> {
-        let known = self.intersection(now_ns)?;
+        let trips = self.trips(now_ns)?;
+        let known = self.kept(now_ns).map_or(trips, |kept| trips.and(kept));
         u64::try_from(known.hi_ns - self.used_ns?).ok()
     }
 }
@@ -188,6 +275,17 @@ mod tests {
         }
     }
 
+    /// What realtime clocks say that are `apart_ns` from each other, and whose operator states that they are within.
+    fn clocks_say(clocks: &Clocks, now_ns: u64, apart_ns: i64, within_ns: u64) -> (u64, Kept) {
+        let realtime_ns = 1_700_000_000_000_000_000;
+        let own = Kept {
+            realtime_ns,
+            within_ns,
+        };
+        let theirs_ns = i128::from(realtime_ns) + clocks.true_ns(now_ns) + i128::from(apart_ns);
+        (u64::try_from(theirs_ns).unwrap(), own)
+    }
+
     proptest! {
         /// Whatever the ways take, and however asymmetric they are.
         #[test]
@@ -202,17 +300,117 @@ mod tests {
             for (there_ns, back_ns) in ways {
                 let trip = trip(&clocks, now_ns, there_ns, back_ns);
                 now_ns = trip.now_ns;
-                prop_assert!(offset.note(trip));
+                prop_assert!(offset.note(trip, None));
                 let true_ns = clocks.true_ns(now_ns);
                 let used_ns = offset.used_ns().unwrap();
                 let uncertain_ns = offset.uncertainty_ns(now_ns).unwrap();
                 prop_assert!(used_ns <= true_ns + 1, "{used_ns} {true_ns}");
                 prop_assert!(true_ns - used_ns <= i128::from(uncertain_ns) + 1);
-                prop_assert!(i128::from(uncertain_ns) <= i128::from(there_ns + back_ns) + 50_000 + MOST_BELOW_NS);
+                let took_ns = there_ns + back_ns + 50_000;
+                // Bounds that came soon after others widen as those do.
+                let widened_ns = apart_ns(took_ns) + 2 * apart_ns(BOUNDS_EVERY_NS);
+                let most_ns = i128::from(took_ns) + widened_ns + MOST_BELOW_NS;
+                prop_assert!(i128::from(uncertain_ns) <= most_ns, "{uncertain_ns} of {most_ns}");
                 now_ns += 40_000_000;
             }
             prop_assert_eq!(offset.steps, 0);
         }
+    }
+
+    proptest! {
+        /// Whatever the ways take: where the operator's word holds nothing looks fresher, and the uncertainty is that word's. Where
+        /// it does not, stamps are still within what the round trips allow, and never ahead.
+        #[test]
+        fn clocks_that_are_kept_together_bound_the_uncertainty_and_never_beyond_what_round_trips_say(
+            offset_ns in -1_000_000_000_000_i64..1_000_000_000_000,
+            drift_ppm in -3_i128..3,
+            within_ns in 1_000_u64..2_000_000,
+            steps in prop::collection::vec((0_usize..100, -5_000_000_i64..5_000_000), 0..4),
+            right in prop::bool::ANY,
+            ways in prop::collection::vec((20_000_u64..50_000_000, 20_000_u64..50_000_000), 1..100),
+        ) {
+            let clocks = Clocks { offset_ns: i128::from(offset_ns), drift_ppm };
+            let mut offset = Offset::default();
+            let mut now_ns = 2_000_000_000_000;
+            let mut apart_ns = 0;
+            for (at, (there_ns, back_ns)) in ways.into_iter().enumerate() {
+                for (_, step_ns) in steps.iter().filter(|(step_at, _)| *step_at == at) {
+                    let most_ns = within_ns.cast_signed();
+                    apart_ns = if right { step_ns % (most_ns + 1) } else { *step_ns };
+                }
+                let trip = trip(&clocks, now_ns, there_ns, back_ns);
+                now_ns = trip.now_ns;
+                let say = clocks_say(&clocks, now_ns, apart_ns, within_ns);
+                prop_assert!(offset.note(trip, Some(say)));
+                let (true_ns, used_ns) = (clocks.true_ns(now_ns), offset.used_ns().unwrap());
+                prop_assert!(used_ns <= true_ns + i128::from(back_ns) + 1_000, "ahead of what was sent last");
+                let uncertain_ns = i128::from(offset.uncertainty_ns(now_ns).unwrap());
+                if right {
+                    prop_assert!(used_ns <= true_ns + 1, "{used_ns} {true_ns}");
+                    prop_assert!(true_ns - used_ns <= uncertain_ns + 1);
+                    let most_ns = 2 * i128::from(within_ns) + 4 * i128::from(READ_NS) + KEPT_MOST_BELOW_NS;
+                    prop_assert!(uncertain_ns <= most_ns, "{uncertain_ns} of {most_ns}");
+                }
+            }
+            prop_assert_eq!(offset.steps, 0);
+            prop_assert!(!right || offset.contradictions == 0);
+        }
+    }
+
+    #[test]
+    fn clocks_that_round_trips_contradict_are_counted_once_and_not_used_for_a_while_after() {
+        let clocks = Clocks {
+            offset_ns: 7_000_000,
+            drift_ppm: 0,
+        };
+        let mut offset = Offset::default();
+        let mut now_ns = 1_000_000_000_000;
+        let mut run = |offset: &mut Offset, seconds: u64, apart_ns: i64| {
+            for _ in 0..seconds * 10 {
+                now_ns += 100_000_000;
+                let say = clocks_say(&clocks, now_ns, apart_ns, 20_000);
+                assert!(offset.note(trip(&clocks, now_ns - 350_000, 150_000, 150_000), Some(say)));
+                let late_ns = clocks.true_ns(now_ns) - offset.used_ns().unwrap();
+                assert!(late_ns >= 0, "{apart_ns}: {late_ns}");
+            }
+            (
+                offset.is_kept(now_ns),
+                offset.contradictions,
+                offset.uncertainty_ns(now_ns).unwrap(),
+            )
+        };
+        let (is_kept, contradictions, uncertain_ns) = run(&mut offset, 5, 10_000);
+        assert!(
+            is_kept && contradictions == 0 && uncertain_ns < 60_000,
+            "{uncertain_ns}"
+        );
+        let (is_kept, contradictions, uncertain_ns) = run(&mut offset, 200, 40_000_000);
+        assert!(!is_kept && uncertain_ns > 300_000, "{uncertain_ns}");
+        assert_eq!(contradictions, 1, "in 200 s");
+        assert!(!run(&mut offset, 50, 0).0, "right again, but not for long");
+        assert!(run(&mut offset, 20, 0).0);
+        assert_eq!((offset.contradictions, offset.steps), (1, 0));
+    }
+
+    #[test]
+    fn an_answer_that_took_longer_there_than_here_is_a_step_and_nothing_is_moved_until_the_next() {
+        let clocks = Clocks {
+            offset_ns: 0,
+            drift_ppm: 0,
+        };
+        let mut offset = Offset::default();
+        assert!(offset.note(trip(&clocks, 5_000_000_000, 100_000, 100_000), None));
+        // This host was suspended for half a millisecond while the answer was under way.
+        let suspended = Trip {
+            now_ns: 6_000_050_000,
+            ..trip(&clocks, 6_000_000_000, 300_000, 100_000)
+        };
+        let suspended = Trip {
+            sent_ns: suspended.heard_ns + 1_000_000,
+            ..suspended
+        };
+        assert!(!offset.note(suspended, None));
+        assert_eq!((offset.used_ns(), offset.steps), (None, 1));
     }
 
     #[test]
@@ -226,12 +424,8 @@ mod tests {
             // One way in ten is slow.
             let slow_ns = if at % 10 == 9 { 3_000_000 } else { 0 };
             let asked_ns = 1_000_000_000 + at * 100_000_000;
-            offset.note(trip(
-                &clocks,
-                asked_ns,
-                150_000 + slow_ns,
-                120_000 + slow_ns,
-            ));
+            let trip = trip(&clocks, asked_ns, 150_000 + slow_ns, 120_000 + slow_ns);
+            offset.note(trip, None);
         }
         assert_eq!((offset.refits, offset.steps), (0, 0), "in five minutes");
     }
@@ -249,7 +443,7 @@ mod tests {
                 if at == 20 {
                     clocks.offset_ns += step_ns;
                 }
-                offset.note(trip(&clocks, asked_ns, 100_000, 100_000));
+                offset.note(trip(&clocks, asked_ns, 100_000, 100_000), None);
                 asked_ns += 100_000_000;
             }
             assert_eq!(offset.steps, 1, "{step_ns}");
@@ -278,7 +472,7 @@ mod tests {
                 sent_ns,
                 now_ns,
             };
-            assert!(!offset.note(trip), "{trip:?}");
+            assert!(!offset.note(trip, None), "{trip:?}");
         }
         assert_eq!((offset.used_ns(), offset.uncertainty_ns(5)), (None, None));
     }

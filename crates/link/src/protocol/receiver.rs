@@ -1,15 +1,24 @@
 //! The receiving side of a stream: what has come, from which run, what is missing, and by which clock.
 
-use crate::protocol::carried::RawFrame;
+use crate::protocol::carried::{Carried, RawFrame};
 use crate::protocol::message::{
     Body, Message, Request, Sender, Status, Voice, Worker, write_request,
 };
 use crate::protocol::offset::{Offset, Trip, shifted};
 use crate::protocol::selection::Selection;
 use crate::protocol::stream::SILENT_AFTER_NS;
+use crate::protocol::wall::Kept;
 
 /// How often is asked where nothing comes.
 pub(crate) const ASK_EVERY_NS: u64 = 100_000_000;
+/// A frame that a later one replaces is acknowledged with the next one of its service, or after this time: the sender has
+/// room for two. Longer than the period of most fleets, shorter than what a frame takes on a way that is not free for the next.
+const ANSWER_WITHIN_NS: u64 = 40_000_000;
+/// The services of which only the newest frame counts.
+const REPLACED: u32 = Carried::Forecasts.bit()
+    | Carried::Diagnostics.bit()
+    | Carried::Budgets.bit()
+    | Carried::PlanStates.bit();
 /// Requests older than this are not taken for the one that an answer names.
 const ASKED_WITHIN_NS: u64 = 10_000_000_000;
 
@@ -31,7 +40,7 @@ pub(crate) struct Received {
     pub(crate) other_runs: u64,
     /// Times that a run went on after another had spoken: not a link that started again.
     pub(crate) contested: u64,
-    /// Messages whose time lay ahead.
+    /// Messages whose time, or that of their frame, lay ahead.
     pub(crate) future: u64,
     /// Frames that the sender left out because the link was slower than the fleet: of its present run.
     pub(crate) dropped: u64,
@@ -88,15 +97,18 @@ pub(crate) struct Receiver {
     /// The newest message.
     heard: Option<Place>,
     heard_ns: u64,
-    /// Something has come since it was last asked.
+    /// The next request is due at once.
     owes: bool,
-    /// The clock of the present run has been measured.
-    is_measured: bool,
+    /// Services of which one frame has come since it was last asked, and when the first did.
+    unanswered: u32,
+    unanswered_ns: u64,
     is_silent: bool,
     /// Another run has spoken since the present one last did.
     has_rival: bool,
     voice: Voice,
     offset: Offset,
+    /// This host's realtime clock, where it counts.
+    clock: Option<Kept>,
     received: Received,
 }
 
@@ -110,11 +122,13 @@ impl Receiver {
             heard: None,
             heard_ns: 0,
             owes: false,
-            is_measured: false,
+            unanswered: 0,
+            unanswered_ns: 0,
             is_silent: true,
             has_rival: false,
             voice: Voice::default(),
             offset: Offset::default(),
+            clock: None,
             received: Received::default(),
         }
     }
@@ -123,6 +137,11 @@ impl Receiver {
     pub(crate) fn select(&mut self, services: u32) {
         self.owes |= self.selection.services != services;
         self.selection.services = services;
+    }
+
+    /// What this host's realtime clock says from now on; `None` where it does not count.
+    pub(crate) const fn reads(&mut self, clock: Option<Kept>) {
+        self.clock = clock;
     }
 
     /// Takes a message of `bytes` that arrived at `now_ns`.
@@ -146,7 +165,7 @@ impl Receiver {
         self.place(place, now_ns)?;
         self.heard_ns = now_ns;
         self.is_silent = false;
-        self.owes = true;
+        self.note(*frame, now_ns);
         self.received.bytes += bytes as u64;
         self.received.dropped = status.dropped;
         self.voice = status.voice;
@@ -155,14 +174,31 @@ impl Receiver {
         if !self.selection.wants(frame.service) {
             return Err(Unused::NotAsked);
         }
-        let offset_ns = self.offset.used_ns().filter(|_| self.is_measured);
-        let offset_ns = offset_ns.ok_or(Unused::NoClock)?;
+        // It would be young for ever.
+        if frame.sent_ns() > status.sent_ns {
+            self.received.future += 1;
+            return Err(Unused::Future);
+        }
+        let offset_ns = self.offset.used_ns().ok_or(Unused::NoClock)?;
         self.received.frames += 1;
         Ok(Accepted {
             frame,
             offset_ns,
             term: status.voice.term,
         })
+    }
+
+    /// Notes that something is to be acknowledged: at once a status, which measures the way, and a frame that no later one
+    /// replaces, since several of those come together where a sender was held up; and all before the clock is known. Of the
+    /// other services the sender has room for one more frame.
+    fn note(&mut self, frame: Option<RawFrame<'_>>, now_ns: u64) {
+        let bit = frame.map_or(0, |frame| frame.service.bit() & REPLACED);
+        let is_second = self.unanswered & bit != 0;
+        self.owes |= bit == 0 || is_second || !self.offset.is_measured();
+        if self.unanswered == 0 {
+            self.unanswered_ns = now_ns;
+        }
+        self.unanswered |= bit;
     }
 
     /// Accounts for a message's place: by its time, since one with a false number could otherwise hide all real ones, and none
@@ -189,7 +225,7 @@ impl Receiver {
             }
             _ => {
                 // What was sent before the first message came is not missing: the way was being made.
-                self.is_measured = false;
+                self.offset.forget();
                 self.received.runs += 1;
             }
         }
@@ -203,10 +239,12 @@ impl Receiver {
         if numbers <= MOST_LOST {
             self.received.lost += numbers.saturating_sub(1);
         }
+        // The sender counts them as on their way until it is asked again.
+        self.owes |= numbers > 1;
     }
 
     fn is_future(&self, sent_ns: u64, now_ns: u64) -> bool {
-        let offset_ns = self.offset.used_ns().filter(|_| self.is_measured);
+        let offset_ns = self.offset.used_ns();
         offset_ns.is_some_and(|offset_ns| shifted(sent_ns, offset_ns) > now_ns)
     }
 
@@ -219,12 +257,15 @@ impl Receiver {
         {
             return;
         }
-        self.is_measured |= self.offset.note(Trip {
+        let trip = Trip {
             asked_ns: status.asked_ns,
             heard_ns: status.heard_ns,
             sent_ns: status.sent_ns,
             now_ns,
-        });
+        };
+        // 0: the sender's clock is not kept.
+        let theirs_ns = Some(status.realtime_ns).filter(|ns| *ns > 0);
+        self.offset.note(trip, theirs_ns.zip(self.clock));
     }
 
     /// The request to send now, if one is due.
@@ -232,7 +273,7 @@ impl Receiver {
         if !self.owes && now_ns < self.ask_due_ns() {
             return None;
         }
-        self.owes = false;
+        (self.owes, self.unanswered) = (false, 0);
         self.asked += 1;
         self.asked_ns = now_ns;
         let request = Request {
@@ -245,7 +286,13 @@ impl Receiver {
 
     /// When the next request is due if nothing comes, monotonic ns.
     pub(crate) const fn ask_due_ns(&self) -> u64 {
-        self.asked_ns.saturating_add(ASK_EVERY_NS)
+        let due_ns = self.asked_ns.saturating_add(ASK_EVERY_NS);
+        let answer_ns = self.unanswered_ns.saturating_add(ANSWER_WITHIN_NS);
+        if self.unanswered != 0 && answer_ns < due_ns {
+            answer_ns
+        } else {
+            due_ns
+        }
     }
 
     const fn is_quiet(&self, now_ns: u64) -> bool {

@@ -3,7 +3,9 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use crate::protocol::carried::Carried;
-use crate::protocol::message::{FleetId, Outgoing, Request, Sender, Status, Voice, write_frame};
+use crate::protocol::message::{
+    FleetId, HEADS_BYTES, Outgoing, Request, Sender, Status, Voice, write_frame,
+};
 
 /// A receiver that has not asked for so long is no longer sent anything.
 pub(crate) const SILENT_AFTER_NS: u64 = 1_500_000_000;
@@ -76,6 +78,8 @@ pub(crate) struct Stream {
     /// Shortest time from sending a status to its acknowledgement, ns.
     shortest_ns: u64,
     lanes: BTreeMap<Place, Lane>,
+    /// [`Status::realtime_ns`].
+    realtime_ns: u64,
     sent: Sent,
 }
 
@@ -94,6 +98,7 @@ impl Stream {
             told: VecDeque::new(),
             shortest_ns: LOST_AFTER_NS,
             lanes: BTreeMap::new(),
+            realtime_ns: 0,
             sent: Sent::default(),
         }
     }
@@ -127,6 +132,14 @@ impl Stream {
         }
     }
 
+    /// What messages say of this host's realtime clock from now on: [`Status::realtime_ns`].
+    pub(crate) const fn tells(&mut self, realtime_ns: Option<u64>) {
+        self.realtime_ns = match realtime_ns {
+            Some(realtime_ns) => realtime_ns,
+            None => 0,
+        };
+    }
+
     /// Whether the receiver has been silent for too long.
     pub(crate) const fn is_over(&self, now_ns: u64) -> bool {
         now_ns.saturating_sub(self.heard_ns) > SILENT_AFTER_NS
@@ -139,6 +152,11 @@ impl Stream {
 
     pub(crate) const fn sent(&self) -> Sent {
         self.sent
+    }
+
+    /// Whether a frame waits.
+    pub(crate) fn waits(&self) -> bool {
+        self.lanes.values().any(|lane| lane.waiting.is_some())
     }
 
     /// A new frame: writes its message into `out` and returns true, or keeps it, in place of an older one, until
@@ -236,6 +254,9 @@ impl Stream {
         self.number += 1;
         self.told_ns = now_ns;
         let status = self.status(voice, now_ns);
+        out.clear();
+        // One allocation, also where only some robots are wanted.
+        out.reserve(HEADS_BYTES + header.len() + elements.len());
         let mut runs = self.request.selection.runs(place.0, elements);
         let frame = Some(Outgoing {
             service: place.0,
@@ -256,6 +277,7 @@ impl Stream {
             sent_ns: now_ns,
             dropped: self.sent.dropped,
             voice,
+            realtime_ns: self.realtime_ns,
         }
     }
 }

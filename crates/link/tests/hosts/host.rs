@@ -60,6 +60,19 @@ impl Host {
         self.directory.path().join("fleet.toml")
     }
 
+    /// Samples that the worker of this host says to have accepted or dropped; `None` where it is not heard.
+    pub(crate) fn known_samples(&self) -> Option<u64> {
+        let words = ["watch", "--once", "--format", "json"];
+        let watched = Child::spawn("watch", self.joulebus(&words)).wait();
+        if watched.code() != Some(0) {
+            return None;
+        }
+        let report = watched.json();
+        let dropped = report["samples_dropped"].as_object()?.values();
+        let dropped: u64 = dropped.filter_map(serde_json::Value::as_u64).sum();
+        Some(report["samples_accepted"].as_u64()? + dropped)
+    }
+
     /// Puts a file beside this host's others.
     pub(crate) fn write(&self, name: &str, text: &str) {
         fs::write(self.directory.path().join(name), text).unwrap();

@@ -29,6 +29,7 @@ pub(crate) struct Frame {
     pub(crate) epoch: u64,
     pub(crate) tick: u64,
     pub(crate) sent_ns: u64,
+    pub(crate) period_ns: u64,
     /// When it was read.
     pub(crate) read_ns: u64,
     pub(crate) runs: u64,
@@ -56,6 +57,7 @@ pub(crate) fn run() {
                 epoch: frame.header().worker_epoch,
                 tick: frame.header().tick,
                 sent_ns: frame.header().sent_ns,
+                period_ns: frame.header().period_ns,
                 read_ns: clock::monotonic_ns(),
                 runs,
                 rows: frame.robots().iter().take(ROWS).map(row).collect(),

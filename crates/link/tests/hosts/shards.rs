@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use joulebus_test_processes::Child;
+use joulebus_test_processes::{Child, eventually};
 use serde_json::Value;
 
 use crate::host::{Host, free_address};
@@ -116,7 +116,14 @@ fn planners_see_one_fleet_and_each_worker_has_its_own_robots_and_all_samples_are
         while !is_answered(&fleet.desk, &words) {}
         let source = source.end();
         let sent = number(&source.json(), "samples_sent");
-        std::thread::sleep(std::time::Duration::from_millis(500));
+        let hosts = [&fleet.north, &fleet.south];
+        let known = || {
+            hosts
+                .iter()
+                .map(|host| host.known_samples())
+                .sum::<Option<u64>>()
+        };
+        eventually("all samples are accounted for", || known() == Some(sent));
         for mut link in links.into_iter().rev() {
             let ended = link.end();
             let report = ended.json();
@@ -137,6 +144,35 @@ fn planners_see_one_fleet_and_each_worker_has_its_own_robots_and_all_samples_are
         assert_eq!(known, sent, "{reports:?}");
         assert!(accepted.iter().all(|it| *it > 0), "{accepted:?}");
     }
+}
+
+#[test]
+fn every_n_th_frame_of_several_shards_has_all_their_robots_whenever_each_sends_its_own() {
+    let fleet = Fleet::new(LISTS);
+    // Ticks count from the worker's start: those of the other come at other times.
+    let _north = fleet.north.worker();
+    std::thread::sleep(std::time::Duration::from_millis(90));
+    let _south = fleet.south.worker();
+    let mut links = fleet.links();
+    links.pop().unwrap().end();
+    let of_desk = fleet.of_other("desk", "[follow]\nevery = 8\n");
+    links.push(fleet.desk.link(&of_desk));
+    let _source = fleet.edge.robots(&["--robots", "10"]);
+    let (mut near, mut planner) = (fleet.north.planner(), fleet.desk.planner());
+    let period_ns = near.frame().period_ns;
+    near.leave();
+    let all: BTreeSet<u32> = (0..10).collect();
+    let (mut whole, mut parts) = (0, 0);
+    while whole < 25 {
+        let frame = planner.frame();
+        assert_eq!(frame.period_ns, 8 * period_ns);
+        match with_power(&frame) == all {
+            true => whole += 1,
+            // Those of the beginning, and on a busy machine.
+            false => parts += 1,
+        }
+    }
+    assert!(parts < 25, "{parts} frames without some robots");
 }
 
 #[test]

@@ -1,12 +1,14 @@
 //! What a link costs beside zenoh itself: measures, and decides nothing. In a release build:
 //! `cargo test --release -p joulebus-link --test hosts -- --include-ignored --nocapture speed`.
 
-use std::collections::BTreeMap;
 use std::fs;
+use std::path::PathBuf;
 use std::time::Duration;
 
 use joulebus_bus::clock;
+use joulebus_consumer::{Event, Planner};
 use joulebus_test_processes::{Member, send_to_test};
+use serde::{Deserialize, Serialize};
 use zenoh::Wait as _;
 use zenoh::qos::CongestionControl;
 
@@ -14,57 +16,125 @@ use crate::host::{FOLLOW, Host, free_address, of_other, of_worker};
 
 const SEND: &str = "JOULEBUS_LINK_RAW_SEND";
 const RECEIVE: &str = "JOULEBUS_LINK_RAW_RECEIVE";
+const LISTEN: &str = "JOULEBUS_LINK_LISTEN";
+const POLL: &str = "JOULEBUS_LINK_POLL";
 const KEY: &str = "raw/frames";
 const TICK: Duration = Duration::from_nanos(33_333_333);
 /// Frames of each measurement: ten seconds.
 const FRAMES: usize = 300;
 const FIRST: usize = 30;
 
+/// A session with what a link sets of the transport: a peer that is silent for a second is gone, and a long frame finds room.
+/// All else is zenoh's default.
 fn session(key: &str, address: &str) -> zenoh::Session {
     let mut config = zenoh::Config::default();
-    config
-        .insert_json5(key, &format!("[\"{address}\"]"))
-        .unwrap();
-    config
-        .insert_json5("scouting/multicast/enabled", "false")
-        .unwrap();
+    for (key, value) in [
+        (key, format!("[\"{address}\"]").as_str()),
+        ("scouting/multicast/enabled", "false"),
+        ("transport/link/tx/lease", "1000"),
+        ("transport/link/tx/queue/size/data", "16"),
+    ] {
+        config.insert_json5(key, value).unwrap();
+    }
     zenoh::open(config).wait().unwrap()
 }
 
-/// The processes of zenoh alone: `address` and bytes of a message, or only the address.
+/// A frame as a process saw it.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+struct Seen {
+    tick: u64,
+    sent_ns: u64,
+    read_ns: u64,
+}
+
+/// Tells the test when the first frames have come, and all that came after them at once: what is told meanwhile would cost the
+/// processor time that is measured.
+fn collect(mut next: impl FnMut(&mut Vec<Seen>)) {
+    send_to_test("joined");
+    let mut seen = Vec::new();
+    while seen.len() < FIRST {
+        next(&mut seen);
+    }
+    send_to_test("begun");
+    seen.clear();
+    while seen.len() < FRAMES {
+        next(&mut seen);
+    }
+    send_to_test(serde_json::to_string(&seen).unwrap());
+    // What it costs is read before it ends.
+    std::thread::sleep(Duration::from_secs(3_600));
+}
+
+/// The processes of zenoh alone: `address` and bytes of a message, or only the address; and planners of a config.
 pub(crate) fn run() {
     if let Ok(of) = std::env::var(SEND) {
         let (address, bytes) = of.split_once(' ').unwrap();
-        let session = session("listen/endpoints", address);
-        let publisher = session
-            .declare_publisher(KEY)
-            .congestion_control(CongestionControl::Drop);
-        let publisher = publisher.express(true).wait().unwrap();
-        send_to_test("joined");
-        loop {
-            let mut message = vec![0; bytes.parse().unwrap()];
-            message[..8].copy_from_slice(&clock::monotonic_ns().to_le_bytes());
-            publisher.put(message).wait().unwrap();
-            std::thread::sleep(TICK);
-        }
+        send_raw(address, bytes.parse().unwrap());
     }
     if let Ok(address) = std::env::var(RECEIVE) {
         let session = session("connect/endpoints", &address);
         let subscriber = session.declare_subscriber(KEY).wait().unwrap();
-        send_to_test("joined");
-        while let Ok(sample) = subscriber.recv() {
+        collect(|seen| {
+            let sample = subscriber.recv().unwrap();
             let bytes = sample.payload().to_bytes();
-            let sent_ns = u64::from_le_bytes(bytes[..8].try_into().unwrap());
-            send_to_test(clock::monotonic_ns() - sent_ns);
-        }
+            seen.push(Seen {
+                tick: 0,
+                sent_ns: u64::from_le_bytes(bytes[..8].try_into().unwrap()),
+                read_ns: clock::monotonic_ns(),
+            });
+        });
+    }
+    if let Some(config) = std::env::var_os(LISTEN) {
+        let mut planner = Planner::connect(PathBuf::from(config)).unwrap();
+        collect(|seen| {
+            if let Event::Frame(frame) = planner.wait_next(Duration::from_secs(1)).unwrap() {
+                seen.push(Seen {
+                    tick: frame.header().tick,
+                    sent_ns: frame.header().sent_ns,
+                    read_ns: clock::monotonic_ns(),
+                });
+            }
+        });
+    }
+    if let Some(config) = std::env::var_os(POLL) {
+        let config = joulebus_config::Config::load(PathBuf::from(config)).unwrap();
+        let mut planner = Planner::polling(&config, "near", Duration::from_millis(100)).unwrap();
+        collect(|seen| {
+            let each = |header: &joulebus_wire::ForecastHeader, _: &[_]| {
+                seen.push(Seen {
+                    tick: header.tick,
+                    sent_ns: header.sent_ns,
+                    read_ns: 0,
+                });
+            };
+            let _ = planner.wait_each(Duration::from_secs(1), each).unwrap();
+        });
     }
 }
 
-/// Processor time of a process so far, in ticks of the kernel's clock (100 a second).
-fn spent(pid: u32) -> u64 {
-    let stat = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap();
-    let fields: Vec<&str> = stat.rsplit(") ").next().unwrap().split(' ').collect();
-    fields[11].parse::<u64>().unwrap() + fields[12].parse::<u64>().unwrap()
+fn send_raw(address: &str, bytes: usize) {
+    let session = session("listen/endpoints", address);
+    let publisher = session
+        .declare_publisher(KEY)
+        .congestion_control(CongestionControl::Drop);
+    let publisher = publisher.express(true).wait().unwrap();
+    send_to_test("joined");
+    loop {
+        let mut message = vec![0; bytes];
+        message[..8].copy_from_slice(&clock::monotonic_ns().to_le_bytes());
+        publisher.put(message).wait().unwrap();
+        std::thread::sleep(TICK);
+    }
+}
+
+/// Processor time of processes so far, in ticks of the kernel's clock (100 a second).
+fn spent(pids: &[u32]) -> u64 {
+    let of = |pid: &u32| {
+        let stat = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap();
+        let fields: Vec<&str> = stat.rsplit(") ").next().unwrap().split(' ').collect();
+        fields[11].parse::<u64>().unwrap() + fields[12].parse::<u64>().unwrap()
+    };
+    pids.iter().map(of).sum()
 }
 
 /// Median and 99th percentile, µs.
@@ -74,85 +144,136 @@ fn spread(mut all_ns: Vec<u64>) -> (f64, f64) {
     (at(50), at(99))
 }
 
-/// One-way times of zenoh alone, and the processor's share of both processes.
-fn raw(bytes: usize) -> ((f64, f64), f64) {
+/// One-way times, µs, and the processor's share of those that carried the frames.
+#[derive(Debug, Clone, Copy)]
+struct Cost {
+    p50: f64,
+    p99: f64,
+    cpu: f64,
+}
+
+fn cost((p50, p99): (f64, f64), ticks: u64) -> Cost {
+    let cpu = ticks as f64 / (FRAMES as f64 / 30.0);
+    Cost { p50, p99, cpu }
+}
+
+/// A process of the test binary.
+fn process(key: &str, value: impl AsRef<std::ffi::OsStr>) -> Member {
+    let mut command = Member::command();
+    command.env(key, value);
+    let mut member = Member::spawn(key, command);
+    assert_eq!(member.next_line(), "joined");
+    member
+}
+
+/// What a process has collected, and the processor time of `pids` meanwhile.
+fn collected(from: &mut Member, pids: &[u32]) -> (Vec<Seen>, u64) {
+    assert_eq!(from.next_line(), "begun");
+    let begin = spent(pids);
+    let seen = from.next_line();
+    (serde_json::from_str(&seen).unwrap(), spent(pids) - begin)
+}
+
+fn took_ns(seen: &[Seen]) -> Vec<u64> {
+    let took = seen.iter().map(|it| it.read_ns - it.sent_ns);
+    took.collect()
+}
+
+/// zenoh alone.
+fn raw(bytes: usize) -> Cost {
     let address = free_address();
-    let process = |key: &str, value: String| {
-        let mut command = Member::command();
-        command.env(key, value);
-        let mut member = Member::spawn("raw", command);
-        assert_eq!(member.next_line(), "joined");
-        member
-    };
     let sender = process(SEND, format!("{address} {bytes}"));
     let mut receiver = process(RECEIVE, address);
-    let mut took_ns = Vec::new();
-    let mut begin = 0;
-    for at in 0..FRAMES + FIRST {
-        let ns = receiver.next_line().parse().unwrap();
-        if at == FIRST {
-            begin = spent(sender.pid()) + spent(receiver.pid());
-        }
-        if at >= FIRST {
-            took_ns.push(ns);
-        }
-    }
-    let cpu = spent(sender.pid()) + spent(receiver.pid()) - begin;
-    sender.kill();
-    receiver.kill();
-    (spread(took_ns), cpu as f64 / (FRAMES as f64 / 30.0))
+    let pids = [sender.pid(), receiver.pid()];
+    let (seen, ticks) = collected(&mut receiver, &pids);
+    cost(spread(took_ns(&seen)), ticks)
 }
 
-/// One-way times of forecasts over a link, from sending by the worker to reading elsewhere, and the links' share.
-fn linked(robots: usize) -> ((f64, f64), f64, u64) {
-    let (here, there) = (Host::of(robots), Host::of(robots));
+/// From the worker to a planner beside it, which does not compute.
+fn hop(here: &Host) -> Cost {
+    let mut near = process(LISTEN, here.config());
+    let pids = [near.pid()];
+    let (seen, ticks) = collected(&mut near, &pids);
+    cost(spread(took_ns(&seen)), ticks)
+}
+
+/// Forecasts over a link, from sending by the worker to reading elsewhere; and the frames that it left out.
+fn linked(here: &Host, robots: usize) -> (Cost, u64) {
+    let there = Host::of(robots);
     let address = free_address();
-    let _worker = here.worker();
-    let _robots = here.robots(&["--robots", &robots.to_string()]);
     let base = here.link(&of_worker(&address, &[]));
-    let mut desk = there.link(&of_other(
-        "desk",
-        &address,
-        &format!("{FOLLOW}services = []\n"),
-    ));
-    let (mut near, mut far) = (here.planner(), there.planner());
-    let (mut sent, mut read) = (BTreeMap::new(), BTreeMap::new());
-    for _ in 0..FIRST {
-        near.frame();
-        far.frame();
-    }
-    let begin = spent(base.pid()) + spent(desk.pid());
-    for _ in 0..FRAMES {
-        let frame = near.frame();
-        sent.insert(frame.tick, frame.sent_ns);
-        let frame = far.frame();
-        read.insert(frame.tick, frame.read_ns);
-    }
-    let cpu = spent(base.pid()) + spent(desk.pid()) - begin;
-    let both = read
-        .iter()
-        .filter_map(|(tick, read_ns)| Some(read_ns - sent.get(tick)?));
-    let took_ns: Vec<u64> = both.collect();
+    let follows = format!("{FOLLOW}services = []\n");
+    let mut desk = there.link(&of_other("desk", &address, &follows));
+    // It looks now and then, and wakes no processor at a tick.
+    let mut near = process(POLL, here.config());
+    let mut far = process(LISTEN, there.config());
+    let (read, ticks) = collected(&mut far, &[base.pid(), desk.pid()]);
+    let (sent, _) = collected(&mut near, &[]);
+    let took = read.iter().filter_map(|there| {
+        let here = sent.iter().find(|here| here.tick == there.tick)?;
+        Some(there.read_ns - here.sent_ns)
+    });
+    let took_ns: Vec<u64> = took.collect();
     assert!(took_ns.len() > FRAMES / 2, "{}", took_ns.len());
-    let lost = desk.end().json()["taken"][0]["dropped"].as_u64().unwrap();
-    (spread(took_ns), cpu as f64 / (FRAMES as f64 / 30.0), lost)
+    let dropped = desk.end().json()["taken"][0]["dropped"].as_u64().unwrap();
+    (cost(spread(took_ns), ticks), dropped)
 }
 
+/// Rounds, of which medians are shown.
+const ROUNDS: usize = 3;
+
+fn median(rounds: &[Cost]) -> Cost {
+    let of = |part: fn(&Cost) -> f64| {
+        let mut all: Vec<f64> = rounds.iter().map(part).collect();
+        all.sort_unstable_by(f64::total_cmp);
+        all[all.len() / 2]
+    };
+    Cost {
+        p50: of(|it| it.p50),
+        p99: of(|it| it.p99),
+        cpu: of(|it| it.cpu),
+    }
+}
+
+fn show(what: &str, robots: usize, cost: Cost) {
+    let Cost { p50, p99, cpu } = cost;
+    println!(
+        "figure: {what}, {robots} robots: p50 {p50:.0} µs, p99 {p99:.0} µs, {cpu:.1} % of a processor"
+    );
+}
+
+/// zenoh alone, the way from a worker to a planner beside it, and a link, in turn beside the same worker and robots.
 #[test]
-#[ignore = "measures; run it in a release build on a quiet machine"]
+#[ignore = "prints figures: docs/scale.md has the command"]
 fn speed_of_forecasts_over_a_link_beside_zenoh_alone() {
     for robots in [100, 1_000, 10_000] {
-        for round in 1..=3 {
-            let bytes = 112 + 320 + 72 * robots;
-            let ((p50, p99), cpu) = raw(bytes);
-            println!(
-                "figure: zenoh, {robots} robots, round {round}: {bytes} bytes, one way p50 {p50:.0} µs, p99 {p99:.0} µs, {cpu:.1} % of a processor"
-            );
-            let ((p50, p99), cpu, dropped) = linked(robots);
-            println!(
-                "figure: link, {robots} robots, round {round}: one way p50 {p50:.0} µs, p99 {p99:.0} µs, {cpu:.1} % of a processor, {dropped} left out"
-            );
+        let (mut raws, mut hops, mut links) = (Vec::new(), Vec::new(), Vec::new());
+        let here = Host::of(robots);
+        let _worker = here.worker();
+        let _robots = here.robots(&["--robots", &robots.to_string()]);
+        // As many as a link's message has.
+        let bytes = 112 + 320 + 72 * robots;
+        for round in 1..=ROUNDS {
+            raws.push(raw(bytes));
+            hops.push(hop(&here));
+            let (cost, dropped) = linked(&here, robots);
+            links.push(cost);
+            for (what, all) in [("zenoh", &raws), ("hop", &hops), ("link", &links)] {
+                show(&format!("{what}, round {round}"), robots, all[round - 1]);
+            }
+            println!("figure: round {round}, {robots} robots: {dropped} frames left out");
         }
+        let (raw, hop, link) = (median(&raws), median(&hops), median(&links));
+        for (what, cost) in [("zenoh", raw), ("hop", hop), ("link", link)] {
+            show(&format!("{what}, median, {bytes} bytes"), robots, cost);
+        }
+        println!(
+            "figure: {robots} robots, link over zenoh: p50 {:.2}, p99 {:.2}, processor {:.2}; p50 over zenoh and two hops {:.2}",
+            link.p50 / raw.p50,
+            link.p99 / raw.p99,
+            link.cpu / raw.cpu,
+            link.p50 / (raw.p50 + 2.0 * hop.p50),
+        );
     }
 }
 
@@ -169,7 +290,7 @@ const SHARDS: usize = 4;
 
 /// Robots on one host, four workers with a shard each, planners on a further one.
 #[test]
-#[ignore = "measures; run it in a release build on a quiet machine"]
+#[ignore = "prints figures: docs/scale.md has the command"]
 fn speed_of_a_fleet_on_four_shards() {
     for robots in [1_000, 4_000, 10_000] {
         let hosts: Vec<Host> = (0..SHARDS).map(|_| of_shards(robots)).collect();
@@ -198,13 +319,13 @@ fn speed_of_a_fleet_on_four_shards() {
         }
         let all = || {
             let of = |children: &[joulebus_test_processes::Child]| {
-                children.iter().map(|it| spent(it.pid())).sum::<u64>()
+                spent(&children.iter().map(|it| it.pid()).collect::<Vec<u32>>())
             };
             [
                 of(&workers),
                 of(&links),
-                spent(gives.pid()),
-                spent(reads.pid()),
+                spent(&[gives.pid()]),
+                spent(&[reads.pid()]),
             ]
         };
         let (begin, begin_ns) = (all(), clock::monotonic_ns());

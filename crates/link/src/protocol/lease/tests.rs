@@ -238,7 +238,7 @@ proptest! {
     ) {
         let mut hosts = hosts(3, &ppm);
         let mut store = Store::default();
-        let mut greatest = 0;
+        let (mut greatest, mut forgetting) = (0, false);
         let calm = vec![vec![CALM; 3]; 25];
         let all: Vec<_> = spans.iter().chain(&calm).collect();
         let mut true_ns = 1_000_000_000;
@@ -247,16 +247,18 @@ proptest! {
             if let Some(Some(wished)) = wishes.get(number).filter(|_| number < spans.len()) {
                 store.wish = Some(format!("host-{wished}"));
             }
-            if forgets == Some(number) {
-                // The store is set up anew after the lease has run out; those that have served know their terms.
-                let heard = greatest;
-                (store.term, store.term_revision) = (0, 0);
-                hosts.iter_mut().for_each(|host| host.hears(heard));
-            }
+            forgetting |= forgets == Some(number);
             for at in 0..70 {
                 true_ns += STEP_NS;
                 let fast = i128::from(true_ns) * i128::from(ppm[3]) / 1_000_000;
                 let store_ns = (i128::from(true_ns) + fast) as u64;
+                store.expire(store_ns);
+                if forgetting && store.holder.is_none() {
+                    // The store is set up anew after the lease has run out; those that have served know their terms.
+                    forgetting = false;
+                    (store.term, store.term_revision) = (0, 0);
+                    hosts.iter_mut().for_each(|host| host.hears(greatest));
+                }
                 let mut speaking = Vec::new();
                 for (host, weather) in hosts.iter_mut().zip(span) {
                     let weather = Weather {
@@ -436,4 +438,59 @@ fn while_the_store_is_away_the_holder_is_silent_from_its_leases_end_and_then_all
     let anybody =
         |hosts: &mut [Host], ns: u64| hosts.iter_mut().any(|host| host.right(ns).is_some());
     run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], anybody);
+}
+
+#[test]
+fn a_lease_of_no_time_or_no_number_is_asked_for_again_and_not_at_once_and_none_lasts_for_ever() {
+    for (lease, ttl_ns) in [(0, TTL_NS), (7, 0), (7, 1), (7, 10_000_000)] {
+        let mut candidate = Candidate::new("a", 0, TTL_NS, None);
+        candidate.answered(&Call::Look, Reply::Seen(Seen::default()), (0, 1));
+        let now_ns = candidate.look_ns;
+        candidate.free_since_ns = Some(0);
+        assert_eq!(candidate.next(now_ns), Next::Call(Call::Grant));
+        candidate.answered(
+            &Call::Grant,
+            Reply::Granted { lease, ttl_ns },
+            (now_ns, now_ns),
+        );
+        assert_eq!(
+            candidate.next(now_ns),
+            Next::Wait(now_ns + LOOK_EVERY_NS.0),
+            "{lease} {ttl_ns}"
+        );
+    }
+    let right = Right {
+        term: 3,
+        until_ns: 1_000,
+        lease: 7,
+    };
+    let mut candidate = Candidate::new("a", 0, TTL_NS, Some(right));
+    for ttl_ns in [LONGEST_NS + 1, u64::MAX / 2, u64::MAX] {
+        candidate.answered(
+            &Call::Renew { lease: 7 },
+            Reply::Renewed { ttl_ns },
+            (10, 20),
+        );
+        let until_ns = candidate.right(30).unwrap().until_ns;
+        assert!(until_ns <= 10 + LONGEST_NS, "{ttl_ns}: {until_ns}");
+        assert!(candidate.renew_ns <= 20 + LONGEST_NS / RENEWALS);
+    }
+}
+
+#[test]
+fn after_the_last_term_nobody_serves_since_two_would_in_one() {
+    for (stored, heard) in [(u64::MAX, 0), (0, u64::MAX)] {
+        let mut candidate = Candidate::new("a", 0, TTL_NS, None);
+        candidate.hears(heard);
+        let seen = Seen {
+            term: stored,
+            ..Seen::default()
+        };
+        let mut now_ns = 0;
+        for _ in 0..50 {
+            now_ns += LOOK_EVERY_NS.1;
+            assert_eq!(candidate.next(now_ns), Next::Call(Call::Look));
+            candidate.answered(&Call::Look, Reply::Seen(seen.clone()), (now_ns, now_ns));
+        }
+    }
 }
