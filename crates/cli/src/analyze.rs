@@ -33,7 +33,7 @@ use crate::split_unit::SplitUnit;
 pub(crate) struct Args {
     #[command(flatten)]
     recordings: Recordings,
-    /// Lags of the autocorrelation
+    /// Lags of the autocorrelation, 1 to 10,000
     #[arg(long, value_name = "N", default_value_t = 10)]
     lags: usize,
     /// Readings available to the models, 1 to 5

@@ -1,5 +1,6 @@
 //! `joulebus cat`: the messages of captures and other MCAP files, one by one.
 
+use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::io::{self, BufWriter, Write as _};
 use std::path::PathBuf;
@@ -22,7 +23,7 @@ use serde_json::Value;
     Protobuf is decoded by the descriptors in the file, JSON is passed on, and of ROS 2 BatteryState, \
     Twist, TwistStamped and Odometry; of other messages time, number and length are shown. CSV has \
     a row for each robot of a message and takes one type of messages.\n\
-    Exit codes: 3 if the file is corrupt or values could not be decoded.")]
+    Exit codes: 1 if the file has no topic that was asked for; 3 if it is corrupt or values could not be decoded.")]
 pub(crate) struct Args {
     /// An MCAP file
     #[arg(value_name = "FILE")]
@@ -38,7 +39,9 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let regex = args.regex.as_deref().map(Regex::new).transpose();
     let regex = regex.map_err(|error| UsageError(error.to_string()))?;
+    let topics = RefCell::new(BTreeSet::new());
     let wanted = |topic: &str| {
+        topics.borrow_mut().insert(topic.to_owned());
         let named = args.topics.iter().any(|wanted| wanted == topic);
         let matches = regex.as_ref().is_some_and(|regex| regex.is_match(topic));
         named || matches || args.topics.is_empty() && regex.is_none()
@@ -65,8 +68,34 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     if out.unlisted > 0 {
         say(&format!("{} values had no column", out.unlisted));
     }
+    if passed.damage.is_empty() {
+        refuse_strangers(args, regex.as_ref(), &topics.into_inner()).with_context(named)?;
+    }
     let is_whole = passed.damage.is_empty() && passed.undecoded.is_empty() && out.unlisted == 0;
     Ok(Outcome::unless_lost(!is_whole))
+}
+
+/// Refuses topics that were asked for and are not in the file, which is whole.
+fn refuse_strangers(
+    args: &Args,
+    regex: Option<&Regex>,
+    topics: &BTreeSet<String>,
+) -> anyhow::Result<()> {
+    /// Topics that are listed; a file may have thousands.
+    const LISTED: usize = 10;
+    let named = args.topics.iter().find(|name| !topics.contains(*name));
+    let unmatched = regex.filter(|regex| !topics.iter().any(|topic| regex.is_match(topic)));
+    let asked = match (named, unmatched) {
+        (Some(name), _) => format!("is {name}"),
+        (None, Some(regex)) => format!("matches {regex}"),
+        (None, None) => return Ok(()),
+    };
+    let first: Vec<&str> = topics.iter().take(LISTED).map(String::as_str).collect();
+    let more = match topics.len().saturating_sub(LISTED) {
+        0 => String::new(),
+        more => format!(" and {more} more: `joulebus info` lists them"),
+    };
+    anyhow::bail!("no topic {asked}; there are {}{more}", first.join(", "));
 }
 
 /// Writer of messages to stdout.

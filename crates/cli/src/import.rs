@@ -9,9 +9,10 @@ use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, bail};
+use anyhow::{Context as _, anyhow, bail};
 use joulebus_capture::import::{Imported, Mapping, RobotReport};
 use joulebus_dataset::trial::{ColumnMap, Row, Trial, is_capture};
+use joulebus_files::disk;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
@@ -121,8 +122,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         written: Vec::new(),
     };
     if recordings.is_empty() {
-        output.report(&report)?;
-        return Ok(Outcome::Failed);
+        bail!("nothing could be used\n{}", report.to_string().trim_end());
     }
     report.written = write(args, recordings)?;
     output.report(&report)?;
@@ -251,30 +251,15 @@ fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>
         );
         return Err(UsageError(format!("{what}; name a directory or a capture (.mcap)")).into());
     }
-    if !is_dataset {
-        fs::create_dir_all(&args.out).with_context(|| name.clone().into_owned())?;
-    }
-    let place = |recording: &Recording| {
-        if is_dataset {
-            return args.out.clone();
-        }
-        // A robot's name may have any characters; a file's name may not.
-        let file: String = recording
-            .name
-            .chars()
-            .map(|letter| {
-                if letter.is_alphanumeric() || "-_.".contains(letter) {
-                    letter
-                } else {
-                    '_'
-                }
-            })
-            .collect();
-        args.out.join(format!("{file}.csv.gz"))
+    let places = match is_dataset {
+        true => vec![args.out.clone()],
+        false => places(&args.out, &recordings)?,
     };
+    if !is_dataset {
+        fs::create_dir_all(&args.out).with_context(|| name.into_owned())?;
+    }
     let mut written = Vec::new();
-    for recording in &recordings {
-        let path = place(recording);
+    for (recording, path) in recordings.iter().zip(places) {
         let failed = || format!("cannot write {}", path.display());
         recording.trial.write_csv(&path).with_context(failed)?;
         // Read back to verify the output.
@@ -286,6 +271,32 @@ fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>
         });
     }
     Ok(written)
+}
+
+/// The datasets' places in a directory. None is written where one could not be.
+fn places(directory: &Path, recordings: &[Recording]) -> anyhow::Result<Vec<PathBuf>> {
+    let mut places: Vec<PathBuf> = Vec::with_capacity(recordings.len());
+    for recording in recordings {
+        // A robot's name may have any characters; a file's name may not.
+        let allowed = |letter: char| letter.is_alphanumeric() || "-_.".contains(letter);
+        let letters = recording.name.chars();
+        let file: String = letters
+            .map(|letter| if allowed(letter) { letter } else { '_' })
+            .collect();
+        let place = directory.join(format!("{file}.csv.gz"));
+        let at = place.display();
+        if places.contains(&place) {
+            let what = format!("two recordings would be written to {at}");
+            let remedy = "import each into a directory of its own, or all into one capture (.mcap)";
+            return Err(UsageError(format!("{what}: {remedy}")).into());
+        }
+        if disk::exists(&place) {
+            let what = format!("{at} exists and is not overwritten; name another directory");
+            return Err(anyhow!(what));
+        }
+        places.push(place);
+    }
+    Ok(places)
 }
 
 impl fmt::Display for ImportReport {

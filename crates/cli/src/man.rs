@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use clap::CommandFactory as _;
 use joulebus_program::exit::Outcome;
+use joulebus_program::file::write;
 use joulebus_program::verbs::rosbag::RosbagArguments;
 
 /// Write the manual pages of all verbs into a folder
@@ -25,9 +26,16 @@ pub(crate) fn run(args: &Args, program: clap::Command) -> anyhow::Result<Outcome
     std::fs::create_dir_all(&args.folder).with_context(|| format!("cannot make {folder}"))?;
     // No verb, but a program of its own.
     let rosbag = RosbagArguments::command();
+    let failed = || format!("cannot write the pages into {folder}");
+    let made = tempfile::tempdir().with_context(failed)?;
     for program in [program, rosbag] {
-        clap_mangen::generate_to(program, &args.folder)
-            .with_context(|| format!("cannot write the pages into {folder}"))?;
+        clap_mangen::generate_to(program, made.path()).with_context(failed)?;
+    }
+    // What clap_mangen writes it writes in place, through links and into pipes.
+    for page in std::fs::read_dir(made.path()).with_context(failed)? {
+        let page = page.with_context(failed)?;
+        let text = std::fs::read(page.path()).with_context(failed)?;
+        write(&args.folder.join(page.file_name()), &text)?;
     }
     Ok(Outcome::Done)
 }

@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use anyhow::{Context as _, bail};
 use joulebus_capture::inspect::inspect;
-use joulebus_capture::recover::{Recovery, recover};
+use joulebus_capture::recover::{RecoverError, Recovery, recover};
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use serde::Serialize;
@@ -47,19 +47,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let input =
         joulebus_files::open(&args.input).with_context(|| args.input.display().to_string())?;
     let input_bytes = input.metadata()?.len();
-    if args.out.exists() {
-        let name = args.out.display();
-        bail!("{name} exists and is not overwritten; name another file");
-    }
     let started = Instant::now();
-    let recovery = match write(input, &args.out) {
-        Ok(recovery) => recovery,
-        Err(error) => {
-            // A partial result is useless; failing to remove it does not matter.
-            let _ = fs::remove_file(&args.out);
-            return Err(error).with_context(|| args.input.display().to_string());
-        }
-    };
+    let recovery = write(input, args)?;
     let duration_s = started.elapsed().as_secs_f64();
     check(&args.out, &recovery)?;
     let is_whole = recovery.is_lossless();
@@ -75,12 +64,19 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::unless_lost(!is_whole))
 }
 
-fn write(input: File, path: &Path) -> anyhow::Result<Recovery> {
-    let failed = || format!("cannot write {}", path.display());
-    let result = File::create_new(path).with_context(failed)?;
-    let (recovery, result) = recover(input, result)?;
-    result.sync_all().with_context(failed)?;
-    Ok(recovery)
+fn write(input: File, args: &Args) -> anyhow::Result<Recovery> {
+    let recovered = joulebus_files::create(&args.out, |result| {
+        let (recovery, result) = recover(input, result)?;
+        result.sync_all()?;
+        Ok(recovery)
+    });
+    recovered.map_err(|error| {
+        let file = match &error {
+            RecoverError::Read(_) => &args.input,
+            _ => &args.out,
+        };
+        anyhow::Error::from(error).context(file.display().to_string())
+    })
 }
 
 /// Opens the result: it must be complete and contain what was counted.

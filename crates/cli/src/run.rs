@@ -86,13 +86,14 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let alarms = alarms.finish();
     ran?;
     let worker = worker.finish();
-    let whole = recorder.is_none_or(RecorderProcess::finish);
+    let is_recorded = recorder.is_none_or(RecorderProcess::finish);
+    let is_lossy = !is_recorded || worker.ledger_unsaved;
     output.report(&RunReport {
         worker,
         queries,
         alarms,
     })?;
-    Ok(Outcome::unless_lost(!whole))
+    Ok(Outcome::unless_lost(is_lossy))
 }
 
 fn described(config: &Config) -> String {
@@ -183,6 +184,12 @@ impl fmt::Display for RunReport {
             writeln!(
                 out,
                 "errors: {unsent} frames not sent, {receive} receive errors"
+            )?;
+        }
+        if report.ledger_unsaved {
+            writeln!(
+                out,
+                "the ledger could not be saved: what was metered since the save before is lost"
             )?;
         }
         Ok(())

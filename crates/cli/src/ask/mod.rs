@@ -35,7 +35,7 @@ const PATIENCE: Duration = Duration::from_secs(3);
     joulebus ask --robot 7 --idle 60                        a minute at rest\n  \
     joulebus ask --robot 7 --path p.csv --through worker    computed by the worker\n\n\
     A path file is CSV with the columns x_m,y_m and, if wanted, speed_mps towards each point; the robot \
-    is at the first point and looks at the second:\n\n    \
+    is at the first point and looks at the second. Speeds above the platform's greatest are refused:\n\n    \
     x_m,y_m,speed_mps\n    0,0,\n    2,0,0.2\n    2,1.5,0.1\n\n\
     Verdicts: yes, the upper end of the energy at the asked coverage fits into the lower bound of what the \
     battery can spare above its reserve, on every leg; tight, the expected energy fits, but not so surely, \
@@ -70,7 +70,7 @@ pub(crate) struct Args {
         allow_hyphen_values = true
     )]
     return_to: Option<ReturnTo>,
-    /// Where the dock is, m [default: where the path begins]
+    /// Where the dock of `--return dock` is, m [default: where the path begins]
     #[arg(
         long,
         value_name = "X,Y",
@@ -102,9 +102,14 @@ enum Through {
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    if let (Some(ReturnTo::At(_)), Some(_)) = (args.return_to, args.dock) {
+        let wrong = "--dock is the place of `--return dock`, and --return names another: leave one of them out";
+        return Err(UsageError(wrong.to_owned()).into());
+    }
     let config = args.config.load()?;
     let path = args.path.as_deref().map(path_file::read).transpose()?;
     let question = args.question(path.as_ref());
+    refuse_too_fast(&config, &question.plan)?;
     let report = match args.through {
         Through::Memory => args.compute(&config, question)?,
         Through::Worker => args.send(&config, &question)?,
@@ -187,6 +192,31 @@ impl Args {
             answers: answers.collect(),
         }
     }
+}
+
+/// Refuses speeds that the platform of a robot does not reach: the follower would take its greatest, and the answer be about
+/// another plan.
+fn refuse_too_fast(config: &Config, plan: &Plan) -> Result<(), UsageError> {
+    let Plan::Follow { robots, path, .. } = plan else {
+        return Ok(());
+    };
+    for platform in &config.settings().platforms {
+        let has = |robot: &u32| platform.robots.iter().any(|ids| ids.contains(robot));
+        let most = platform.v_max_mps;
+        // Infinity stands for none stated; what cannot drive at all is refused with its own reason.
+        let is_above = |speed: f64| speed.is_finite() && speed as f32 > most && most > 0.0;
+        let speeds = &path.speed_mps;
+        let above = (1..speeds.len()).find(|point| is_above(speeds[*point]));
+        let Some(point) = above.filter(|_| robots.iter().any(has)) else {
+            continue;
+        };
+        let (found, name) = (speeds[point], &platform.name);
+        return Err(UsageError(format!(
+            "a speed of {found} m/s towards point {point}: platform {name} drives at most {most} m/s (`v_max_mps` in its \
+             config); ask for that or less, or state no speed for the greatest"
+        )));
+    }
+    Ok(())
 }
 
 /// Whether it is the question that is wrong, whatever the fleet is doing.

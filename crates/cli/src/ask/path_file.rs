@@ -45,6 +45,10 @@ fn parse(text: &str) -> Result<Rows, String> {
         .ok_or_else(|| format!("is empty: {expected}"))?;
     let names: Vec<&str> = head.split(',').map(str::trim).collect();
     let column = |name: &str| names.iter().position(|found| *found == name);
+    let twice = (1..names.len()).find(|at| names[..*at].contains(&names[*at]));
+    if let Some(at) = twice {
+        return Err(format!("line 1 has {:?} twice: {expected}", names[at]));
+    }
     let unknown = names
         .iter()
         .find(|name| !["x_m", "y_m", "speed_mps"].contains(name));
@@ -106,6 +110,7 @@ mod tests {
             ("", "empty"),
             ("0,0\n1,1\n", "x_m,y_m"),
             ("x_m,y_m,z_m\n0,0,0\n", "x_m,y_m"),
+            ("x_m,y_m,x_m\n0,0,1\n", "\"x_m\" twice"),
             ("x_m,y_m\n", "no points"),
             ("x_m,y_m\n0,0\n1\n", "line 3"),
             ("x_m,y_m\n0,0\n1,one\n", "line 3: y_m"),

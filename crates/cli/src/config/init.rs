@@ -12,6 +12,7 @@ use joulebus_predictor_worker::load_models;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::file::write;
 use joulebus_program::output::{Output, say};
+use joulebus_settings::bounds;
 use serde::Serialize;
 
 use super::model_range;
@@ -51,8 +52,16 @@ pub(super) struct Args {
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
     /// Energy of the battery from full to empty, Wh, which recordings do not state
-    #[arg(long, value_name = "WH")]
+    #[arg(long, value_name = "WH", value_parser = capacity_wh)]
     battery_wh: Option<f64>,
+}
+
+fn capacity_wh(text: &str) -> Result<f64, String> {
+    let allowed = bounds::BATTERY_CAPACITY_WH;
+    let found: Option<f64> = text.parse().ok();
+    found
+        .filter(|wh| allowed.contains(wh))
+        .ok_or_else(|| format!("allowed is {} to {} Wh", allowed.start(), allowed.end()))
 }
 
 #[derive(Debug, Serialize)]
@@ -77,8 +86,15 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         return Err(UsageError(format!("{what}; give recordings of a working robot")).into());
     };
     let name = args.name()?;
-    let places = Places::new(args, &name);
+    let places = Places::new(&args.out, &name);
     places.check(args.train)?;
+    let fleet = fleet(&name, &recorded, &robots(args, &trials)?, &files);
+    let given = args.given_model()?;
+    check(
+        &name,
+        &platform(&name, &recorded, given.as_deref(), args),
+        &fleet,
+    )?;
     if args.train {
         places.make(&places.models)?;
         let full = recorded.v_mps.is_some() && recorded.omega_radps.is_some();
@@ -87,15 +103,13 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
             return Ok(Outcome::Failed);
         }
     }
-    let model = args.model_value(&places)?;
+    let model = match args.train {
+        true => Some(places.trained_model()),
+        false => given,
+    };
     let platform = platform(&name, &recorded, model.as_deref(), args);
-    let fleet = fleet(&name, &recorded, &robots(args, &trials)?, &files);
-    places.make(&places.platforms)?;
-    write(&places.platform, platform.as_bytes())?;
-    write(&places.fleet, fleet.as_bytes())?;
-    let config = Config::load(&places.fleet).with_context(
-        || "the files were written, but recordings and options contradict each other",
-    )?;
+    places.write(&platform, &fleet)?;
+    let config = Config::load(&places.fleet)?;
     let models = load_models(&config)?;
     let mut warnings: Vec<String> = config.warnings().iter().map(ToString::to_string).collect();
     warnings.extend(
@@ -128,6 +142,17 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
+/// Reads the files before they get their names: recordings and options may contradict each other.
+fn check(name: &str, platform: &str, fleet: &str) -> anyhow::Result<()> {
+    let draft = tempfile::tempdir().context("cannot make a directory to check the files in")?;
+    let places = Places::new(draft.path(), name);
+    places.write(platform, fleet)?;
+    let refused = "recordings and options contradict each other; nothing was written";
+    let config = Config::load(&places.fleet).context(refused)?;
+    load_models(&config).context(refused)?;
+    Ok(())
+}
+
 /// Files to write.
 struct Places {
     fleet: PathBuf,
@@ -138,10 +163,10 @@ struct Places {
 }
 
 impl Places {
-    fn new(args: &Args, name: &str) -> Self {
-        let (platforms, models) = (args.out.join("platforms"), args.out.join("models"));
+    fn new(out: &Path, name: &str) -> Self {
+        let (platforms, models) = (out.join("platforms"), out.join("models"));
         Self {
-            fleet: args.out.join("fleet.toml"),
+            fleet: out.join("fleet.toml"),
             platform: platforms.join(format!("{name}.toml")),
             model: models.join(format!("{name}.safetensors")),
             platforms,
@@ -164,6 +189,18 @@ impl Places {
             }
             None => Ok(()),
         }
+    }
+
+    fn write(&self, platform: &str, fleet: &str) -> anyhow::Result<()> {
+        self.make(&self.platforms)?;
+        write(&self.platform, platform.as_bytes())?;
+        write(&self.fleet, fleet.as_bytes())
+    }
+
+    /// The trained model's path as the platform's file writes it.
+    fn trained_model(&self) -> String {
+        let name = self.model.file_name().unwrap_or_default();
+        format!("../models/{}", name.to_string_lossy())
     }
 
     fn make(&self, directory: &Path) -> anyhow::Result<()> {
@@ -207,16 +244,8 @@ impl Args {
         }
     }
 
-    /// The model's path as the platform's file writes it; none for persistence.
-    fn model_value(&self, places: &Places) -> anyhow::Result<Option<String>> {
-        if self.train {
-            let name = places
-                .model
-                .file_name()
-                .unwrap_or_default()
-                .to_string_lossy();
-            return Ok(Some(format!("../models/{name}")));
-        }
+    /// The given model's path as the platform's file writes it; none for persistence.
+    fn given_model(&self) -> anyhow::Result<Option<String>> {
         let Some(path) = &self.model else {
             return Ok(None);
         };

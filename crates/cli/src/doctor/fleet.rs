@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use joulebus_bus::{
-    CapacityError, Domain, Inspection, NodeInfo, Ports, RootError, check_capacity, clock,
+    CapacityError, Domain, Inspection, NodeInfo, Ports, RemovedFiles, RootError, check_capacity,
+    clock,
 };
 use joulebus_config::Config;
 use joulebus_predictor_worker::{Permit, Places, load_models};
@@ -170,7 +171,7 @@ pub(super) fn worker(inspection: &Inspection) -> Check {
 /// The permit of a worker that stands by; nothing where no link of several workers' hosts runs.
 pub(super) fn permit(config: &Config) -> Option<Check> {
     let name = "permit";
-    let now_ns = clock::monotonic_ns();
+    let now_ns = clock::boot_ns();
     match Permit::read(&Places::of(config).permit) {
         Ok(permit) => permit.map(|Permit { term, until_ns, .. }| match until_ns {
             None => Check::ok(
@@ -234,11 +235,14 @@ fn node_name(node: &NodeInfo) -> String {
 }
 
 /// Whether the files that living processes use are still where others look for them.
-pub(super) fn removed_files(inspection: &Inspection) -> Check {
+pub(super) fn removed_files(removed: &[RemovedFiles]) -> Check {
     let name = "removed files";
-    let processes = inspection.removed.iter().map(|removed| {
+    let processes = removed.iter().map(|removed| {
         let (pid, first, more) = (removed.pid, removed.first.display(), removed.count - 1);
-        format!("pid {pid}: {first} and {more} more")
+        match more {
+            0 => format!("pid {pid}: {first}"),
+            more => format!("pid {pid}: {first} and {more} more"),
+        }
     });
     let processes: Vec<String> = processes.collect();
     if processes.is_empty() {

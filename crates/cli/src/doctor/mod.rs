@@ -8,7 +8,7 @@ mod rights;
 use std::fmt;
 use std::path::PathBuf;
 
-use joulebus_bus::inspect;
+use joulebus_bus::{inspect, removed_files};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
@@ -106,7 +106,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         fleet::root(&domain, &inspection),
         fleet::worker(&inspection),
         fleet::nodes(&inspection),
-        fleet::removed_files(&inspection),
+        fleet::removed_files(&removed_files(&domain)),
         fleet::stale_files(&inspection),
     ];
     checks.extend(fleet::permit(&config));

@@ -47,7 +47,7 @@ pub(crate) struct Selection {
     /// Also score the energy of the next 1 to 300 s, as far as the recordings reach
     #[arg(long)]
     energy: bool,
-    /// Draws for confidence intervals; 0 disables them
+    /// Draws for confidence intervals, at most 1,000,000; 0 disables them
     #[arg(long, value_name = "N", default_value_t = Bootstrap::default().resamples)]
     resamples: u32,
     /// Confidence level, a share

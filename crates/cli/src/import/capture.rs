@@ -1,6 +1,7 @@
 //! Recordings as the samples of a fleet.
 
 use std::collections::BTreeSet;
+use std::fs::File;
 use std::path::Path;
 
 use anyhow::Context as _;
@@ -44,15 +45,31 @@ pub(super) fn write(
         .zip(&names)
         .map(|(id, name)| format!("{id} {name}"));
     attachments.describe("imported", robots.collect::<Vec<_>>().join(", "));
-    let settings = CaptureSettings::of(Preset::ZstdSmall);
-    let mut writer = Writer::create(path, settings, &attachments)
-        .with_context(|| format!("cannot write {}", path.display()))?;
     let playback = Playback {
         base_ns: BASE_NS,
         frame_period_ns: config.tick_period_ns(),
         repeat: false,
     };
-    let mut fleet = TrialFleet::new(trials, playback)?;
+    let fleet = TrialFleet::new(trials, playback)?;
+    let of = (config.fleet(), clock, start_unix_ns);
+    let written = joulebus_files::create(path, |file| {
+        let settings = CaptureSettings::of(Preset::ZstdSmall);
+        let writer = Writer::new(file, settings, &attachments)?;
+        samples(of, fleet, writer)
+    });
+    Ok(Written {
+        file: path.display().to_string(),
+        robots: names,
+        rows: written.with_context(|| format!("cannot write {}", path.display()))?,
+    })
+}
+
+/// Writes all samples of a fleet that begins at `start_unix_ns`. Returns their number.
+fn samples(
+    (fleet_name, clock, start_unix_ns): (&str, Clock, u64),
+    mut fleet: TrialFleet,
+    mut writer: Writer<&File>,
+) -> anyhow::Result<u64> {
     let mut header = SampleHeader {
         schema: SCHEMA_VERSION,
         pid: std::process::id(),
@@ -72,7 +89,7 @@ pub(super) fn write(
             publish_ns: header.sent_unix_ns,
         };
         let message = Message::Samples(header, std::mem::take(&mut frame));
-        writer.write(config.fleet(), times, &message)?;
+        writer.write(fleet_name, times, &message)?;
         if let Message::Samples(_, samples) = message {
             header.samples_before += samples.len() as u64;
             frame = samples;
@@ -80,11 +97,7 @@ pub(super) fn write(
         header.frame_seq += 1;
     }
     writer.finish()?;
-    Ok(Written {
-        file: path.display().to_string(),
-        robots: names,
-        rows: header.samples_before,
-    })
+    Ok(header.samples_before)
 }
 
 /// Each trial with its robot's id: as mapped, else numbered from the first free one.

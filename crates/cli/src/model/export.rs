@@ -1,6 +1,7 @@
 //! `joulebus model export`: exports a model for other programs.
 
 use std::fmt;
+use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
@@ -126,18 +127,21 @@ fn export(network: &Network, kind: ExportFormat, out: &Path) -> anyhow::Result<u
 /// them.
 fn export_arrays(network: &Network, folder: &Path) -> anyhow::Result<usize> {
     let failed = || format!("cannot make the directory {}", folder.display());
-    std::fs::create_dir_all(folder).with_context(failed)?;
-    let is_used = std::fs::read_dir(folder)
-        .with_context(failed)?
-        .next()
-        .is_some();
+    fs::create_dir_all(folder).with_context(failed)?;
+    let is_used = fs::read_dir(folder).with_context(failed)?.next().is_some();
     if is_used {
         let what = format!("{} is not empty", folder.display());
         return Err(UsageError(format!("{what}; name a new directory")).into());
     }
-    let mut written = 0;
+    let (mut written, mut paths) = (0, Vec::new());
     for (name, bytes) in to_arrays(network)? {
-        write(&folder.join(format!("{name}.npy")), &bytes)?;
+        let path = folder.join(format!("{name}.npy"));
+        if let Err(error) = write(&path, &bytes) {
+            // Some of the arrays are no model; failing to remove them does not matter.
+            paths.iter().for_each(|path| drop(fs::remove_file(path)));
+            return Err(error);
+        }
+        paths.push(path);
         written += bytes.len();
     }
     Ok(written)

@@ -30,6 +30,26 @@ impl TopicChoice {
         })
     }
 
+    /// Refuses a topic or an expression that none of these fleets' topics is or matches.
+    pub(super) fn check(&self, fleets: &[&str]) -> Result<(), UsageError> {
+        let of_fleet = |fleet: &&str| MessageKind::OF_FLEET.map(|kind| kind.topic(fleet, 0));
+        let there: Vec<String> = fleets.iter().flat_map(of_fleet).collect();
+        let is_there = |topic: &&String| !topic.contains('/') || there.contains(topic);
+        let what = match (
+            self.topics.iter().find(|topic| !is_there(topic)),
+            &self.regex,
+        ) {
+            (Some(topic), _) => format!("--topics {topic}: no such topic"),
+            (None, Some(regex)) if !there.iter().any(|topic| regex.is_match(topic)) => {
+                format!("--regex {regex}: matches no topic")
+            }
+            _ => return Ok(()),
+        };
+        let there = there.join(", ");
+        let remedy = "those of single robots need --per-robot";
+        Err(UsageError(format!("{what}; there are {there}; {remedy}")))
+    }
+
     /// Whether the topic is selected. A service name selects that service of any fleet.
     pub(super) fn has(&self, topic: &str) -> bool {
         if self.topics.is_empty() && self.regex.is_none() {
@@ -74,6 +94,31 @@ mod tests {
             let choice = TopicChoice::new(&topics, regex).unwrap();
             let found: Vec<usize> = (0..all.len()).filter(|at| choice.has(all[*at])).collect();
             assert_eq!(found, chosen, "{topics:?} {regex:?}");
+        }
+    }
+
+    #[test]
+    fn what_no_topic_of_the_fleets_is_or_matches_is_refused_with_those_that_there_are() {
+        for (topics, regex, refused) in [
+            (vec![], None, false),
+            (vec!["ticks"], Some("^joulebus/(lab|yard)/sam"), false),
+            (vec!["joulebus/yard/ticks"], None, false),
+            (
+                vec!["joulebus/lab/samples", "joulebus/lob/ticks"],
+                None,
+                true,
+            ),
+            (vec!["joulebus/lab/robot/3/forecast"], None, true),
+            (vec!["ticks"], Some("forecasts$|^x"), false),
+            (vec!["ticks"], Some("forecast$"), true),
+        ] {
+            let topics: Vec<String> = topics.into_iter().map(str::to_owned).collect();
+            let checked = TopicChoice::new(&topics, regex)
+                .unwrap()
+                .check(&["lab", "yard"]);
+            let told = checked.map_err(|error| error.to_string());
+            assert_eq!(told.is_err(), refused, "{topics:?} {regex:?} {told:?}");
+            assert!(told.is_ok() || told.unwrap_err().contains("joulebus/yard/queries"));
         }
     }
 

@@ -53,7 +53,7 @@ pub(crate) struct Args {
     /// configs/fleet.toml, or the built-in one if that file does not exist]
     #[arg(long, value_name = "FILE")]
     config: Vec<PathBuf>,
-    /// The file; further parts are run_1.mcap, run_2.mcap …; - for stdout
+    /// The file; further parts are run_1.mcap, run_2.mcap …, without names that are taken; - for stdout
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
     /// Start with the next part instead of refusing when the file exists
@@ -117,6 +117,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         .context("cannot handle SIGUSR1")?;
     let configs = args.configs()?;
     let clock = Clock::now();
+    let names: Vec<&str> = configs.iter().map(Config::fleet).collect();
+    let options = args.options(&names)?;
     let attachments = Attachments::of(&configs, clock)?;
     let began_ns = clock::monotonic_ns();
     let mut others = Others::start(&args.config, &args.out)?;
@@ -126,9 +128,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         clock,
         attachments,
         args.target(),
-        &args.options()?,
+        &options,
     )?;
-    let names: Vec<&str> = configs.iter().map(Config::fleet).collect();
     let file = args.out.display();
     say(&format!("recording {} into {file}", names.join(", ")));
     let end_ns = args
@@ -204,8 +205,12 @@ impl Args {
         files.into_iter().map(load).collect()
     }
 
-    fn options(&self) -> anyhow::Result<Options> {
+    fn options(&self, fleets: &[&str]) -> anyhow::Result<Options> {
         let choice = TopicChoice::new(&self.topics, self.regex.as_deref())?;
+        // Robots may join at any time, and have topics of their own with --per-robot.
+        if !self.per_robot {
+            choice.check(fleets)?;
+        }
         let or_never = |limit: u64| if limit == 0 { u64::MAX } else { limit };
         if self.snapshot == Some(0.0) {
             return Err(UsageError("--snapshot 0 keeps nothing".to_owned()).into());

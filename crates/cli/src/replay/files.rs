@@ -6,7 +6,7 @@ use std::thread;
 
 use anyhow::{Context as _, anyhow};
 use joulebus_capture::{Attachments, Entry, ReadError, Reader};
-use joulebus_config::Config;
+use joulebus_config::{Config, ModelSource, is_below};
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::say;
 
@@ -77,7 +77,20 @@ impl Files {
             let what = format!("no config of fleet {fleet:?} is attached: give one with --config");
             return Err(UsageError(what).into());
         };
-        Ok((Config::load(path)?, Some(directory)))
+        // A recorder attaches all files: a capture from elsewhere does not decide what is read here.
+        let config = Config::load_attached(path)?;
+        let files = config.models().iter().filter_map(|model| match model {
+            ModelSource::File(path) => Some(path),
+            _ => None,
+        });
+        let mut elsewhere = files.filter(|path| !is_below(path, directory.path()));
+        if let Some(path) = elsewhere.next() {
+            let path = path.display();
+            let what = format!("the attached config names the model {path}, which is not attached");
+            return Err(UsageError(format!("{what}: give a config with --config")).into());
+        }
+        drop(elsewhere);
+        Ok((config, Some(directory)))
     }
 
     /// All messages of the fleet in file order, read by a separate thread.

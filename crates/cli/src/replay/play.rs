@@ -1,11 +1,12 @@
 //! Plays the messages of a capture at their due times.
 
+use std::path::Path;
 use std::time::Duration;
 
 use joulebus_bus::{Domain, clock, set_timer_slack};
 use joulebus_capture::{Clock, Entry, MessageKind};
-use joulebus_config::Config;
-use joulebus_program::exit::Outcome;
+use joulebus_config::{Config, is_below};
+use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
 use joulebus_wire::Sample;
@@ -33,7 +34,11 @@ const MAX_STRETCH: f64 = 1e3;
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let stop = Stop::on_signals()?;
     let files = Files::open(&args.files, args.fleet.as_deref())?;
-    let (config, _models) = files.config(args.config.as_ref())?;
+    // Nothing is computed here, so that the attached models are not needed.
+    let (config, _) = files.config(args.config.as_ref())?;
+    if args.config.is_none() {
+        check_root(config.root())?;
+    }
     let mut player = Player::open(args, &files, &config)?;
     if player.begins(args, &stop)? {
         player.play(args, &files, &stop)?;
@@ -41,6 +46,24 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let report = player.report(&files);
     output.report(&report)?;
     Ok(Outcome::unless_lost(report.has_lost()))
+}
+
+/// Where processes of fleets meet, as a rule: directories in memory.
+const ROOTS: [&str; 2] = ["/dev/shm", "/run"];
+
+/// A capture from elsewhere does not decide where directories are made.
+fn check_root(root: &Path) -> Result<(), UsageError> {
+    if ROOTS
+        .iter()
+        .any(|allowed| is_below(root, Path::new(allowed)))
+    {
+        return Ok(());
+    }
+    let (found, allowed) = (root.display(), ROOTS.join(" and "));
+    Err(UsageError(format!(
+        "the config attached to the capture has domain.root {found}, allowed is what lies below {allowed}: name the \
+         fleet's own config with --config"
+    )))
 }
 
 struct Player {

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use joulebus_dataset::rows::Dataset;
+use joulebus_files::{check_kind, disk};
 use joulebus_program::exit::UsageError;
 use joulebus_program::file::write;
 use joulebus_program::output::say;
@@ -21,6 +22,9 @@ const SAVE_EVERY: Duration = Duration::from_secs(10);
 /// smaller.
 const MOST_SAVED_BYTES: u64 = 64 << 20;
 
+/// The beginning of a model file: the length of its header, which is less than 2⁴⁸ bytes, and the header.
+const MODEL_BEGINS: &[u8] = b"\0\0\0\0\0\0\0\0{";
+
 /// Output file and options of a training run.
 #[derive(Debug, clap::Args)]
 pub(super) struct RunArguments {
@@ -30,7 +34,7 @@ pub(super) struct RunArguments {
     /// Continue the interrupted run from its checkpoint, FILE.training beside the model
     #[arg(long)]
     resume: bool,
-    /// Threads to compute on; the result does not depend on it [default: one per core]
+    /// Threads to compute on, at most 256; the result does not depend on it [default: one per core]
     #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
     threads: usize,
 }
@@ -45,8 +49,17 @@ impl RunArguments {
         }
     }
 
-    /// Checks the output directory before the training, not after minutes of it.
+    /// Checks the places of the model and its checkpoint before the training, not after minutes of it. What lies in the
+    /// checkpoint's place is a run's work, or somebody's file: only `--resume`, which reads it, may replace and remove it.
     pub(super) fn check(&self) -> anyhow::Result<()> {
+        let saved_at = checkpoint_path(&self.out);
+        if !self.resume && disk::exists(&saved_at) {
+            let at = saved_at.display();
+            let what = format!("{at} exists, where this run would keep its checkpoint");
+            let remedy = "continue an interrupted run with --resume, or move it away";
+            return Err(UsageError(format!("{what}; {remedy}")).into());
+        }
+        check_kind(&self.out, MODEL_BEGINS).with_context(|| self.out.display().to_string())?;
         let folder = self.out.parent();
         if let Some(folder) = folder.filter(|folder| !folder.as_os_str().is_empty()) {
             let name = folder.display();

@@ -135,6 +135,7 @@ impl Args {
 
     /// Trains without a report; false if the run was interrupted.
     pub(super) fn train(&self) -> anyhow::Result<bool> {
+        self.run.check()?;
         let recipe = self.recipe()?;
         let (dataset, _) = self.dataset(&recipe)?;
         Ok(self.run.train(&dataset, &recipe.training)?.is_some())

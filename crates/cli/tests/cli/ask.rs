@@ -47,6 +47,10 @@ fn a_running_fleet_answers_what_a_plan_costs_and_which_robot_does_it_for_the_lea
     let worker = fleet.worker();
     let source = Program::start(fleet.joulebus("publish sim --robots 4"));
 
+    let two_places = fleet.output("ask --robot 1 --path p.csv --return 1,2 --dock 0,0");
+    assert_eq!(code(&two_places), 2);
+    let why = stderr(&two_places);
+    assert!(why.contains("leave one of them out"), "{why}");
     let asked = ask(&fleet, "--robot 1 --path FILE --return dock");
     assert_eq!(asked["fleet"], "cli");
     let answer = &asked["answers"][0];
@@ -107,6 +111,33 @@ fn a_running_fleet_answers_what_a_plan_costs_and_which_robot_does_it_for_the_lea
     source.end(Signal::INT);
     assert_eq!(code(&worker.end(Signal::INT)), 0);
     assert!(fleet.stale_files().is_empty());
+}
+
+#[test]
+fn a_speed_above_the_platforms_is_refused_with_its_greatest() {
+    let fleet = fleet();
+    let path = fleet.path("fast.csv").display().to_string();
+    let none = "x_m,y_m\n0,0\n1,0\n";
+    // The speed of the first point is not used.
+    let stated = "x_m,y_m,speed_mps\n0,0,99\n1,0,0.1\n1,1,99\n";
+    for (text, question, told) in [
+        (none, "--robot 1 --speed 99", "towards point 1"),
+        (none, "--rank 2,1 --speed 99 --through worker", "at most 0."),
+        (none, "--robot 1 --speed 99 --format json", "v_max_mps"),
+        (stated, "--robot 1", "99 m/s towards point 2"),
+    ] {
+        fs::write(&path, text).unwrap();
+        let asked = fleet.output(&format!("ask --path {path} {question}"));
+        assert_eq!(code(&asked), 2, "{asked:?}");
+        assert!(stderr(&asked).contains(told), "{asked:?}");
+        assert!(stdout(&asked).is_empty(), "{asked:?}");
+    }
+    // The greatest itself, and none: there is only no worker.
+    fs::write(&path, none).unwrap();
+    for question in ["--robot 1 --speed 0.25", "--robot 1"] {
+        let asked = fleet.output(&format!("ask --path {path} {question}"));
+        assert_eq!(code(&asked), 1, "{asked:?}");
+    }
 }
 
 #[test]

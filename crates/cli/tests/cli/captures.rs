@@ -3,9 +3,11 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Output;
+use std::process::{Command, Output};
 
-use crate::fleet::{Fleet, code, json, output, stderr, stdout};
+use joulebus_capture::{Attachments, CaptureSettings, Writer};
+
+use crate::fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
 use crate::recordings::shared;
 
 fn run(arguments: &[&str]) -> Output {
@@ -56,6 +58,25 @@ fn a_damaged_capture_is_diagnosed_and_recovered() {
         rows += line["value"]["samples"].as_array().unwrap().len() as u64;
     }
     assert_eq!(rows, samples);
+    // A topic that is not there, beside one that is; and an expression that matches none.
+    for asked in [
+        ["--topics", "joulebus/cli/samples", "joulebus/cli/sample"].as_slice(),
+        &["-e", "budget"],
+    ] {
+        let refused = run(&[&["cat", text(&whole).as_str()], asked].concat());
+        assert_eq!(code(&refused), 1, "{asked:?}");
+        let why = stderr(&refused);
+        let last = asked[asked.len() - 1];
+        assert!(
+            why.contains(last) && why.contains("there are joulebus/cli/samples"),
+            "{why}"
+        );
+    }
+    let found = run(&["cat", &text(&whole), "-e", "sampl.s$"]);
+    assert_eq!(
+        (code(&found), stdout(&found).lines().count() as u64),
+        (0, messages)
+    );
     let table = stdout(&run(&["cat", &text(&whole), "--format", "csv"]));
     assert_eq!(table.lines().count() as u64, samples + 1);
     assert!(
@@ -96,6 +117,90 @@ fn a_damaged_capture_is_diagnosed_and_recovered() {
     let twice = run(&["recover", &text(&cut), "-o", &text(&again)]);
     assert_eq!(code(&twice), 1, "{}", stderr(&twice));
     assert!(stderr(&twice).contains("exists"));
+}
+
+#[test]
+fn a_recovery_that_cannot_be_written_names_file_and_cause_and_leaves_what_was_there() {
+    let fleet = Fleet::new();
+    let (whole, _) = capture(&fleet, 300);
+    let out = fleet.path("again.mcap");
+    // A link that leads nowhere is somebody's, too.
+    std::os::unix::fs::symlink(fleet.path("nowhere"), &out).unwrap();
+    let refused = run(&["recover", &text(&whole), "-o", &text(&out)]);
+    assert_eq!(code(&refused), 1, "{}", stderr(&refused));
+    assert!(stderr(&refused).contains("exists"), "{}", stderr(&refused));
+    fs::remove_file(&out).expect("the link is left as it was");
+    // As on a full disk: four blocks of 1,024 bytes.
+    let mut limited = Command::new("bash");
+    limited.args(["-c", "ulimit -f 4; exec \"$@\"", "bash"]);
+    limited.arg(joulebus::<&str>([]).get_program());
+    limited.args(["recover", &text(&whole), "-o", &text(&out)]);
+    let failed = limited.output().unwrap();
+    assert_eq!(code(&failed), 1, "{}", stderr(&failed));
+    for named in [text(&out), "File too large".to_owned()] {
+        assert!(stderr(&failed).contains(&named), "{}", stderr(&failed));
+    }
+    assert!(!out.exists(), "part of a file is left");
+}
+
+#[test]
+fn a_capture_decides_neither_where_directories_are_made_nor_which_files_are_read() {
+    let fleet = Fleet::new();
+    let (made, model) = (fleet.path("made"), fleet.path("model.safetensors"));
+    fs::write(&model, "somebody's").unwrap();
+    let (made, model) = (text(&made), text(&model));
+    let own = fleet.path("own.toml");
+    fs::write(&own, joulebus_config::builtin_platform("rover").unwrap()).unwrap();
+    let other = |file: &str| format!("[[platform]]\nfile = \"{file}\"\nrobots = [20]");
+    for (domain, platform, verb, named) in [
+        (
+            &*format!("root = \"{made}\""),
+            "",
+            "--no-wait",
+            "domain.root",
+        ),
+        (
+            "root = \"/dev/shm/../tmp/x\"",
+            "",
+            "--no-wait",
+            "domain.root",
+        ),
+        (
+            "",
+            &*format!("model = \"{model}\""),
+            "--verify",
+            "is not attached",
+        ),
+        (
+            "",
+            "model = \"models/../config.toml\"",
+            "--verify",
+            "is not attached",
+        ),
+        ("", &*other(&text(&own)), "--no-wait", "is not attached"),
+        (
+            "",
+            &*other("models/../own.toml"),
+            "--verify",
+            "is not attached",
+        ),
+    ] {
+        let config = format!(
+            "[fleet]\nname = \"cli\"\n[domain]\n{domain}\n[[platform]]\nfile = \"builtin:gternal\"\n\
+             robots = [\"0-9\"]\n{platform}\n"
+        );
+        let mut attachments = Attachments::default();
+        attachments.add("cli/config.toml".to_owned(), "", config.into_bytes());
+        attachments.add("cli/models/0-x".to_owned(), "", Vec::new());
+        let path = fleet.path("foreign.mcap");
+        let _ = fs::remove_file(&path);
+        let writer = Writer::create(&path, CaptureSettings::default(), &attachments).unwrap();
+        writer.finish().unwrap();
+        let refused = run(&["replay", &text(&path), verb]);
+        assert_eq!(code(&refused), 2, "{named}: {}", stderr(&refused));
+        assert!(stderr(&refused).contains(named), "{}", stderr(&refused));
+        assert!(!Path::new(&made).exists());
+    }
 }
 
 #[test]
@@ -214,16 +319,10 @@ fn a_recording_without_a_battery_exits_with_1_and_lists_its_topics() {
         let out = fleet.path("out");
         let refused = run(&["import", &text(&file), "-o", &text(&out)]);
         assert_eq!(code(&refused), 1, "{}", stderr(&refused));
-        assert!(
-            stdout(&refused).contains("no robot"),
-            "{}",
-            stdout(&refused)
-        );
-        assert!(
-            stdout(&refused).contains("other types"),
-            "{}",
-            stdout(&refused)
-        );
+        for said in ["no robot", "other types"] {
+            assert!(stderr(&refused).contains(said), "{}", stderr(&refused));
+        }
+        assert!(stdout(&refused).is_empty(), "{}", stdout(&refused));
         assert!(!out.exists());
     }
 }

@@ -299,6 +299,100 @@ fn config_init_writes_a_fleet_that_passes_config_check_and_says_what_is_next() {
 }
 
 #[test]
+fn config_init_with_wrong_options_writes_nothing_and_works_once_they_are_right() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.csv");
+    recording(&path, LAYOUT.0, LAYOUT.1, 400, 1);
+    let out = folder.path().join("lab");
+    let init = |option: &str| {
+        let init = ["config", "init", "--from", text(&path), "--out", text(&out)];
+        output(init.iter().chain(&[option]))
+    };
+    for option in [
+        "--battery-wh=0",
+        "--battery-wh=nan",
+        "--battery-wh=1e9",
+        "--robots=5-1",
+        "--robots=1,1",
+    ] {
+        let refused = init(option);
+        assert_eq!(code(&refused), 2, "{option}: {}", stderr(&refused));
+        assert!(!out.exists(), "{option}");
+    }
+    let made = init("--battery-wh=5");
+    assert_eq!(code(&made), 0, "{}", stderr(&made));
+}
+
+#[test]
+fn recordings_of_one_name_are_refused_before_any_is_imported() {
+    let folder = tempfile::tempdir().unwrap();
+    let [one, two] = ["a", "b"].map(|name| folder.path().join(name).join("run.csv"));
+    for (path, seed) in [(&one, 1), (&two, 2)] {
+        fs::create_dir(path.parent().unwrap()).unwrap();
+        recording(path, LAYOUT.0, LAYOUT.1, 100, seed);
+    }
+    let out = folder.path().join("trials");
+    let both = output(["import", text(&one), text(&two), "-o", text(&out)]);
+    assert_eq!(code(&both), 2, "{}", stderr(&both));
+    assert!(
+        stderr(&both).contains("two recordings"),
+        "{}",
+        stderr(&both)
+    );
+    assert!(!out.exists());
+    let import = || output(["import", text(&one), "-o", text(&out)]);
+    assert_eq!(code(&import()), 0);
+    let again = import();
+    assert_eq!(code(&again), 1, "{}", stderr(&again));
+    assert!(
+        stderr(&again).contains("not overwritten"),
+        "{}",
+        stderr(&again)
+    );
+}
+
+#[test]
+fn a_file_that_no_run_has_written_stays_where_a_result_would_be_put() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.csv");
+    recording(&path, LAYOUT.0, LAYOUT.1, 200, 1);
+    let out = folder.path().join("somebodys");
+    fs::write(&out, "precious").unwrap();
+    let model = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../../configs/models/gternal-sim.safetensors"
+    );
+    for command in [
+        &["train", "trials", text(&path), "--split", "time", "--out"][..],
+        &["model", "export", model, "--to", "npz", "--out"],
+        &["model", "export", model, "--python"],
+    ] {
+        let refused = output(command.iter().chain(&[text(&out)]));
+        assert_eq!(code(&refused), 1, "{}", stderr(&refused));
+        assert!(
+            stderr(&refused).contains("\"precious\""),
+            "{}",
+            stderr(&refused)
+        );
+        assert_eq!(fs::read_to_string(&out).unwrap(), "precious");
+    }
+    // What an earlier run has written is replaced.
+    let exported = folder.path().join("model.npz");
+    for _ in 0..2 {
+        let made = output([
+            "model",
+            "export",
+            model,
+            "--to",
+            "npz",
+            "--out",
+            text(&exported),
+        ]);
+        assert_eq!(code(&made), 0, "{}", stderr(&made));
+    }
+}
+
+#[test]
 fn a_model_of_another_range_of_power_is_warned_about() {
     let folder = tempfile::tempdir().unwrap();
     let recordings = folder.path().join("runs");

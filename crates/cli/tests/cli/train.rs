@@ -79,3 +79,34 @@ fn unusable_recordings_are_refused_with_a_remedy() {
     }
     assert!(!std::path::Path::new(out).exists());
 }
+
+#[test]
+fn what_lies_in_the_place_of_a_checkpoint_is_neither_overwritten_nor_removed() {
+    let fleet = Fleet::new();
+    let folder = tempfile::tempdir().unwrap();
+    let one = fleet.recording("one.csv", 300);
+    let one = one.to_str().unwrap();
+    let out = folder.path().join("model.safetensors");
+    let saved = folder.path().join("model.safetensors.training");
+    let out = out.to_str().unwrap();
+    let trials = ["train", "trials", one, "--split", "time", "--out", out];
+    let resumed = [trials.as_slice(), &["--resume"]].concat();
+    let simulated = ["train", "sim", "--seed", "1", "--out", out];
+    std::fs::write(&saved, "somebody's").unwrap();
+    for (arguments, wanted, named) in [
+        (trials.as_slice(), 2, "--resume"),
+        (&simulated, 2, "--resume"),
+        (&resumed, 1, "cannot continue"),
+    ] {
+        let refused = output(arguments.iter().copied());
+        assert_eq!(
+            code(&refused),
+            wanted,
+            "{arguments:?}: {}",
+            stderr(&refused)
+        );
+        assert!(stderr(&refused).contains(named), "{}", stderr(&refused));
+        assert_eq!(std::fs::read_to_string(&saved).unwrap(), "somebody's");
+    }
+    assert!(!std::path::Path::new(out).exists());
+}
