@@ -9,6 +9,7 @@ below crates/. Exits with 1 if a defect was not found.
 """
 import argparse
 import json
+import os
 import pathlib
 import subprocess
 import sys
@@ -98,7 +99,8 @@ def run(command):
 
 def find(seeds, profile):
     """The first seed that fails, of batches, with its failure."""
-    program = ROOT / "target" / ("debug" if profile == "dev" else "release") / "joulebus-sim"
+    target = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
+    program = target / ("debug" if profile == "dev" else "release") / "joulebus-sim"
     first, batch = 1, 20
     while first <= seeds:
         done = run([program, "--from", str(first), "--seeds", str(batch), "--no-shrink", "--format", "json"])

@@ -82,6 +82,8 @@ struct Ports {
 /// The run of a worker.
 struct Life {
     pid: u32,
+    /// When it began, simulated ns.
+    began_ns: u64,
     /// Run and tick of its newest frame.
     place: Option<(u64, u64)>,
     /// Samples that its frames had, and those that were lost before them.
@@ -224,6 +226,7 @@ impl Checker {
         let _ = bus::taken_frames();
         self.life = Some(Life {
             pid,
+            began_ns: time::now_ns(),
             place: None,
             taken: 0,
             lost: 0,
@@ -552,9 +555,18 @@ impl Checker {
                     format!("robot {robot} over a restart: {before:?}, then {row:?}")
                 })?;
             }
+            // The floor of the next worker is what this one found, not what it may have metered since. It makes that last when
+            // it begins, and has the slack for it.
+            let began_ns = self.life.as_ref().map_or(now_ns, |life| life.began_ns);
+            let found_ns = row.metered_ns.saturating_sub(now_ns - began_ns);
+            let is_known = ended_ns > self.excused_until_ns;
             account
                 .history
-                .retain(|(_, metered_ns)| *metered_ns <= row.metered_ns);
+                .retain(|(_, metered_ns)| is_known && *metered_ns <= found_ns);
+            let known_ns = now_ns.saturating_sub(self.setup.save_every_ns);
+            for (at_ns, _) in &mut account.history {
+                *at_ns = known_ns.max(*at_ns);
+            }
             (account.life, account.born_ns) = (lives, born_ns);
         }
         let every_ns = self.setup.save_every_ns / 4;

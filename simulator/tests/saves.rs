@@ -73,3 +73,22 @@ fn a_power_failure_at_any_step_of_a_save_leaves_what_was_synced() {
         }
     }
 }
+
+/// A save is cut off at each of its steps, and the power fails before the next worker has saved: what it found when it
+/// began lasts.
+#[test]
+fn what_a_worker_found_survives_a_power_failure_before_its_first_save() {
+    /// Accesses that no worker has before the power fails.
+    const NEVER: u64 = 1_000_000;
+    for seed in 1..=6 {
+        for step in 1..=7 {
+            // It saves each 7.5 s; the one after 20 s is cut off.
+            let cut = Fault::KillAtDisk(Role::Worker, step, NEVER);
+            let fails = Fault::PowerLoss(SECOND);
+            let faults = [(20 * SECOND, cut), (31_500 * MS, fails)];
+            let mut scenario = scenario(seed, &faults);
+            scenario.setup.save_every_ns = 10 * SECOND;
+            hold(&scenario);
+        }
+    }
+}

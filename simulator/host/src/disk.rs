@@ -302,6 +302,12 @@ pub fn exists(path: &Path) -> bool {
     with(|disk| disk.names.contains_key(path))
 }
 
+/// Whether there is a file of that name: there are no links.
+#[must_use]
+pub fn is_file(path: &Path) -> bool {
+    exists(path)
+}
+
 /// Makes the names in a directory durable.
 ///
 /// # Errors
