@@ -85,11 +85,12 @@ def run(programs, config, browsers, args):
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while "ready:" not in worker.stderr.readline():
         pass
+    # Links before the source: until it sends there is no tick, so that none counts in which a link starts.
+    linked = links(programs, config, args.links, args) if browsers and args.links else []
     source = subprocess.Popen(
         [programs / "joulebus", "publish", "sim", "--robots", str(args.robots), *named],
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     stop, counts, threads, server = threading.Event(), [0] * browsers, [], None
-    linked = links(programs, config, args.links, args) if browsers and args.links else []
     if browsers and not linked:
         server = subprocess.Popen(
             [programs / "joulebus-serve", "--http", "127.0.0.1:0", *named],
@@ -106,14 +107,14 @@ def run(programs, config, browsers, args):
     stop.set()
     for thread in threads:
         thread.join()
-    for link in linked:
-        link.send_signal(signal.SIGTERM)
-        taken = json.loads(link.communicate()[0])["taken"]
-        counts.append(sum(host["frames"] for host in taken))
     for process in (server, source):
         if process:
             process.send_signal(signal.SIGTERM)
             process.wait()
+    for link in linked:
+        link.send_signal(signal.SIGTERM)
+        taken = json.loads(link.communicate()[0])["taken"]
+        counts.append(sum(host["frames"] for host in taken))
     worker.send_signal(signal.SIGTERM)
     report, _ = worker.communicate()
     return json.loads(report), sum(counts)

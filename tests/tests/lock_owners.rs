@@ -140,3 +140,35 @@ fn looking_whether_there_is_a_worker_keeps_none_from_starting() {
     looking.join().unwrap();
     arena.close();
 }
+
+#[test]
+fn a_reader_that_is_stopped_while_it_looks_is_waited_for_and_then_told() {
+    let arena = Arena::new(&Setup::default());
+    let lock = arena.domain().root().join("worker-t.lock");
+    arena.worker().kill();
+    let held = |operation| {
+        let file = fs::File::open(&lock).unwrap();
+        flock(&file, operation).unwrap();
+        file
+    };
+    // As one that removes the file of a killed worker.
+    for (operation, for_ms) in [
+        (FlockOperation::NonBlockingLockExclusive, 300),
+        (FlockOperation::NonBlockingLockShared, 1_000),
+    ] {
+        let file = held(operation);
+        let releasing = std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(for_ms));
+            drop(file);
+        });
+        arena.worker().kill();
+        releasing.join().unwrap();
+    }
+    let file = held(FlockOperation::NonBlockingLockShared);
+    let ended = arena.run(&["run"]);
+    assert_eq!(ended.code(), Some(1), "{ended:?}");
+    assert!(ended.errors().contains("`lslocks` names it"), "{ended:?}");
+    drop(file);
+    arena.worker().stop();
+    arena.close();
+}

@@ -186,6 +186,25 @@ fn every_program_whose_files_are_removed_reports_it_and_exits() {
 }
 
 #[test]
+fn doctor_finds_no_fault_with_what_a_reader_that_has_left_had() {
+    let arena = Arena::new(&Setup::default());
+    let mut worker = arena.worker();
+    let mut planner = arena.planner();
+    let mut controller = arena.controller("fleet", 0, 4, 30.0);
+    planner.forecast("all work", |frame| frame.robot(3).map(|_| ()));
+    for _ in 0..3 {
+        let watched = arena.run(&["watch", "--once"]);
+        assert_eq!(watched.code(), Some(0), "{watched:?}");
+        let healthy = arena.run(&["doctor"]);
+        assert_eq!(healthy.code(), Some(0), "{healthy:?}");
+    }
+    controller.finish();
+    planner.child.end();
+    worker.stop();
+    arena.close();
+}
+
+#[test]
 fn doctor_names_processes_that_use_removed_files() {
     let arena = Arena::new(&Setup::default());
     for (what, remove) in REMOVALS {

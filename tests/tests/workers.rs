@@ -264,6 +264,33 @@ fn an_edited_ledger_is_renamed_and_reported_and_the_previous_one_is_used() {
     arena.close();
 }
 
+#[test]
+fn a_worker_whose_ledger_cannot_be_saved_at_the_end_says_so_and_ends_with_3() {
+    let arena = Arena::new(&with_ledger());
+    let mut worker = arena.worker();
+    let mut controller = arena.controller("controller", 0, ROBOTS, 50.0);
+    eventually("some energy is written down", || {
+        generation(&arena, "").is_some_and(|(_, accounts)| !accounts.is_empty())
+    });
+    // No save can be renamed to a folder that is not empty; the newest ledger stays.
+    let older = arena.ledger().with_extension("json.older");
+    eventually("a folder takes its place between two saves", || {
+        let _ = std::fs::remove_file(&older);
+        std::fs::create_dir_all(older.join("somebody's")).is_ok()
+    });
+    worker.wait_for_line("the ledger was not saved");
+    controller.finish();
+    let ended = worker.end();
+    assert_eq!(ended.code(), Some(3), "{}", ended.errors());
+    assert_eq!(ended.json()["ledger_unsaved"], true);
+    assert!(
+        generation(&arena, "").is_some(),
+        "the newest ledger is whole"
+    );
+    std::fs::remove_dir_all(&older).expect("the arena's own directory");
+    arena.close();
+}
+
 /// The runs of workers in the order of their frames; panics if a run reappears after another.
 fn runs(planner: &mut Planner) -> Vec<u64> {
     let mut runs: Vec<u64> = Vec::new();
