@@ -68,7 +68,10 @@ impl WorkerLock {
             Err(error) => return Err(error),
         };
         match flock(&file, FlockOperation::NonBlockingLockShared) {
-            Ok(()) => Ok(None),
+            Ok(()) => {
+                release(&file);
+                Ok(None)
+            }
             Err(Errno::WOULDBLOCK) => WorkerOwner::read(&mut file).map(Some),
             Err(error) => Err(error.into()),
         }
@@ -93,10 +96,11 @@ impl WorkerLock {
         let path = domain.worker_file();
         if let Ok(mut file) = open(domain, false)
             && flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok()
-            && is_same(&file, &path).unwrap_or(false)
-            && is_lock(&mut file).unwrap_or(false)
         {
-            let _ = fs::remove_file(&path);
+            if is_same(&file, &path).unwrap_or(false) && is_lock(&mut file).unwrap_or(false) {
+                let _ = fs::remove_file(&path);
+            }
+            release(&file);
         }
     }
 
@@ -174,6 +178,11 @@ impl Drop for WorkerLock {
         let _ = self.file.set_len(0);
         self.domain.remove_root();
     }
+}
+
+/// Lets a lock go before the file is closed: a child of another thread has it open, too, between its fork and its program.
+fn release(file: &File) {
+    let _ = flock(file, FlockOperation::Unlock);
 }
 
 /// Looks at a lock whose holder the file does not name, and the pause between two.
