@@ -303,11 +303,10 @@ fn a_start_removes_all_files_only_if_no_member_is_alive() {
     let report = must(&mut place.member(), "join");
     assert!(report.contains("cold: false"), "{report}");
     assert!(!sweep(&place.domain).unwrap().cold);
-    assert_eq!(
-        must(&mut source, "send 1"),
-        "0",
-        "live members must not be affected"
-    );
+    // The source itself may be removing what the dead ones had, and has not got a processor until it is done.
+    eventually("live members are not affected", || {
+        must(&mut source, "send 1") == "0"
+    });
 
     source.kill();
     let mut next = place.member();
