@@ -144,7 +144,7 @@ fn a_fleet_that_runs_for_long_holds_what_it_held_at_the_beginning() {
     wait_until_all_send(&arena, &mut source);
     // Hours of its lines would fill the test's memory.
     let mut planner = Child::spawn_unread("consumer", arena.probe(&["consumer"]));
-    let has_joined = |pid| {
+    let has_joined = |pid: u32| {
         let found = inspect(arena.domain());
         found.is_ok_and(|found| found.nodes.iter().any(|node| node.pid == Some(pid)))
     };
