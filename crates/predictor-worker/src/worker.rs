@@ -362,7 +362,7 @@ impl Worker {
     }
 
     /// Ticks until `stop` is set, which is noticed within 100 ms, or at once when a signal sets it. Samples that came
-    /// before are taken, and are in the report and in the ledger.
+    /// before are taken, and counted in the report.
     /// The fleet is this process's until [`Worker::finish`].
     ///
     /// # Errors
