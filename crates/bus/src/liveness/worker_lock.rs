@@ -113,7 +113,7 @@ impl WorkerLock {
             Err(error) => return Err(failed(error)),
         };
         let begin = Instant::now();
-        let mut looks_held = 0;
+        let mut looks = Looks::default();
         loop {
             match flock(&file, FlockOperation::NonBlockingLockExclusive) {
                 Ok(()) => break,
@@ -132,18 +132,12 @@ impl WorkerLock {
                 if begin.elapsed() > RETRY_LIMIT {
                     return Err(WorkerLockError::Looked { path });
                 }
-            } else {
-                looks_held += 1;
-                // A process that is seen here, and has written no name, may be one that removes the file of a killed
-                // worker.
-                let is_seen = owner.pid.is_some();
-                if is_named || looks_held >= if is_seen { LOOKS_AT_SEEN } else { LOOKS } {
-                    return Err(WorkerLockError::AlreadyRunning {
-                        fleet: domain.fleet().to_owned(),
-                        owner,
-                        path,
-                    });
-                }
+            } else if is_named || looks.are_enough(owner) {
+                return Err(WorkerLockError::AlreadyRunning {
+                    fleet: domain.fleet().to_owned(),
+                    owner,
+                    path,
+                });
             }
             std::thread::sleep(LOOK_EVERY);
         }
@@ -186,6 +180,28 @@ impl Drop for WorkerLock {
 const LOOKS: u32 = 50;
 const LOOKS_AT_SEEN: u32 = 500;
 const LOOK_EVERY: Duration = Duration::from_millis(2);
+
+/// Looks at a held lock whose file names nobody.
+#[derive(Debug, Default)]
+struct Looks {
+    seen: u32,
+    /// Since the holder was seen last: the kernel's list may lack a lock while others are released.
+    unseen: u32,
+}
+
+impl Looks {
+    /// Counts one that found `owner`; true if it tells who the holder is, or that it is not visible here.
+    fn are_enough(&mut self, owner: WorkerOwner) -> bool {
+        // A process that is seen here, and has written no name, may be one that removes the file of a killed worker.
+        if owner.pid.is_some() {
+            self.seen += 1;
+            self.unseen = 0;
+        } else {
+            self.unseen += 1;
+        }
+        self.seen >= LOOKS_AT_SEEN || self.unseen >= LOOKS
+    }
+}
 /// A file that is longer than this is not a lock's, bytes.
 pub(crate) const LONGEST_BYTES: u64 = 64;
 
@@ -279,16 +295,19 @@ pub struct WorkerOwner {
 }
 
 impl WorkerOwner {
-    /// The owner writes right after locking: this waits briefly.
+    /// The owner writes right after locking: this waits briefly. Not visible is one that no look has seen.
     fn read(file: &mut File) -> io::Result<Self> {
+        let mut seen = None;
         for _ in 1..LOOKS {
             let (owner, is_named) = Self::look(file)?;
             if is_named {
                 return Ok(owner);
             }
+            seen = owner.pid.map(|_| owner).or(seen);
             std::thread::sleep(LOOK_EVERY);
         }
-        Ok(Self::look(file)?.0)
+        let (last, _) = Self::look(file)?;
+        Ok(last.pid.map(|_| last).or(seen).unwrap_or(last))
     }
 
     /// The holder, and whether the file names it. The kernel knows the process; the contents of the file are used
@@ -384,5 +403,33 @@ fn remedy(owner: WorkerOwner, path: &Path) -> String {
             " whose process is not visible here (it holds {}; is it in another container?); stop it first",
             path.display()
         ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const fn found(pid: Option<u32>) -> WorkerOwner {
+        WorkerOwner {
+            pid,
+            since_unix_ns: None,
+        }
+    }
+
+    #[test]
+    fn a_holder_is_invisible_only_if_many_looks_in_a_row_have_not_seen_it() {
+        let mut looks = Looks::default();
+        // Each forty-ninth look sees it.
+        for look in 1..LOOKS_AT_SEEN * (LOOKS - 1) {
+            let pid = look.is_multiple_of(LOOKS - 1).then_some(7);
+            assert!(!looks.are_enough(found(pid)), "look {look}");
+        }
+        assert!(looks.are_enough(found(Some(7))), "seen {}", looks.seen);
+
+        let mut looks = Looks::default();
+        assert!(!looks.are_enough(found(Some(7))));
+        let told = (1..).find(|_| looks.are_enough(found(None)));
+        assert_eq!(told, Some(LOOKS));
     }
 }

@@ -1,7 +1,7 @@
 //! Other processes.
 
-use std::fs::{self, File};
-use std::io;
+use std::fs::File;
+use std::io::{self, Read};
 use std::os::unix::fs::MetadataExt;
 
 use rustix::fs::{major, minor};
@@ -30,6 +30,11 @@ pub(crate) fn lock_holders(file: &File, expected: Option<u32>) -> io::Result<Vec
         let is_it = number == inode && (there == device || expected == Some(pid));
         (is_flock && is_exclusive && is_it && pid > 1 && is_alive(pid)).then_some(pid)
     };
-    let locks = fs::read_to_string("/proc/locks").unwrap_or_default();
+    // With room for the kernel to give whole pages: between two reads it may pass over a lock, if others are released.
+    let mut locks = Vec::with_capacity(64 << 10);
+    if let Ok(mut list) = File::open("/proc/locks") {
+        let _ = list.read_to_end(&mut locks);
+    }
+    let locks = String::from_utf8_lossy(&locks);
     Ok(locks.lines().filter_map(holder).collect())
 }
