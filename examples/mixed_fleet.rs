@@ -5,7 +5,7 @@
 use std::error::Error;
 use std::time::Duration;
 
-use joulebus_consumer::{Event, Planner};
+use joulebus_consumer::{Event, Planner, wire::Forecast};
 use joulebus_examples::PrivateFleet;
 use joulebus_publisher::{Pace, Publisher, RobotState};
 
@@ -28,7 +28,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut publisher = Publisher::connect(fleet.config(), "controller")?;
     let mut planner = Planner::connect(fleet.config())?;
     let mut pace = Pace::every(Duration::from_nanos(33_333_333));
-    for tick in 0..60_u32 {
+    for tick in 0..600_u32 {
         pace.wait();
         let gternals = (0..10).map(|id| RobotState::new(id).command(0.2, 0.0).reading(4.6));
         // Every fifth tick: Huskies send 6.5 samples a second. Rovers report no velocities.
@@ -37,6 +37,14 @@ fn main() -> Result<(), Box<dyn Error>> {
         let rovers = [RobotState::new(200).reading(31.0)];
         publisher.publish(gternals.chain(huskies).chain(rovers))?;
         if let Event::Frame(_) = planner.wait_next(Duration::from_secs(1))? {}
+        // Two seconds. Where a program gets no processor for a while, the windows of its robots begin anew.
+        let frame = planner.current();
+        let known = frame.map_or(0, |frame| {
+            frame.iter().filter_map(Forecast::power_w).count()
+        });
+        if tick >= 59 && known == 13 {
+            break;
+        }
     }
     let Some(frame) = planner.current() else {
         return Err("the worker has sent no forecasts".into());

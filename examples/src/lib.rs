@@ -130,7 +130,7 @@ impl Drop for PrivateFleet {
 /// Records a fleet of ten robots for two seconds, as `joulebus record` does, into `file`.
 ///
 /// # Errors
-/// The fleet cannot start, or the file cannot be written.
+/// The fleet cannot start, the file cannot be written, or the recorder got no processor in time and lost messages.
 pub fn record(file: &Path) -> Result<(), Box<dyn Error>> {
     let mut fleet =
         PrivateFleet::new("[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n")?;
@@ -162,8 +162,11 @@ pub fn record(file: &Path) -> Result<(), Box<dyn Error>> {
         publisher.publish(robots)?;
     }
     let summary = recorder.finish();
-    match summary.failure {
-        Some(failure) => Err(failure.into()),
-        None => Ok(()),
+    match (&summary.failure, summary.messages_lost()) {
+        (Some(failure), _) => Err(failure.as_str().into()),
+        (None, 0) => Ok(()),
+        (None, lost) => {
+            Err(format!("the recorder lost {lost} messages: is the machine busy?").into())
+        }
     }
 }

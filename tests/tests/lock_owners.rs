@@ -5,9 +5,9 @@ use std::fs;
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use joulebus_tests::{Arena, Setup, figure};
+use joulebus_tests::{Arena, PATIENCE, Setup, eventually, figure};
 use rustix::fs::{FlockOperation, flock};
 
 /// The pids that a message suggests to kill.
@@ -87,7 +87,7 @@ fn an_invisible_holder_is_not_named() {
         .stdin(Stdio::null())
         .spawn();
     let mut holder = holder.unwrap();
-    joulebus_tests::eventually("the lock is held", || {
+    eventually("the lock is held", || {
         let taken = Command::new("flock")
             .args(["-n", "-x"])
             .arg(&lock)
@@ -151,18 +151,31 @@ fn a_reader_that_is_stopped_while_it_looks_is_waited_for_and_then_told() {
         flock(&file, operation).unwrap();
         file
     };
-    // As one that removes the file of a killed worker.
-    for (operation, for_ms) in [
-        (FlockOperation::NonBlockingLockExclusive, 300),
-        (FlockOperation::NonBlockingLockShared, 1_000),
+    // As one that removes the file of a killed worker, and as one that looks; and what they are waited for, at least. A
+    // holder that gets no processor lets go later than that, and the start is refused as promised: then it is tried again.
+    for (operation, held_ms, waited_ms) in [
+        (FlockOperation::NonBlockingLockExclusive, 300, 1_000),
+        (FlockOperation::NonBlockingLockShared, 1_000, 5_000),
     ] {
-        let file = held(operation);
-        let releasing = std::thread::spawn(move || {
-            std::thread::sleep(Duration::from_millis(for_ms));
-            drop(file);
+        eventually("a start waits until the lock is let go", || {
+            let (begin, file) = (Instant::now(), held(operation));
+            let releasing = std::thread::spawn(move || {
+                std::thread::sleep(Duration::from_millis(held_ms));
+                drop(file);
+                begin.elapsed()
+            });
+            let mut worker = arena.spawn_worker();
+            let is_ready = worker.try_wait_for_line("ready:", PATIENCE).is_some();
+            let errors = worker.kill().errors();
+            let held_for = releasing.join().unwrap();
+            if !is_ready {
+                let is_late = held_for >= Duration::from_millis(waited_ms);
+                assert!(is_late, "given up after {held_for:?}: {errors}");
+                // It may have removed the file.
+                arena.worker().kill();
+            }
+            is_ready
         });
-        arena.worker().kill();
-        releasing.join().unwrap();
     }
     let file = held(FlockOperation::NonBlockingLockShared);
     let ended = arena.run(&["run"]);

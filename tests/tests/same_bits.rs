@@ -92,7 +92,8 @@ struct Published {
 }
 
 impl Published {
-    /// Reads frames until the source has exited and all its samples are answered.
+    /// Reads frames until the source has exited and all its samples are answered, in diagnostics too: ticks that are late
+    /// leave them out.
     fn read(config: &Config, ended: &AtomicBool) -> Self {
         let bus = Bus::join(&config.domain().unwrap(), "planner").unwrap();
         let limits = config.limits();
@@ -105,7 +106,7 @@ impl Published {
         while rounds_after < 20 {
             assert!(begun.elapsed() < PATIENCE, "the source has not exited");
             waiter.wait_until(None, None).unwrap();
-            rounds_after += u32::from(ended.load(Ordering::Relaxed));
+            let (has_ended, mut has_diagnosed) = (ended.load(Ordering::Relaxed), false);
             while let Some(frame) = forecasts.take_next().unwrap() {
                 for forecast in frame.payload() {
                     let live = !matches!(forecast.quality(), Quality::OpenLoop { .. });
@@ -119,6 +120,7 @@ impl Published {
                 }
             }
             while let Some(frame) = diagnostics.take_next().unwrap() {
+                has_diagnosed = true;
                 for diagnostic in frame.payload() {
                     published
                         .diagnostics
@@ -126,6 +128,7 @@ impl Published {
                     published.last.insert(diagnostic.robot, *diagnostic);
                 }
             }
+            rounds_after += u32::from(has_ended && has_diagnosed);
         }
         published
     }

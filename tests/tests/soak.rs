@@ -11,7 +11,8 @@ use std::process::Command;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use joulebus_tests::{Arena, Child, Dice, ReaderLine, Setup, figure};
+use joulebus_bus::inspect;
+use joulebus_tests::{Arena, Child, Dice, ReaderLine, Setup, eventually, figure};
 
 const ROBOTS: &str = "1000";
 /// Captures are split so often, s; of closed ones the newest are kept, as an operator's timer would.
@@ -143,6 +144,13 @@ fn a_fleet_that_runs_for_long_holds_what_it_held_at_the_beginning() {
     wait_until_all_send(&arena, &mut source);
     // Hours of its lines would fill the test's memory.
     let mut planner = Child::spawn_unread("consumer", arena.probe(&["consumer"]));
+    let has_joined = |pid: u32| {
+        let found = inspect(arena.domain());
+        found.is_ok_and(|found| found.nodes.iter().any(|node| node.pid == Some(pid)))
+    };
+    eventually("those that are not read have joined", || {
+        has_joined(view.pid()) && has_joined(planner.pid())
+    });
     let page = page(&arena);
     // The first quarter fills buffers.
     let (begin, length) = (Instant::now(), Duration::from_secs(seconds));

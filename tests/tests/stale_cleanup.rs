@@ -19,8 +19,13 @@ fn killed_fleet(arena: &Arena) {
     let mut planner = arena.planner();
     let mut controller = arena.controller("controller", 0, 4, 60.0);
     planner.forecast("it works", |frame| frame.robot(3).map(|_| ()));
-    for process in [&mut worker, &mut controller, &mut planner.child] {
-        process.kill();
+    let mut all = [&mut worker, &mut controller, &mut planner.child];
+    // All at once: none of them removes what another one has left.
+    for process in &mut all {
+        process.signal(Signal::KILL);
+    }
+    for process in all {
+        process.wait();
     }
     assert!(arena.stale_files().len() > 10, "{:?}", arena.stale_files());
 }

@@ -145,6 +145,11 @@ fn row_2_killed_workers_are_detected_at_once_and_the_ledger_continues_exactly_fr
                 .then_some(frame.read_ns)
         });
         to_forecast.add_ns(forecast_ns - started_ns);
+        // One that gets no processor until this worker's frames have been removed never learns that it was there.
+        consumer.until("the planner has a frame of it", |line| match line {
+            ReaderLine::Given { worker_epoch, .. } => (*worker_epoch == epoch).then_some(()),
+            _ => None,
+        });
         if round == 0 {
             eventually("the ledger is saved", || {
                 written_down(&arena).is_some_and(|robots| robots.len() == ROBOTS as usize)

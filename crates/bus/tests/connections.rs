@@ -5,6 +5,7 @@ mod harness;
 use std::time::Duration;
 
 use harness::{Place, must};
+use joulebus_bus::inspect;
 use joulebus_test_processes::{Member, eventually};
 
 /// Not a test: the entry point of members started by the tests.
@@ -37,7 +38,13 @@ fn a_source_that_cannot_be_connected_and_dies_costs_the_others_no_frame() {
     assert_eq!(must(&mut worker, "take"), "none");
     assert_eq!(must(&mut worker, "degraded"), "1");
     failing.kill();
-    // It is removed by the other source, and there is nothing to be retried.
+    // It is removed by the other source, and there is nothing to be retried. The worker does not look before: one that is
+    // still listed after three seconds, because the other source gets no processor, is an error.
+    eventually("the dead one is removed", || {
+        inspect(&place.domain).is_ok_and(|found| {
+            found.nodes.len() == 2 && found.nodes.iter().all(|node| node.alive == Some(true))
+        })
+    });
     for number in 1..40 {
         assert!(!is_degraded(&mut source, &mut worker, number));
         std::thread::sleep(Duration::from_millis(100));

@@ -361,7 +361,8 @@ impl Worker {
         self.turns = turns;
     }
 
-    /// Ticks until `stop` is set, which is noticed within 100 ms, or at once when a signal sets it.
+    /// Ticks until `stop` is set, which is noticed within 100 ms, or at once when a signal sets it. Samples that came
+    /// before are taken, and counted in the report.
     /// The fleet is this process's until [`Worker::finish`].
     ///
     /// # Errors
@@ -377,6 +378,8 @@ impl Worker {
                 return Err(error);
             }
         }
+        // Where this thread gets no processor, the end is asked for before frames that were sent earlier are taken.
+        self.drain();
         Ok(())
     }
 

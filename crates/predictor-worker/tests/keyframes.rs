@@ -203,13 +203,13 @@ fn every_tick_can_be_recomputed_from_the_first_and_from_a_later_keyframe() {
     let root = format!("/dev/shm/joulebus-test-keyframes-{}", std::process::id());
     let root = PathBuf::from(root);
     let config = config(&root);
-    let [ready, stop] = [const { AtomicBool::new(false) }; 2];
+    let [early_ready, late_ready, stop] = [const { AtomicBool::new(false) }; 3];
     // Before its first tick a recorder delays nothing.
     let [read_early, read_late] = [const { AtomicU64::new(u64::MAX) }; 2];
     let (early, late) = std::thread::scope(|scope| {
         let _end = OnDrop(&stop);
-        let early = scope.spawn(|| record(&config, &ready, &read_early, &stop));
-        eventually(|| ready.load(Ordering::Relaxed));
+        let early = scope.spawn(|| record(&config, &early_ready, &read_early, &stop));
+        eventually(|| early_ready.load(Ordering::Relaxed));
         let mut worker = Worker::open(&config).unwrap();
         scope.spawn(|| feed(&config, &stop));
         // Ticks only when both have read all but the last few, because on a busy machine frames
@@ -225,15 +225,12 @@ fn every_tick_can_be_recomputed_from_the_first_and_from_a_later_keyframe() {
             }
         };
         run(150);
-        let late = scope.spawn(|| record(&config, &ready, &read_late, &stop));
-        let begun = Instant::now();
-        while read_late.load(Ordering::Relaxed) == u64::MAX {
-            run(1);
-            assert!(
-                begun.elapsed() < PATIENCE,
-                "the second recorder does not begin"
-            );
-        }
+        let late = scope.spawn(|| record(&config, &late_ready, &read_late, &stop));
+        // No tick comes between the opening of its ports and its first reading, and none before it has read the first
+        // one: it may get no processor for so long that frames are overwritten.
+        eventually(|| late_ready.load(Ordering::Relaxed));
+        run(1);
+        eventually(|| read_late.load(Ordering::Relaxed) != u64::MAX);
         run(300);
         stop.store(true, Ordering::Relaxed);
         let _ = worker.finish();

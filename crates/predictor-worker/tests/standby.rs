@@ -45,6 +45,8 @@ struct Scene {
     read: Mutex<(Vec<Forecast>, Vec<Budget>)>,
     sent_ns: AtomicU64,
     frames: AtomicU64,
+    /// How often the planner has read all that there was.
+    looks: AtomicU64,
 }
 
 impl Scene {
@@ -70,6 +72,7 @@ impl Scene {
             read: Mutex::default(),
             sent_ns: AtomicU64::new(0),
             frames: AtomicU64::new(0),
+            looks: AtomicU64::new(0),
         }
     }
 
@@ -118,12 +121,13 @@ impl Scene {
             while let Some(frame) = forecasts.take_next().unwrap() {
                 self.sent_ns
                     .fetch_max(frame.header().sent_ns, Ordering::Relaxed);
-                self.frames.fetch_add(1, Ordering::Relaxed);
                 self.read.lock().unwrap().0 = frame.payload().to_vec();
+                self.frames.fetch_add(1, Ordering::Relaxed);
             }
             while let Some(frame) = budgets.take_next().unwrap() {
                 self.read.lock().unwrap().1 = frame.payload().to_vec();
             }
+            self.looks.fetch_add(1, Ordering::Relaxed);
             std::thread::sleep(Duration::from_millis(1));
         }
     }
@@ -155,6 +159,15 @@ impl Scene {
             assert!(begun.elapsed() < PATIENCE, "{what}: not after {PATIENCE:?}");
         }
         let _ = self;
+    }
+
+    /// Waits until the planner has read all that was sent before: it may get no processor for a while.
+    fn read_all(&self) {
+        let before = self.looks.load(Ordering::Relaxed);
+        // The first one may have begun before.
+        eventually("the planner looks twice", || {
+            self.looks.load(Ordering::Relaxed) > before + 1
+        });
     }
 
     /// Energy and time of all robots' accounts, of the newest budgets.
@@ -217,6 +230,7 @@ fn without_a_permit_nothing_is_sent_and_with_one_it_goes_on_where_the_one_before
         eventually("samples", || scene.sent.load(Ordering::Relaxed) > 20);
         let stopped = AtomicBool::new(true);
         assert!(!worker.stand_by(&stopped).unwrap(), "it was stopped");
+        scene.read_all();
         assert_eq!(scene.frames.load(Ordering::Relaxed), 0, "it has no permit");
         scene.permit(1, None);
         assert!(worker.stand_by(&never).unwrap());
@@ -230,6 +244,7 @@ fn without_a_permit_nothing_is_sent_and_with_one_it_goes_on_where_the_one_before
         assert_eq!(saved.term, 1);
         fs::rename(&scene.places.keyframe, &scene.places.replica).unwrap();
         Permit::withdraw(&scene.places.permit).unwrap();
+        scene.read_all();
         let accounts = scene.accounts();
         drop(worker);
 
@@ -307,7 +322,8 @@ fn when_its_permit_has_run_out_it_sends_nothing_more_and_ends_and_a_later_permit
                 now.1 >= accounts.1 && now.2 >= accounts.2,
                 "{accounts:?}, {now:?}"
             );
-            let until_ns = clock::boot_ns() + 500_000_000;
+            // Long enough for the thread that reads the permit, which was without an end, to get a processor.
+            let until_ns = clock::boot_ns() + 3_000_000_000;
             match how {
                 "it runs out" => scene.permit(term, Some(until_ns)),
                 "it is withdrawn" => Permit::withdraw(&scene.places.permit).unwrap(),
@@ -320,6 +336,7 @@ fn when_its_permit_has_run_out_it_sends_nothing_more_and_ends_and_a_later_permit
             };
             assert_eq!(over.term, term);
             assert!(over.to_string().contains("stands by"), "{over}");
+            scene.read_all();
             if how == "it runs out" {
                 assert!(clock::boot_ns() >= until_ns);
                 assert!(scene.sent_ns.load(Ordering::Relaxed) < until_ns);
@@ -328,6 +345,7 @@ fn when_its_permit_has_run_out_it_sends_nothing_more_and_ends_and_a_later_permit
             }
             let frames = scene.frames.load(Ordering::Relaxed);
             assert!(worker.turn().is_err());
+            scene.read_all();
             assert_eq!(scene.frames.load(Ordering::Relaxed), frames);
             accounts = scene.accounts();
             assert!(accounts.0 > 0, "{accounts:?}");
@@ -378,14 +396,19 @@ fn a_state_that_is_damaged_or_of_another_fleet_is_refused_and_the_next_newest_ta
             let mut worker = Worker::open_standby(&scene.config).unwrap();
             scene.permit(term, None);
             assert!(worker.stand_by(&never).unwrap());
+            scene.read_all();
             let before = scene.accounts();
             let frames = scene.frames.load(Ordering::Relaxed);
             scene.until(&mut worker, "frames", |_| {
                 scene.frames.load(Ordering::Relaxed) > frames + 5
             });
-            eventually("budgets", || scene.accounts().1 > 0);
-            // The accounts go on from the keyframe, which is not refused.
-            let after = scene.accounts();
+            // The accounts go on from the keyframe, which is not refused. The newest budgets may still be those of the
+            // worker before, or of a tick without samples.
+            let mut after = before;
+            scene.until(&mut worker, "budgets", |_| {
+                after = scene.accounts();
+                after != before && after.0 > 0 && after.2 > 0
+            });
             assert!(
                 after.0 > 0 && after.2 > 0,
                 "term {term}: {before:?} {after:?}"

@@ -1,7 +1,6 @@
 //! Subcommands in separate executables: lookup, arguments, exit codes and signals.
 
 use std::fs;
-use std::os::unix::fs::PermissionsExt;
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -35,11 +34,16 @@ impl Installed {
     }
 }
 
-/// Writes a script that prints its path and arguments and then runs `then`.
+/// Writes a script that prints its path and arguments and then runs `then`. In a separate process: a child that another test
+/// forks in the meantime would inherit the open file, and a file open for writing cannot be executed (ETXTBSY).
 fn write_program(directory: &Path, verb: &str, then: &str) {
     let file = directory.join(format!("joulebus-{verb}"));
-    fs::write(&file, format!("#!/bin/sh\necho \"$0\" \"$@\"\n{then}\n")).unwrap();
-    fs::set_permissions(file, PermissionsExt::from_mode(0o755)).unwrap();
+    let written = Command::new("sh")
+        .args(["-c", "printf '%s' \"$1\" > \"$0\" && chmod 755 \"$0\""])
+        .arg(&file)
+        .arg(format!("#!/bin/sh\necho \"$0\" \"$@\"\n{then}\n"))
+        .status();
+    assert!(written.unwrap().success(), "{}", file.display());
 }
 
 #[test]

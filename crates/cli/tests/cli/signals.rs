@@ -3,7 +3,7 @@
 use std::fs;
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Output};
 use std::time::Duration;
 
 use joulebus_test_processes::{end_signals, eventually, ignores};
@@ -183,10 +183,7 @@ fn a_signal_ends_what_computes_at_once_and_leaves_only_whole_files() {
     }
     for row in COMPUTES.iter().filter(|row| is_built(row)) {
         for signal in signals.iter().copied() {
-            let fleet = Fleet::new();
-            let program = Program::start(command(&fleet, row));
-            std::thread::sleep(Duration::from_millis(300));
-            let ended = program.end(signal);
+            let (fleet, ended) = interrupted(row, signal);
             let by = ended.status.signal();
             assert_eq!(by, Some(signal.as_raw()), "{row}: {}", stderr(&ended));
             for file in files_below(&fleet.path("new")) {
@@ -196,6 +193,38 @@ fn a_signal_ends_what_computes_at_once_and_leaves_only_whole_files() {
             }
         }
     }
+}
+
+/// Runs a row until it computes, and ends it; tries again where this process got no processor until it was done.
+fn interrupted(row: &str, signal: Signal) -> (Fleet, Output) {
+    for _ in 0..20 {
+        let fleet = Fleet::new();
+        let program = Program::start(command(&fleet, row));
+        std::thread::sleep(Duration::from_millis(300));
+        if let Some(ended) = end_running(program, signal) {
+            return (fleet, ended);
+        }
+    }
+    panic!("{row} is done before any signal");
+}
+
+/// Sends a signal to a program that runs, and waits for its end; `None` if it was over before. It is stopped first, so
+/// that there is no doubt.
+fn end_running(mut program: Program, signal: Signal) -> Option<Output> {
+    program.signal(Signal::STOP);
+    let stat = format!("/proc/{}/stat", program.pid());
+    let mut is_stopped = false;
+    eventually("it is stopped or over", || {
+        let stat = fs::read_to_string(&stat).unwrap_or_default();
+        // After the name; one that has been waited for is not there.
+        let state = stat.rsplit_once(") ").map_or("Z", |(_, rest)| rest);
+        is_stopped = state.starts_with('T');
+        is_stopped || state.starts_with('Z')
+    });
+    program.signal(signal);
+    program.signal(Signal::CONT);
+    let ended = program.wait();
+    is_stopped.then_some(ended)
 }
 
 /// The files of a folder, if there is one.
