@@ -6,7 +6,7 @@ use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_config::Config;
-use joulebus_test_processes::{Child, joulebus_beside, left_behind};
+use joulebus_test_processes::{Child, free_port, joulebus_beside, left_behind};
 
 use crate::planner::Reader;
 
@@ -140,10 +140,9 @@ impl Host {
     }
 }
 
-/// An address of this host that nobody listens on.
+/// An address of this host that nobody listens on, and no other test gets.
 pub(crate) fn free_address() -> String {
-    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    format!("tcp/{}", listener.local_addr().unwrap())
+    format!("tcp/127.0.0.1:{}", free_port())
 }
 
 /// The file of the worker's link.
