@@ -68,10 +68,9 @@ fn read_elsewhere() -> u64 {
     let silences = taken["silences"].as_u64().unwrap();
     assert!(silences > 0 || taken["lost"] == 0, "{taken}");
     assert_eq!(taken["repeated"], 0, "{taken}");
-    assert!(
-        taken["clock_uncertainty_s"].as_f64().unwrap() < 0.02,
-        "{taken}"
-    );
+    let uncertainty_s = taken["clock_uncertainty_s"].as_f64();
+    let is_known = uncertainty_s.is_some_and(|uncertainty_s| uncertainty_s < 0.02);
+    assert!(silences > 0 || is_known, "{taken}");
     let base = ended(base);
     assert_eq!(base.json()["given"][0]["to"], "desk");
     for child in [robots, worker] {
