@@ -64,9 +64,11 @@ fn an_independent_parser_reads_the_metrics_and_finds_the_values_of_the_api() {
     let mut source = fleet.joulebus("publish sim --robots 7 --fault 2=stuck");
     let (mut server, address) = fleet.serve(&["--metrics-robots", "5"]);
     eventually("an alarm", || {
-        get_json(&address, "/api/v1/alarms")["raised"]
-            .as_array()
-            .is_some_and(|raised| !raised.is_empty())
+        let robot = get(&address, "/api/v1/robots/2");
+        robot.status == 200
+            && robot.json()["alarms"]
+                .as_array()
+                .is_some_and(|alarms| alarms.iter().any(|alarm| alarm == "StuckSensor"))
     });
     source.end();
     worker.stop();
