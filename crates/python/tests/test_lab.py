@@ -207,8 +207,15 @@ def test_what_is_wrong_is_refused_with_what_is_allowed(files, simulation, tmp_pa
 
 def computing() -> bool:
     """Whether a computation runs in this process."""
-    names = (Path(task, "comm") for task in Path("/proc/self/task").iterdir())
-    return any(name.read_text().strip() == "joulebus-lab" for name in names if name.exists())
+
+    def name(task: Path) -> str:
+        try:
+            return Path(task, "comm").read_text().strip()
+        except OSError:
+            # It has just ended.
+            return ""
+
+    return any(name(task) == "joulebus-lab" for task in Path("/proc/self/task").iterdir())
 
 
 def interrupt_when_computing() -> threading.Thread:
