@@ -153,7 +153,10 @@ fn who_shows_no_certificate_gets_no_connection() {
     let _worker = base.worker();
     let listen = format!("listen = [\"{address}\"]");
     let _link = base.link(&file("base", "base", folder.path(), &listen, "[worker]\n"));
-    assert!(connects(&address, folder.path(), Some("desk")));
+    // It gives up after three seconds.
+    eventually("a connection", || {
+        connects(&address, folder.path(), Some("desk"))
+    });
     assert!(!connects(&address, folder.path(), None));
 }
 
