@@ -69,6 +69,11 @@ initial_soc_lo = 0.95
 TOML
 XDG_STATE_HOME=$work/state "$program" run --config "$work/fleet.toml" >"$work/worker.log" 2>&1 &
 worker=$!
+# The examples wait ten seconds for a frame.
+until grep -q 'ready: fleet' "$work/worker.log"; do
+    kill -0 "$worker" || { cat "$work/worker.log" >&2; exit 1; }
+    sleep 0.1
+done
 
 if has pkg-config; then
     mkdir "$work/make"

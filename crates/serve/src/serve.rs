@@ -120,10 +120,12 @@ impl fmt::Display for ServeReport {
                 told,
                 failed,
                 lost,
+                ticks_missed,
             } = webhook;
             writeln!(
                 out,
-                "told {host} of alarms of fleet {fleet}: {told} changes, {lost} lost, {failed} requests failed"
+                "told {host} of alarms of fleet {fleet}: {told} changes, {lost} lost ({ticks_missed} of them ticks without diagnostics), \
+                 {failed} requests failed"
             )?;
         }
         Ok(())

@@ -50,6 +50,8 @@ pub(crate) struct WebhookReport {
     pub(crate) failed: u64,
     /// Changes that it did not take, or that could not wait; ticks without diagnostics.
     pub(crate) lost: u64,
+    /// Those ticks: alarms that were raised and ended within them are not known.
+    pub(crate) ticks_missed: u64,
 }
 
 /// The running threads.
@@ -166,13 +168,14 @@ impl Webhook {
         }
         read?;
         let count = |count: &AtomicU64| count.load(Ordering::Relaxed);
-        let told = count(&shared.told);
+        let (told, ticks_missed) = (count(&shared.told), count(&shared.ticks_missed));
         let untold = count(&shared.changes).saturating_sub(told);
         Ok(WebhookReport {
             host: self.host,
             told,
             failed: count(&shared.failed),
-            lost: untold + count(&shared.ticks_missed),
+            lost: untold + ticks_missed,
+            ticks_missed,
         })
     }
 }

@@ -4,6 +4,7 @@
 
 mod end_signals;
 mod member;
+mod ports;
 
 use std::ffi::OsStr;
 use std::io::{BufRead as _, BufReader, Read, Write as _};
@@ -18,6 +19,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 pub use end_signals::{end_signals, ignores};
 pub use member::{Member, send_to_test};
+pub use ports::free_port;
 
 /// Timeout of every wait. Far beyond the delays of a busy machine: only a defect reaches it.
 pub const PATIENCE: Duration = Duration::from_secs(180);

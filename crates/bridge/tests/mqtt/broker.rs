@@ -1,13 +1,13 @@
 //! A real Mosquitto, and a client of it.
 
 use std::fs;
-use std::net::{TcpListener, TcpStream};
+use std::net::TcpStream;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use joulebus_test_processes::{Child, eventually};
+use joulebus_test_processes::{Child, eventually, free_port};
 use rumqttc::{Client, Event, MqttOptions, Packet, QoS};
 use serde_json::Value;
 
@@ -43,11 +43,7 @@ pub(crate) struct Broker {
 impl Broker {
     /// Starts one on a free port; `more` are lines of its config.
     pub(crate) fn start(program: &Path, more: &str) -> Self {
-        let port = TcpListener::bind("127.0.0.1:0")
-            .unwrap()
-            .local_addr()
-            .unwrap()
-            .port();
+        let port = free_port();
         let folder = tempfile::tempdir().unwrap();
         let text = format!(
             "listener {port} 127.0.0.1\npersistence false\nmax_queued_messages 100000\nuser root\n{more}\n"

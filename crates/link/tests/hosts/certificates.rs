@@ -6,10 +6,10 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
-use joulebus_test_processes::Child;
+use joulebus_test_processes::{Child, eventually};
 use zenoh::Wait as _;
 
-use crate::host::{FOLLOW, Host, SAMPLES, free_address};
+use crate::host::{FOLLOW, Host, SAMPLES, free_address, is_asked_by};
 
 /// Makes certificates as the documentation says, valid for `days`.
 pub(crate) fn certificates(folder: &Path, days: u32, hosts: &[&str]) -> bool {
@@ -74,6 +74,9 @@ fn only_certificates_of_the_fleets_authority_are_let_in_and_samples_come_under_t
         let sides = format!("{SAMPLES}{FOLLOW}");
         let text = file("edge", certificate, authority, &connect, &sides);
         let mut edge = there.link(&text);
+        if is_let_in {
+            is_asked_by(&edge, "base");
+        }
         let mut robots = there.robots(&["--robots", "2"]);
         let mut planner = is_let_in.then(|| there.planner());
         match &mut planner {
@@ -88,6 +91,18 @@ fn only_certificates_of_the_fleets_authority_are_let_in_and_samples_come_under_t
         let report = edge.end().json();
         let given = report["given"][0]["frames"].as_u64().unwrap_or(0);
         assert_eq!(given > 0, is_let_in, "{certificate}: {report}");
+        if may_publish {
+            // After its last samples; the worker takes them with its next tick.
+            eventually("the end of the link is known", || {
+                let said = link.errors();
+                said.contains("the link of edge is gone")
+                    || said.contains("no samples come from edge")
+            });
+        }
+        let mut beside = base.planner();
+        beside.fresh();
+        beside.fresh();
+        beside.leave();
         let now = accepted(&base);
         assert_eq!(now > before, may_publish, "{certificate}: {report}");
         before = now;
@@ -138,15 +153,26 @@ fn who_shows_no_certificate_gets_no_connection() {
     let _worker = base.worker();
     let listen = format!("listen = [\"{address}\"]");
     let _link = base.link(&file("base", "base", folder.path(), &listen, "[worker]\n"));
-    assert!(connects(&address, folder.path(), Some("desk")));
+    // It gives up after three seconds.
+    eventually("a connection", || {
+        connects(&address, folder.path(), Some("desk"))
+    });
     assert!(!connects(&address, folder.path(), None));
 }
 
 /// Samples that the worker has accepted.
 fn accepted(base: &Host) -> u64 {
-    let watched = base.joulebus(&["watch", "--once", "--format", "json"]);
-    let watched = Child::spawn("watch", watched).wait().json();
-    watched["samples_accepted"].as_u64().unwrap()
+    let mut accepted = None;
+    // The watch gives up after three seconds.
+    eventually("the worker is heard", || {
+        let watched = base.joulebus(&["watch", "--once", "--format", "json"]);
+        let watched = Child::spawn("watch", watched).wait();
+        if watched.code() == Some(0) {
+            accepted = watched.json()["samples_accepted"].as_u64();
+        }
+        accepted.is_some()
+    });
+    accepted.unwrap()
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_config::Config;
-use joulebus_test_processes::{Child, joulebus_beside, left_behind};
+use joulebus_test_processes::{Child, eventually, free_port, joulebus_beside, left_behind};
 
 use crate::planner::Reader;
 
@@ -43,7 +43,7 @@ impl Host {
         let text = format!(
             "[fleet]\nname = \"lab\"\ncapacity = {capacity}\n\
              [domain]\nroot = \"{root}\"\nprefix = \"jbl{number}_\"\n\
-             [intake]\nmax_sources = 6\nleave_after_s = 4\n[readers]\nmax_planners = 10\n\
+             [intake]\nmax_sources = 6\nleave_after_s = 60\n[readers]\nmax_planners = 10\n\
              [ledger]\ncheckpoint = \"\"\n\
              [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-{last}\"]\n\
              [platform.battery]\ncapacity_wh = 10\ninitial_soc = 1\ninitial_soc_lo = 0.9\n"
@@ -140,10 +140,27 @@ impl Host {
     }
 }
 
-/// An address of this host that nobody listens on.
+/// Waits until a link has been asked for its frames by the one of that name: from then on it gives them.
+pub(crate) fn is_asked_by(link: &Child, name: &str) {
+    let says = format!("link {name} asks for ");
+    // Perhaps before it said that it is open.
+    eventually(&says, || link.errors().contains(&says));
+}
+
+/// Times that a scene is played which was disturbed.
+const ATTEMPTS: usize = 5;
+
+/// Plays a scene in which no message may be lost while its links hear each other, until they did all the time. `scene` returns
+/// how often one heard nothing: a link that gets no processor for a second is taken for gone, and what was on its way to it is
+/// lost, and counted, as is promised.
+pub(crate) fn undisturbed(mut scene: impl FnMut() -> u64) {
+    let is_undisturbed = (0..ATTEMPTS).any(|_| scene() == 0);
+    assert!(is_undisturbed, "nothing came for a while, {ATTEMPTS} times");
+}
+
+/// An address of this host that nobody listens on, and no other test gets.
 pub(crate) fn free_address() -> String {
-    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    format!("tcp/{}", listener.local_addr().unwrap())
+    format!("tcp/127.0.0.1:{}", free_port())
 }
 
 /// The file of the worker's link.

@@ -5,7 +5,10 @@ use std::time::Duration;
 
 use joulebus_test_processes::{Child, Ended, eventually};
 
-use crate::host::{FOLLOW, Host, SAMPLES, free_address, of_other, of_worker};
+use crate::host::{
+    FOLLOW, Host, SAMPLES, free_address, is_asked_by, of_other, of_worker, undisturbed,
+};
+use crate::planner::Reader;
 
 fn ended(mut child: Child) -> Ended {
     child.end()
@@ -13,6 +16,14 @@ fn ended(mut child: Child) -> Ended {
 
 #[test]
 fn planners_elsewhere_read_the_bits_of_the_worker_and_nothing_looks_fresher_than_it_is() {
+    undisturbed(read_elsewhere);
+}
+
+/// Frames in which a clock may not be known well yet: each round trip bounds it, and the first ones may take long.
+const EARLY: usize = 30;
+
+/// Returns how often nothing came from the worker's link.
+fn read_elsewhere() -> u64 {
     let (here, there) = (Host::new(), Host::new());
     let address = free_address();
     let worker = here.worker();
@@ -22,7 +33,7 @@ fn planners_elsewhere_read_the_bits_of_the_worker_and_nothing_looks_fresher_than
     let (mut near, mut far) = (here.planner(), there.planner());
     let (mut own, mut came) = (BTreeMap::new(), BTreeMap::new());
     let mut both = Vec::new();
-    while both.len() < 60 {
+    while both.len() < EARLY + 60 {
         let frame = near.frame();
         own.insert(frame.tick, frame);
         let frame = far.frame();
@@ -31,14 +42,14 @@ fn planners_elsewhere_read_the_bits_of_the_worker_and_nothing_looks_fresher_than
         let in_both = came.keys().filter(|tick| own.contains_key(*tick));
         both = in_both.copied().collect();
     }
-    for tick in both {
+    for (at, tick) in both.into_iter().enumerate() {
         let (frame, own) = (&came[&tick], &own[&tick]);
         assert_eq!((frame.epoch, frame.rows.len()), (own.epoch, own.rows.len()));
         for (row, own) in frame.rows.iter().zip(&own.rows) {
             assert_eq!(row.bits, own.bits, "tick {tick}");
             let older_ns = own.stamp_ns.checked_sub(row.stamp_ns);
             let older_ns = older_ns.expect("never younger than it is");
-            assert!(older_ns < 100_000_000, "{older_ns}");
+            assert!(at < EARLY || older_ns < 100_000_000, "{older_ns}");
             assert_eq!(own.target_ns - row.target_ns, older_ns);
         }
     }
@@ -54,29 +65,35 @@ fn planners_elsewhere_read_the_bits_of_the_worker_and_nothing_looks_fresher_than
     let desk = ended(desk);
     let taken = desk.json()["taken"][0].clone();
     assert!(taken["frames"].as_u64().unwrap() > 60, "{taken}");
-    assert_eq!(
-        (taken["lost"].as_u64(), taken["repeated"].as_u64()),
-        (Some(0), Some(0))
-    );
-    assert!(
-        taken["clock_uncertainty_s"].as_f64().unwrap() < 0.02,
-        "{taken}"
-    );
+    let silences = taken["silences"].as_u64().unwrap();
+    assert!(silences > 0 || taken["lost"] == 0, "{taken}");
+    assert_eq!(taken["repeated"], 0, "{taken}");
+    let uncertainty_s = taken["clock_uncertainty_s"].as_f64();
+    let is_known = uncertainty_s.is_some_and(|uncertainty_s| uncertainty_s < 0.02);
+    assert!(silences > 0 || is_known, "{taken}");
     let base = ended(base);
     assert_eq!(base.json()["given"][0]["to"], "desk");
     for child in [robots, worker] {
         assert_eq!(ended(child).code(), Some(0));
     }
     assert_eq!((here.stale_files(), there.stale_files()), (vec![], vec![]));
+    silences
 }
 
 #[test]
 fn samples_of_another_host_reach_the_worker_under_their_own_identity_and_all_are_accounted_for() {
+    undisturbed(samples_of_another_host);
+}
+
+/// Returns how often nothing came from the robots' link.
+fn samples_of_another_host() -> u64 {
     let (here, there) = (Host::new(), Host::new());
     let address = free_address();
     let worker = here.worker();
     let base = here.link(&of_worker(&address, &["edge"]));
     let edge = there.link(&of_other("edge", &address, &format!("{SAMPLES}{FOLLOW}")));
+    // What is published before is not given.
+    is_asked_by(&edge, "base");
     let mut robots = there.robots(&[
         "--format",
         "json",
@@ -102,16 +119,20 @@ fn samples_of_another_host_reach_the_worker_under_their_own_identity_and_all_are
     let robots = robots.wait();
     assert_eq!(robots.code(), Some(0), "{robots:?}");
     let sent = robots.json()["samples_sent"].as_u64().unwrap();
+    // The last ones are not known of where they were lost with their link.
+    let is_silent = || {
+        let said = base.errors();
+        said.contains("no samples come from edge") || said.contains("the link of edge is gone")
+    };
     eventually("all samples are accounted for", || {
-        here.known_samples() == Some(sent)
+        here.known_samples() == Some(sent) || is_silent()
     });
-    ended(edge);
+    // Before the other one: its end is no silence.
     let base = ended(base);
-    assert_eq!(
-        base.json()["taken"][0]["lost"].as_u64(),
-        Some(0),
-        "{base:?}"
-    );
+    ended(edge);
+    let taken = base.json()["taken"][0].clone();
+    let silences = taken["silences"].as_u64().unwrap();
+    assert!(silences > 0 || taken["lost"] == 0, "{base:?}");
     let report = ended(worker).json();
     let dropped: u64 = report["samples_dropped"]
         .as_object()
@@ -120,9 +141,10 @@ fn samples_of_another_host_reach_the_worker_under_their_own_identity_and_all_are
         .filter_map(serde_json::Value::as_u64)
         .sum();
     let accepted = report["samples_accepted"].as_u64().unwrap();
-    assert!(accepted > 200, "{report}");
-    assert_eq!(accepted + dropped, sent, "{report}");
+    assert!(silences > 0 || accepted > 200, "{report}");
+    assert!(silences > 0 || accepted + dropped == sent, "{report}");
     assert_eq!((here.stale_files(), there.stale_files()), (vec![], vec![]));
+    silences
 }
 
 #[test]
@@ -187,24 +209,44 @@ fn clocks_that_are_kept_together_bound_the_uncertainty_where_the_kernel_says_tha
     }
 }
 
+/// Times that something is ended until planners elsewhere are told how.
+const ATTEMPTS: usize = 5;
+
+/// `ends` begins a part of the fleet, waits until the planner reads, and ends the part; until the planner is told so. A link
+/// that gets no processor for a second is taken for gone before, as is promised.
+fn gone_as(planner: &mut Reader, expected: &str, mut ends: impl FnMut(&mut Reader)) {
+    for _ in 0..ATTEMPTS {
+        ends(planner);
+        let how = planner.gone();
+        if how == expected {
+            return;
+        }
+        assert_eq!(how, "Unreachable", "expected {expected}");
+    }
+    panic!("{ATTEMPTS} times unreachable, expected {expected}");
+}
+
 #[test]
 fn planners_elsewhere_learn_how_a_worker_ended_and_read_the_next_one_without_joining_again() {
     let (here, there) = (Host::new(), Host::new());
     let address = free_address();
-    let mut worker = here.worker();
+    let mut worker = Some(here.worker());
     let _robots = here.robots(&["--robots", "3"]);
     let mut base = here.link(&of_worker(&address, &[]));
-    let mut desk = there.link(&of_other("desk", &address, FOLLOW));
+    let mut desk = Some(there.link(&of_other("desk", &address, FOLLOW)));
     let mut planner = there.planner();
-    planner.fresh();
     // The worker's process is killed.
-    worker.kill();
-    assert_eq!(planner.gone(), "Ended");
-    let mut worker = here.worker();
-    planner.fresh();
+    gone_as(&mut planner, "Ended", |planner| {
+        let mut worker = worker.take().unwrap_or_else(|| here.worker());
+        planner.fresh();
+        worker.kill();
+    });
     // It ends by itself.
-    assert_eq!(worker.end().code(), Some(0));
-    assert_eq!(planner.gone(), "Ended");
+    gone_as(&mut planner, "Ended", |planner| {
+        let mut worker = here.worker();
+        planner.fresh();
+        assert_eq!(worker.end().code(), Some(0));
+    });
     let _worker = here.worker();
     planner.fresh();
     // The link of its host is killed: the worker may run.
@@ -216,14 +258,18 @@ fn planners_elsewhere_learn_how_a_worker_ended_and_read_the_next_one_without_joi
     assert_eq!(base.end().code(), Some(0));
     assert_eq!(planner.gone(), "Unreachable");
     let _base = here.link(&of_worker(&address, &[]));
-    planner.fresh();
     // The link of this host is killed.
-    desk.kill();
-    assert_eq!(planner.gone(), "Exited");
-    let mut desk = there.link(&of_other("desk", &address, FOLLOW));
-    planner.fresh();
-    assert!(desk.end().code().is_some());
-    assert_eq!(planner.gone(), "Ended");
+    gone_as(&mut planner, "Exited", |planner| {
+        let begun = || there.link(&of_other("desk", &address, FOLLOW));
+        let mut desk = desk.take().unwrap_or_else(begun);
+        planner.fresh();
+        desk.kill();
+    });
+    gone_as(&mut planner, "Ended", |planner| {
+        let mut desk = there.link(&of_other("desk", &address, FOLLOW));
+        planner.fresh();
+        assert!(desk.end().code().is_some());
+    });
     let _desk = there.link(&of_other("desk", &address, FOLLOW));
     planner.fresh();
     assert!(planner.fresh().runs >= 5);
@@ -240,7 +286,7 @@ fn a_receiver_gets_the_ticks_and_robots_that_it_asks_for() {
     let _desk = there.link(&of_other("desk", &address, &follow));
     let (mut near, mut planner) = (here.planner(), there.planner());
     let period_ns = near.frame().period_ns;
-    let mut ticks = Vec::new();
+    let (mut ticks, mut last_read_ns) = (Vec::new(), 0);
     // Not one of twenty pairs in a row without a loss between them: then nothing is consecutive.
     while ticks.len() < 8 || !(ticks.windows(2).any(|pair| pair[1] == pair[0] + 1)) {
         assert!(ticks.len() < 20, "{ticks:?}");
@@ -253,11 +299,15 @@ fn a_receiver_gets_the_ticks_and_robots_that_it_asks_for() {
             "{frame:?}"
         );
         ticks.push(frame.tick);
+        last_read_ns = frame.read_ns;
     }
-    // The worker's, of which one in five is told.
-    let worked = std::iter::repeat_with(|| near.frame().tick);
+    // The worker's, of which one in five is told: one that was sent later is later.
+    let mut later = near.frame();
+    while later.sent_ns < last_read_ns {
+        later = near.frame();
+    }
     let last = ticks[ticks.len() - 1];
-    assert!(worked.take(600).any(|tick| tick / 5 >= last), "{ticks:?}");
+    assert!(later.tick / 5 >= last, "{ticks:?}, then {later:?}");
     near.leave();
 }
 

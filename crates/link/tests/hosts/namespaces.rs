@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::host::{FOLLOW, Host, SAMPLES, of_other, of_worker};
+use crate::host::{FOLLOW, Host, SAMPLES, of_other, of_worker, undisturbed};
 
 /// Some hosts with an address each, on one switch.
 pub(crate) struct Wires {
@@ -177,7 +177,12 @@ fn a_partition_is_told_within_its_bound_and_after_it_all_goes_on_by_itself() {
 
 #[test]
 fn over_a_long_way_that_loses_and_reorders_packets_each_frame_comes_once_and_none_looks_fresher() {
-    let Some(wires) = Wires::new(2) else { return };
+    undisturbed(over_a_long_way);
+}
+
+/// Returns how often nothing came from the worker's link.
+fn over_a_long_way() -> u64 {
+    let Some(wires) = Wires::new(2) else { return 0 };
     let _way = wires.long_way();
     let (here, there) = (wires.host(0), wires.host(1));
     let _worker = here.worker();
@@ -203,9 +208,13 @@ fn over_a_long_way_that_loses_and_reorders_packets_each_frame_comes_once_and_non
     planner.leave();
     let report = edge.end().json();
     let taken = &report["taken"][0];
-    assert!(taken["lost"] == 0 && taken["repeated"] == 0, "{report}");
+    let silences = taken["silences"].as_u64().unwrap();
+    let is_whole = taken["lost"] == 0 && taken["repeated"] == 0;
+    assert!(silences > 0 || is_whole, "{report}");
     // Half the round trip at most, and what the clocks may drift.
-    let uncertainty_s = taken["clock_uncertainty_s"].as_f64().unwrap();
-    assert!((0.0..0.5).contains(&uncertainty_s), "{report}");
+    let uncertainty_s = taken["clock_uncertainty_s"].as_f64();
+    let is_known = uncertainty_s.is_some_and(|uncertainty_s| (0.0..0.5).contains(&uncertainty_s));
+    assert!(silences > 0 || is_known, "{report}");
     drop(base);
+    silences
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use joulebus_test_processes::{Child, eventually};
 use serde_json::Value;
 
-use crate::host::{Host, free_address};
+use crate::host::{Host, free_address, is_asked_by, undisturbed};
 use crate::planner::Frame;
 
 const LISTS: &str = "[[shard]]\nname = \"north\"\nworkers = [\"north-1\"]\nrobots = [\"0-4\"]\n\
@@ -52,8 +52,8 @@ impl Fleet {
         )
     }
 
-    fn links(&self) -> Vec<Child> {
-        vec![
+    fn links(&self) -> [Child; 4] {
+        [
             self.north.link(&self.of_worker("north-1", 0)),
             self.south.link(&self.of_worker("south-1", 1)),
             self.edge.link(&self.of_other("edge", "[samples]\n")),
@@ -92,58 +92,83 @@ fn is_answered(host: &Host, words: &[&str]) -> bool {
 #[test]
 fn planners_see_one_fleet_and_each_worker_has_its_own_robots_and_all_samples_are_accounted_for() {
     for shards in [LISTS.to_owned(), LISTS.replace("robots", "# robots")] {
-        let fleet = Fleet::new(&shards);
-        let workers = [fleet.north.worker(), fleet.south.worker()];
-        let links = fleet.links();
-        let words = ["--format", "json", "--robots", "10"];
-        let mut source = fleet.edge.robots(&words);
-        let mut planner = fleet.desk.planner();
-        let all: BTreeSet<u32> = (0..10).collect();
-        let (mut whole, mut last) = (0, (0, 0));
-        while whole < 30 {
-            let frame = planner.frame();
-            let robots = robots(&frame);
-            let distinct: BTreeSet<u32> = robots.iter().copied().collect();
-            assert_eq!(distinct.len(), robots.len(), "{robots:?}");
-            assert!((frame.epoch, frame.tick) > last, "{frame:?}");
-            assert!(frame.sent_ns <= frame.read_ns);
-            last = (frame.epoch, frame.tick);
-            whole += u32::from(with_power(&frame) == all);
-        }
-        planner.leave();
-        // Robots of both shards are compared; on a busy machine a frame may be stale now and then.
-        let words = ["ask", "--rank", "1,8,4,6", "--idle", "5"];
-        while !is_answered(&fleet.desk, &words) {}
-        let source = source.end();
-        let sent = number(&source.json(), "samples_sent");
-        let hosts = [&fleet.north, &fleet.south];
-        let known = || {
-            hosts
-                .iter()
-                .map(|host| host.known_samples())
-                .sum::<Option<u64>>()
-        };
-        eventually("all samples are accounted for", || known() == Some(sent));
-        for mut link in links.into_iter().rev() {
-            let ended = link.end();
-            let report = ended.json();
-            for taken in report["taken"].as_array().unwrap() {
-                let none = [&taken["lost"], &taken["repeated"], &taken["other_runs"]];
-                assert!(none.iter().all(|count| **count == 0), "{ended:?}");
-                assert_eq!(taken["refused"], serde_json::json!({}), "{ended:?}");
-            }
-        }
-        let reports = workers.map(|mut worker| worker.end().json());
-        let (mut known, mut accepted) = (0, Vec::new());
-        for report in &reports {
-            let dropped = report["samples_dropped"].as_object().unwrap().values();
-            known += dropped.filter_map(Value::as_u64).sum::<u64>();
-            accepted.push(number(report, "samples_accepted"));
-        }
-        known += accepted.iter().sum::<u64>();
-        assert_eq!(known, sent, "{reports:?}");
-        assert!(accepted.iter().all(|it| *it > 0), "{accepted:?}");
+        undisturbed(|| one_fleet(&shards));
     }
+}
+
+/// Returns how often nothing came from a link.
+fn one_fleet(shards: &str) -> u64 {
+    let fleet = Fleet::new(shards);
+    let workers = [fleet.north.worker(), fleet.south.worker()];
+    let [north, south, edge, desk] = fleet.links();
+    for name in ["north-1", "south-1"] {
+        // What is published before is not given.
+        is_asked_by(&edge, name);
+    }
+    let words = ["--format", "json", "--robots", "10"];
+    let mut source = fleet.edge.robots(&words);
+    let mut planner = fleet.desk.planner();
+    let all: BTreeSet<u32> = (0..10).collect();
+    let (mut whole, mut last) = (0, (0, 0));
+    while whole < 30 {
+        let frame = planner.frame();
+        let robots = robots(&frame);
+        let distinct: BTreeSet<u32> = robots.iter().copied().collect();
+        assert_eq!(distinct.len(), robots.len(), "{robots:?}");
+        assert!((frame.epoch, frame.tick) > last, "{frame:?}");
+        assert!(frame.sent_ns <= frame.read_ns);
+        last = (frame.epoch, frame.tick);
+        whole += u32::from(with_power(&frame) == all);
+    }
+    planner.leave();
+    // Robots of both shards are compared; on a busy machine a frame may be stale now and then.
+    let words = ["ask", "--rank", "1,8,4,6", "--idle", "5"];
+    while !is_answered(&fleet.desk, &words) {}
+    let source = source.end();
+    let sent = number(&source.json(), "samples_sent");
+    let hosts = [&fleet.north, &fleet.south];
+    let known = || {
+        hosts
+            .iter()
+            .map(|host| host.known_samples())
+            .sum::<Option<u64>>()
+    };
+    // The last ones are not known of where they were lost with their link.
+    let is_silent = || {
+        let said = format!("{} {}", north.errors(), south.errors());
+        said.contains("no samples come from edge") || said.contains("the link of edge is gone")
+    };
+    eventually("all samples are accounted for", || {
+        known() == Some(sent) || is_silent()
+    });
+    let mut silences = 0;
+    // Each before those that it takes from: their end is no silence.
+    for mut link in [desk, north, south, edge] {
+        let ended = link.end();
+        let report = ended.json();
+        for taken in report["taken"].as_array().unwrap() {
+            let silent = number(taken, "silences");
+            let none = [&taken["lost"], &taken["repeated"], &taken["other_runs"]];
+            let is_whole = none.iter().all(|count| **count == 0);
+            assert!(silent > 0 || is_whole, "{ended:?}");
+            assert_eq!(taken["refused"], serde_json::json!({}), "{ended:?}");
+            silences += silent;
+        }
+    }
+    let reports = workers.map(|mut worker| worker.end().json());
+    let (mut known, mut accepted) = (0, Vec::new());
+    for report in &reports {
+        let dropped = report["samples_dropped"].as_object().unwrap().values();
+        known += dropped.filter_map(Value::as_u64).sum::<u64>();
+        accepted.push(number(report, "samples_accepted"));
+    }
+    known += accepted.iter().sum::<u64>();
+    assert!(
+        silences > 0 || known == sent,
+        "{known} of {sent}: {reports:?}"
+    );
+    assert!(accepted.iter().all(|it| *it > 0), "{accepted:?}");
+    silences
 }
 
 #[test]
@@ -153,10 +178,10 @@ fn every_n_th_frame_of_several_shards_has_all_their_robots_whenever_each_sends_i
     let _north = fleet.north.worker();
     std::thread::sleep(std::time::Duration::from_millis(90));
     let _south = fleet.south.worker();
-    let mut links = fleet.links();
-    links.pop().unwrap().end();
-    let of_desk = fleet.of_other("desk", "[follow]\nevery = 8\n");
-    links.push(fleet.desk.link(&of_desk));
+    let [_of_north, _of_south, _of_edge, mut of_desk] = fleet.links();
+    of_desk.end();
+    let thinned = fleet.of_other("desk", "[follow]\nevery = 8\n");
+    let _of_desk = fleet.desk.link(&thinned);
     let _source = fleet.edge.robots(&["--robots", "10"]);
     let (mut near, mut planner) = (fleet.north.planner(), fleet.desk.planner());
     let period_ns = near.frame().period_ns;
@@ -168,7 +193,9 @@ fn every_n_th_frame_of_several_shards_has_all_their_robots_whenever_each_sends_i
         assert_eq!(frame.period_ns, 8 * period_ns);
         match with_power(&frame) == all {
             true => whole += 1,
-            // Those of the beginning, and on a busy machine.
+            // Of the beginning, however long that takes.
+            false if whole == 0 => {}
+            // On a busy machine.
             false => parts += 1,
         }
     }

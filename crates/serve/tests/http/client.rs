@@ -3,7 +3,7 @@
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::{Ipv4Addr, SocketAddrV4, TcpStream};
 
-use joulebus_test_processes::PATIENCE;
+use joulebus_test_processes::{PATIENCE, eventually};
 use rustix::net::{AddressFamily, SocketType, bind, connect, socket};
 use serde_json::Value;
 
@@ -70,6 +70,26 @@ pub(crate) fn get_json(address: &str, path: &str) -> Value {
     let response = get(address, path);
     assert_eq!(response.status, 200, "{path}: {}", response.text());
     response.json()
+}
+
+/// The answer to a question about a plan. A server asks to be asked again where no frame of the worker is fresh in time.
+pub(crate) fn what_if(address: &str, question: &str) -> Response {
+    let head = format!(
+        "POST /api/v1/what_if HTTP/1.1\r\nHost: {address}\r\nContent-Type: application/json"
+    );
+    answered("an answer about a plan", || {
+        send(address, &head, question.as_bytes())
+    })
+}
+
+/// The first response that is not 503, which a busy server answers.
+pub(crate) fn answered(what: &str, mut ask: impl FnMut() -> Response) -> Response {
+    let mut found = None;
+    eventually(what, || {
+        found = Some(ask()).filter(|response| response.status != 503);
+        found.is_some()
+    });
+    found.unwrap()
 }
 
 /// The response of a connection that is closed after it.

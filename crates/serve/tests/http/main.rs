@@ -14,7 +14,7 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::path::PathBuf;
 use std::process::Command;
 
-use client::{Events, get, get_json, send};
+use client::{Events, get, get_json, send, what_if};
 use fleet::Fleet;
 use joulebus_test_processes::{PATIENCE, end_signals, eventually};
 use rustix::process::Signal;
@@ -143,8 +143,11 @@ fn an_alarm_appears_with_its_time_and_a_stream_adds_up_to_what_is_asked() {
             .iter()
             .any(|raised| raised["robot"] == 1 && raised["alarm"] == "StuckSensor")
     });
-    let change = &events.view["alarms"]["changes"][0];
-    assert_eq!(change["change"], "raised");
+    let changes = events.view["alarms"]["changes"].as_array().unwrap();
+    let mut changes = changes.iter().filter(|change| {
+        change["robot"] == 1 && change["alarm"] == "StuckSensor" && change["change"] == "raised"
+    });
+    let change = changes.next().unwrap();
     assert_eq!(change["at_unix_ns"], change["raised_unix_ns"]);
     let now_unix_ns = events.view["fleet"]["now_unix_ns"].as_u64().unwrap();
     let at_unix_ns = change["at_unix_ns"].as_u64().unwrap();
@@ -171,9 +174,11 @@ fn an_alarm_appears_with_its_time_and_a_stream_adds_up_to_what_is_asked() {
     events.until("the worker's end", |view| {
         view["fleet"]["worker"]["state"] == "gone"
     });
-    let robots = get_json(&address, "/api/v1/robots?sort=robot");
-    events.until("the newest values", |view| view["robots"] == robots);
-    assert_eq!(events.view["alarms"], get_json(&address, "/api/v1/alarms"));
+    // A further look at the fleet may have been shown between the stream and the answer.
+    events.until("the newest values", |view| {
+        view["robots"] == get_json(&address, "/api/v1/robots?sort=robot")
+            && view["alarms"] == get_json(&address, "/api/v1/alarms")
+    });
     server.stop();
 }
 
@@ -201,15 +206,16 @@ fn the_server_sorts_filters_and_cuts() {
     assert_eq!(ids("sort=robot&search=10"), [10, 100, 101, 102]);
     assert_eq!(ids("search=nothing"), Vec::<u64>::new());
     assert_eq!(ids("from=4000000000"), Vec::<u64>::new());
-    let robots = get_json(&address, "/api/v1/robots?sort=power&descending=1&count=200");
-    let powers = robots["robots"].as_array().unwrap().iter();
-    let powers: Vec<f64> = powers
-        .filter_map(|robot| robot["reading_w"].as_f64())
-        .collect();
-    assert!(
-        powers.len() > 3 && powers.is_sorted_by(|a, b| a >= b),
-        "{powers:?}"
-    );
+    let mut powers: Vec<f64> = Vec::new();
+    eventually("powers", || {
+        let robots = get_json(&address, "/api/v1/robots?sort=power&descending=1&count=200");
+        let robots = robots["robots"].as_array().unwrap().iter();
+        powers = robots
+            .filter_map(|robot| robot["reading_w"].as_f64())
+            .collect();
+        powers.len() > 3
+    });
+    assert!(powers.is_sorted_by(|a, b| a >= b), "{powers:?}");
     for (query, told) in [
         ("sort=age", "urgency"),
         ("descending=yes", "0 or 1"),
@@ -243,19 +249,21 @@ fn a_question_is_answered_as_by_ask() {
     eventually("readings", || {
         get(&address, "/api/v1/robots/1").json()["power_w"].is_number()
     });
-    let ask = |question: &Value| {
-        let head = format!(
-            "POST /api/v1/what_if HTTP/1.1\r\nHost: {address}\r\nContent-Type: application/json"
-        );
-        send(&address, &head, question.to_string().as_bytes())
-    };
+    let ask = |question: &Value| what_if(&address, &question.to_string());
     let answered = ask(&json!({"robot": 1, "idle_s": 20, "coverage": 0.8}));
     assert_eq!(answered.status, 200, "{}", answered.text());
     let answered = answered.json();
-    let printed = fleet
-        .joulebus("ask --robot 1 --idle 20 --coverage 0.8 --format json")
-        .wait();
-    let printed = printed.json();
+    let mut printed = Value::Null;
+    // It gives up where no frame is fresh in time.
+    eventually("an answer of `ask`", || {
+        let asked = fleet
+            .joulebus("ask --robot 1 --idle 20 --coverage 0.8 --format json")
+            .wait();
+        if asked.code() == Some(0) {
+            printed = asked.json();
+        }
+        !printed.is_null()
+    });
     let names =
         |value: &Value| -> Vec<String> { value.as_object().unwrap().keys().cloned().collect() };
     assert_eq!(names(&answered), names(&printed));

@@ -4,7 +4,7 @@ use std::io::Write as _;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use joulebus_test_processes::eventually;
+use joulebus_test_processes::{eventually, free_port};
 use serde_json::Value;
 
 use crate::client::{get, get_json};
@@ -64,9 +64,11 @@ fn an_independent_parser_reads_the_metrics_and_finds_the_values_of_the_api() {
     let mut source = fleet.joulebus("publish sim --robots 7 --fault 2=stuck");
     let (mut server, address) = fleet.serve(&["--metrics-robots", "5"]);
     eventually("an alarm", || {
-        get_json(&address, "/api/v1/alarms")["raised"]
-            .as_array()
-            .is_some_and(|raised| !raised.is_empty())
+        let robot = get(&address, "/api/v1/robots/2");
+        robot.status == 200
+            && robot.json()["alarms"]
+                .as_array()
+                .is_some_and(|alarms| alarms.iter().any(|alarm| alarm == "StuckSensor"))
     });
     source.end();
     worker.stop();
@@ -176,11 +178,7 @@ fn prometheus(fleet: &Fleet, target: &str) -> Option<(joulebus_test_processes::C
          scrape_configs: [{{job_name: joulebus, static_configs: [{{targets: [\"{target}\"]}}]}}]\n"
     );
     std::fs::write(&config, text).unwrap();
-    // Free a moment ago; if another process takes it meanwhile, Prometheus ends and the test fails.
-    let free = std::net::TcpListener::bind("127.0.0.1:0")
-        .unwrap()
-        .local_addr()
-        .unwrap();
+    let free = format!("127.0.0.1:{}", free_port());
     let mut command = Command::new(program);
     command.arg(format!("--config.file={}", config.display()));
     command.arg(format!(
@@ -190,7 +188,7 @@ fn prometheus(fleet: &Fleet, target: &str) -> Option<(joulebus_test_processes::C
     command.arg(format!("--web.listen-address={free}"));
     let mut child = joulebus_test_processes::Child::spawn("prometheus", command);
     child.wait_for_line("Server is ready to receive web requests");
-    Some((child, free.to_string()))
+    Some((child, free))
 }
 
 /// The dashboard's queries, as of this fleet, with their panels.

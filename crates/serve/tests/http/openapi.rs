@@ -3,7 +3,7 @@
 use joulebus_test_processes::eventually;
 use serde_json::Value;
 
-use crate::client::{Events, get, get_json, send};
+use crate::client::{Events, answered, get, get_json, what_if};
 use crate::fleet::Fleet;
 
 /// What of `value` is not as `schema` says.
@@ -74,10 +74,13 @@ fn every_answer_is_as_the_document_says() {
     let mut worker = fleet.worker();
     let mut source = fleet.joulebus("publish sim --robots 4 --fault 2=stuck");
     let (mut server, address) = fleet.serve(&[]);
-    eventually("an alarm", || {
-        get_json(&address, "/api/v1/alarms")["raised"]
-            .as_array()
-            .is_some_and(|raised| !raised.is_empty())
+    // By then there are points of its history, too.
+    eventually("an alarm of the robot", || {
+        let robot = get(&address, "/api/v1/robots/2");
+        robot.status == 200
+            && robot.json()["alarms"]
+                .as_array()
+                .is_some_and(|alarms| alarms.iter().any(|alarm| alarm == "StuckSensor"))
     });
     let document = get_json(&address, "/api/v1/openapi.json");
     let check = |name: &str, value: &Value| {
@@ -87,13 +90,9 @@ fn every_answer_is_as_the_document_says() {
         assert_eq!(found, Vec::<String>::new());
     };
     check("Error", &get(&address, "/api/v1/robots/77").json());
-    let head = format!(
-        "POST /api/v1/what_if HTTP/1.1\r\nHost: {address}\r\nContent-Type: application/json"
-    );
-    let asked = send(
+    let asked = what_if(
         &address,
-        &head,
-        br#"{"robot": 1, "path": [{"x_m": 0, "y_m": 0}, {"x_m": 1, "y_m": 0}]}"#,
+        r#"{"robot": 1, "path": [{"x_m": 0, "y_m": 0}, {"x_m": 1, "y_m": 0}]}"#,
     );
     assert_eq!(asked.status, 200, "{}", asked.text());
     check("Answers", &asked.json());
@@ -113,7 +112,9 @@ fn every_answer_is_as_the_document_says() {
                 check(name, &view[key]);
             }
         } else if item.get("get").is_some() {
-            assert_eq!(get(&address, path).status, 200, "{path}");
+            // Not ready while the newest frame is older than two periods.
+            let response = answered(path, || get(&address, path));
+            assert_eq!(response.status, 200, "{path}");
         }
     }
     source.end();
