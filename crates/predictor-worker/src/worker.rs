@@ -22,8 +22,8 @@ use crate::ledger_files::LedgerFileError;
 use crate::outbox::{LeftOut, Outbox};
 use crate::report::{Parts, Report, Spread, by_name};
 use crate::shedding::Shedding;
-use crate::standby::backlog::Backlog;
-use crate::standby::restore::restore;
+use crate::standby::backlog::Held;
+use crate::standby::follow::Following;
 use crate::standby::watch::{self, PermitOver, Speaking};
 use crate::standby::{Permit, PermitError, Places, SavedState};
 use crate::tick_pool::{TickPool, TickPoolError};
@@ -267,19 +267,20 @@ impl Worker {
         let Some(places) = self.standby.as_ref().map(|it| it.places.clone()) else {
             return Ok(true);
         };
-        let mut backlog = Backlog::new(self.fleet.capacity() as usize);
+        let capacity = self.fleet.capacity() as usize;
+        let mut following = Following::new(capacity, self.header.period_ns);
         let mut look_ns = 0;
         while !stop.load(Ordering::Relaxed) {
             self.turns.fetch_add(1, Ordering::Relaxed);
             self.bus.check()?;
-            self.hold(&mut backlog);
+            self.hold(&mut following, &places);
             let now_ns = clock::monotonic_ns();
             if now_ns >= look_ns {
                 look_ns = now_ns.saturating_add(PERMIT_EVERY_NS);
                 let permit = Permit::read(&places.permit)?;
                 let boot_ns = clock::boot_ns();
                 if let Some(permit) = permit.filter(|permit| permit.holds(boot_ns)) {
-                    self.take_over(&permit, &places, backlog)?;
+                    self.take_over(&permit, &places, following)?;
                     return Ok(true);
                 }
             }
@@ -289,7 +290,7 @@ impl Worker {
     }
 
     /// Keeps the frames that wait.
-    fn hold(&mut self, backlog: &mut Backlog) {
+    fn hold(&mut self, following: &mut Following, places: &Places) {
         loop {
             match self.samples.next(self.fleet.capacity() as usize) {
                 Ok(Some(mut incoming)) => {
@@ -298,15 +299,24 @@ impl Worker {
                     while let Some(part) = incoming.copy_part(&mut self.part) {
                         samples.extend_from_slice(part);
                     }
-                    backlog.keep(*incoming.header(), samples, taken_ns);
+                    let header = *incoming.header();
+                    let has_room = following.keep(Held {
+                        header,
+                        samples,
+                        taken_ns,
+                    });
+                    if !has_room {
+                        following.advance(&mut self.fleet, places);
+                    }
                 }
-                Ok(None) => return,
+                Ok(None) => break,
                 Err(_) => {
                     self.failures.receive.fetch_add(1, Ordering::Relaxed);
-                    return;
+                    break;
                 }
             }
         }
+        following.advance(&mut self.fleet, places);
     }
 
     /// Leaves the last state of a worker that has served with a permit to the next one on this host, which may be itself: as after
@@ -330,10 +340,9 @@ impl Worker {
         &mut self,
         permit: &Permit,
         places: &Places,
-        backlog: Backlog,
+        following: Following,
     ) -> Result<(), RunError> {
-        let restored = restore(&mut self.fleet, places);
-        let replayed = backlog.replay(&mut self.fleet, self.header.period_ns);
+        let (restored, replayed) = following.take_over(&mut self.fleet, places);
         self.speaking.begin(permit);
         let renewal = watch::start(places.permit.clone(), Arc::clone(&self.speaking));
         if let Some(standby) = &mut self.standby {
@@ -347,7 +356,7 @@ impl Worker {
             term = permit.term,
             robots = self.fleet.len(),
             state_of_term = restored.map(|it| it.term),
-            state_age_ms = restored.map(|it| it.age_ns / 1_000_000),
+            state_age_ms = restored.map(|it| now_ns.saturating_sub(it.taken_ns) / 1_000_000),
             frames = replayed.frames,
             samples = replayed.samples,
             "this worker serves"

@@ -220,6 +220,18 @@ fn first_frame(scene: &Scene, worker: &mut Worker) -> Vec<Quality> {
 
 #[test]
 fn without_a_permit_nothing_is_sent_and_with_one_it_goes_on_where_the_one_before_was_killed() {
+    // Longer than windows can be bridged: they stay warm by the samples that came meanwhile.
+    goes_on_after(45);
+}
+
+#[test]
+fn a_worker_that_waits_longer_than_it_keeps_samples_goes_on_without_a_loss() {
+    // A lease may last for a minute, and an operator may wait.
+    goes_on_after(500);
+}
+
+/// A worker is killed, and another one serves after so many frames.
+fn goes_on_after(frames: u64) {
     let _one = ONE_AT_A_TIME
         .lock()
         .unwrap_or_else(std::sync::PoisonError::into_inner);
@@ -252,8 +264,9 @@ fn without_a_permit_nothing_is_sent_and_with_one_it_goes_on_where_the_one_before
         let sent = scene.sent.load(Ordering::Relaxed);
         std::thread::scope(|scope| {
             scope.spawn(|| {
-                // Longer than windows can be bridged: they stay warm by the samples that came meanwhile.
-                eventually("samples", || scene.sent.load(Ordering::Relaxed) > sent + 45);
+                eventually("samples", || {
+                    scene.sent.load(Ordering::Relaxed) > sent + frames
+                });
                 scene.permit(2, None);
             });
             assert!(worker.stand_by(&never).unwrap());

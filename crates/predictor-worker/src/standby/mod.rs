@@ -14,6 +14,7 @@
 //! nothing.
 
 pub(crate) mod backlog;
+pub(crate) mod follow;
 mod permit;
 mod places;
 pub(crate) mod restore;

@@ -2,7 +2,6 @@
 
 use std::path::Path;
 
-use joulebus_bus::clock;
 use joulebus_fleet::{Fleet, FleetState};
 
 use super::places::Places;
@@ -13,14 +12,25 @@ use super::saved_state::SavedState;
 pub(crate) struct Restored {
     /// Term of the worker that had it.
     pub(crate) term: u64,
-    pub(crate) age_ns: u64,
+    pub(crate) taken_ns: u64,
+}
+
+fn files(places: &Places) -> [&Path; 2] {
+    [&places.replica, &places.keyframe]
+}
+
+/// Term of the newest state that the files have, and when it was taken.
+pub(crate) fn newest(places: &Places) -> Option<(u64, u64)> {
+    let read = files(places).into_iter().map(SavedState::read);
+    // What is damaged is told when it is restored.
+    read.filter_map(|read| Some(read.ok()??.order())).max()
 }
 
 /// Restores the newest state that the files have: this host's own of before, or that of the worker elsewhere. One that
 /// cannot be used is named, and the other one taken; `None`: neither can, and the fleet is unchanged.
 pub(crate) fn restore(fleet: &mut Fleet, places: &Places) -> Option<Restored> {
     let mut found: Vec<(SavedState, &Path)> = Vec::new();
-    for path in [places.replica.as_path(), places.keyframe.as_path()] {
+    for path in files(places) {
         match SavedState::read(path) {
             Ok(state) => found.extend(state.map(|state| (state, path))),
             Err(error) => tracing::error!("{error}"),
@@ -33,8 +43,8 @@ pub(crate) fn restore(fleet: &mut Fleet, places: &Places) -> Option<Restored> {
         let restored = decoded.and_then(|state| fleet.restore_state(&state.shifted(offset_ns)));
         match restored {
             Ok(()) => {
-                let age_ns = clock::monotonic_ns().saturating_sub(saved.taken_ns);
-                return Some(Restored { term, age_ns });
+                let taken_ns = saved.taken_ns;
+                return Some(Restored { term, taken_ns });
             }
             Err(error) => tracing::error!(?path, term, "the state of a worker is refused: {error}"),
         }
