@@ -247,13 +247,21 @@ fn goes_on_after(frames: u64) {
         scene.permit(1, None);
         assert!(worker.stand_by(&never).unwrap());
         scene.until(&mut worker, "a warm fleet", |_| scene.is_warm());
+        let mut turns = Vec::new();
         eventually("a keyframe", || {
+            turns.push((clock::monotonic_ns(), scene.sent.load(Ordering::Relaxed)));
             worker.turn().unwrap();
-            SavedState::read(&scene.places.keyframe).unwrap().is_some()
+            let saved = SavedState::read(&scene.places.keyframe).unwrap();
+            saved.is_some_and(|saved| saved.taken_ns > turns[0].0)
         });
         // The keyframe crosses to another host, whose clock is the same here, and the worker is killed.
         let saved = SavedState::read(&scene.places.keyframe).unwrap().unwrap();
         assert_eq!(saved.term, 1);
+        let in_it = turns
+            .iter()
+            .rfind(|(ns, _)| *ns < saved.taken_ns)
+            .unwrap()
+            .1;
         fs::rename(&scene.places.keyframe, &scene.places.replica).unwrap();
         Permit::withdraw(&scene.places.permit).unwrap();
         scene.read_all();
@@ -294,6 +302,10 @@ fn goes_on_after(frames: u64) {
         let lost = dropped
             .get("Overflow")
             .map_or(0, |lost| lost / u64::from(ROBOTS));
+        assert!(
+            lost <= sent + 1 - in_it,
+            "{lost} frames were lost, {in_it} to {sent} were sent while there was no worker"
+        );
         let gap_ns = (after.2 - accounts.2) / u64::from(ROBOTS);
         assert!(
             gap_ns <= (lost + 1) * PERIOD_NS,
