@@ -153,16 +153,17 @@ impl Sources {
                 at
             }
         };
+        let silent = self.is_silent(&self.sources[at], now_ns);
         let source = &mut self.sources[at];
-        let silent = now_ns.saturating_sub(source.taken_ns) > self.yield_after_ns;
         source.frame(header, samples, silent, drops)?;
         source.taken_ns = now_ns;
         Ok(())
     }
 
-    /// Whether a frame has been taken, refused, or counted as lost: it, or a later one of its source. One of a run that has
-    /// been replaced counts as refused.
-    pub(crate) fn has_accounted(&self, header: &SampleHeader) -> bool {
+    /// Whether a frame that came at `now_ns` has been taken, refused, or counted as lost: it, or a later one of its source. One
+    /// of a run that has been replaced counts as refused, unless the later run is silent, as [`Sources::frame`] has it: the
+    /// clock of a host that has booted begins anew, and with it the numbers of its runs.
+    pub(crate) fn has_accounted(&self, header: &SampleHeader, now_ns: u64) -> bool {
         let source = self.sources.iter().find(|it| it.id == header.source_id);
         source.is_some_and(|source| {
             let (run, epoch) = (&source.run, header.source_epoch);
@@ -170,9 +171,14 @@ impl Sources {
             match (epoch == run.epoch, other) {
                 (true, _) => header.samples_before < run.accounted,
                 (false, Some(other)) => header.samples_before < other.accounted,
-                (false, None) => epoch < run.epoch,
+                (false, None) => epoch < run.epoch && !self.is_silent(source, now_ns),
             }
         })
+    }
+
+    /// Whether the run that is taken gives way to whatever comes.
+    const fn is_silent(&self, source: &Source, now_ns: u64) -> bool {
+        now_ns.saturating_sub(source.taken_ns) > self.yield_after_ns
     }
 
     /// The place of the source that has been silent longest, if that is long enough to give it to another.
@@ -292,6 +298,28 @@ mod tests {
             // Refused samples are not counted as lost too.
             assert_eq!(drops, lost, "{epoch} {before}");
         }
+    }
+
+    #[test]
+    fn an_older_run_is_accounted_for_until_the_later_one_gives_way_to_it() {
+        let (mut sources, mut drops) = (sources(1), DropCounts::default());
+        assert_eq!(
+            sources.frame(&header(1, 7, 0), 10, 1_000, &mut drops),
+            Ok(())
+        );
+        // Its host has booted.
+        let booted = header(1, 2, 0);
+        for now_ns in [0, 1_000, 1_000 + STALE_NS] {
+            assert!(sources.has_accounted(&booted, now_ns), "at {now_ns}");
+        }
+        let now_ns = 1_001 + STALE_NS;
+        assert!(!sources.has_accounted(&booted, now_ns));
+        // What was taken is not taken again, however late it comes.
+        assert!(sources.has_accounted(&header(1, 7, 0), now_ns));
+        assert_eq!(sources.frame(&booted, 10, now_ns, &mut drops), Ok(()));
+        assert!(sources.has_accounted(&booted, now_ns));
+        assert!(!sources.has_accounted(&header(1, 2, 10), now_ns));
+        assert_eq!(drops.total(), 0);
     }
 
     #[test]

@@ -149,14 +149,18 @@ fn frames_that_a_state_contains_are_known_and_no_others() {
         .expect("the same fleet");
     let known: Vec<bool> = frames
         .iter()
-        .map(|(header, ..)| other.has_accounted(header))
+        .map(|(header, _, now_ns)| other.has_accounted(header, now_ns + 77))
         .collect();
     assert_eq!(known, [true, true, true, true, false, false]);
-    assert!(other.has_accounted(&frame(&mut older, 9).0));
-    assert!(!other.has_accounted(&frame(&mut Source::new(1, 6), 9).0));
-    assert!(!other.has_accounted(&frame(&mut Source::new(2, 5), 9).0));
+    let is_known = |source: &mut Source| {
+        let (header, _, now_ns) = frame(source, 9);
+        other.has_accounted(&header, now_ns + 77)
+    };
+    assert!(is_known(&mut older));
+    assert!(!is_known(&mut Source::new(1, 6)));
+    assert!(!is_known(&mut Source::new(2, 5)));
     for (header, samples, now_ns) in &frames {
-        if !other.has_accounted(header) {
+        if !other.has_accounted(header, now_ns + 77) {
             other.take(header, samples, *now_ns + 77);
         }
     }

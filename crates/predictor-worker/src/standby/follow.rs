@@ -103,7 +103,7 @@ impl Following {
     }
 
     fn take(&mut self, fleet: &mut Fleet, held: &Held) {
-        if fleet.has_accounted(&held.header) {
+        if fleet.has_accounted(&held.header, held.taken_ns) {
             return;
         }
         let after_ns = held.taken_ns.saturating_add(self.period_ns);
