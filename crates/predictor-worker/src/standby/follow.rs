@@ -34,8 +34,9 @@ pub(crate) struct Following {
     period_ns: u64,
     newest: Option<Order>,
     look_ns: u64,
-    /// Which state the fleet was restored from.
-    base: Option<Order>,
+    /// The newest state when one was restored last; it may have been refused.
+    tried: Option<Order>,
+    /// Which state the fleet is from.
     restored: Option<Restored>,
     replayed: Replayed,
     tick_ns: Option<u64>,
@@ -48,7 +49,7 @@ impl Following {
             period_ns,
             newest: None,
             look_ns: 0,
-            base: None,
+            tried: None,
             restored: None,
             replayed: Replayed::default(),
             tick_ns: None,
@@ -66,7 +67,7 @@ impl Following {
         let now_ns = clock::monotonic_ns();
         if now_ns >= self.look_ns {
             self.look_ns = now_ns.saturating_add(LOOK_EVERY_NS);
-            self.newest = newest(places);
+            self.look(places);
         }
         while let Some(held) = self.backlog.pop_due(now_ns) {
             if self
@@ -85,7 +86,7 @@ impl Following {
         fleet: &mut Fleet,
         places: &Places,
     ) -> (Option<Restored>, Replayed) {
-        self.newest = newest(places);
+        self.look(places);
         self.begin(fleet, places);
         while let Some(held) = self.backlog.pop() {
             self.take(fleet, &held);
@@ -93,11 +94,21 @@ impl Following {
         (self.restored, self.replayed)
     }
 
-    /// Restores the newest state, unless that is where the fleet is from.
+    /// Looks which state is the newest. A file that cannot be read any more takes nothing back: what was taken into its state
+    /// is not kept elsewhere.
+    fn look(&mut self, places: &Places) {
+        self.newest = self.newest.max(newest(places));
+    }
+
+    /// Restores the newest state, if it is newer than the one that the fleet is from.
     fn begin(&mut self, fleet: &mut Fleet, places: &Places) {
-        if self.base.is_none() || self.base != self.newest {
-            self.base = self.newest;
-            self.restored = restore(fleet, places);
+        if self.tried.is_some() && self.tried == self.newest {
+            return;
+        }
+        self.tried = self.newest;
+        let before = self.restored.map(|it| (it.term, it.taken_ns));
+        if let Some(restored) = restore(fleet, places, before) {
+            self.restored = Some(restored);
             (self.replayed, self.tick_ns) = (Replayed::default(), None);
         }
     }
@@ -121,4 +132,125 @@ impl Following {
 /// Whether a state that was taken at `taken_ns` contains a frame, or no later one of that worker will.
 const fn is_contained(held: &Held, taken_ns: u64) -> bool {
     held.taken_ns.saturating_add(CONTAINED_NS) <= taken_ns
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+    use std::path::Path;
+
+    use joulebus_config::Config;
+    use joulebus_models::load_models;
+    use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader};
+
+    use super::super::SavedState;
+    use super::super::backlog::KEEP_NS;
+    use super::*;
+
+    const PERIOD_NS: u64 = 33_333_333;
+
+    fn config() -> Config {
+        let text = "[fleet]\nname = \"lab\"\ncapacity = 1\n\
+                    [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0\"]\n";
+        Config::parse(text, "nowhere".as_ref()).unwrap()
+    }
+
+    fn fleet() -> Fleet {
+        let config = config();
+        let models = load_models(&config).unwrap();
+        Fleet::new(config.settings().clone(), models).unwrap()
+    }
+
+    fn places(folder: &Path) -> Places {
+        let [permit, keyframe, replica, request] =
+            ["permit", "keyframe", "replica", "request"].map(|name| folder.join(name));
+        Places {
+            permit,
+            keyframe,
+            replica,
+            request,
+        }
+    }
+
+    /// Frame `seq` of the run of a source that has sent all before, taken at `taken_ns`.
+    fn held(source_epoch: u64, seq: u64, taken_ns: u64) -> Held {
+        let header = SampleHeader {
+            schema: SCHEMA_VERSION,
+            source_id: 1,
+            source_epoch,
+            frame_seq: seq,
+            samples_before: seq,
+            ..SampleHeader::default()
+        };
+        let sample = Sample::new(0, seq + 1, taken_ns).command(0.1, 0.5);
+        Held {
+            header,
+            samples: vec![sample.reading(3.5, taken_ns)],
+            taken_ns,
+        }
+    }
+
+    /// A fleet that has taken ten frames of the run 9, from `begun_ns` on, in a file.
+    fn save(path: &Path, term: u64, begun_ns: u64) -> u64 {
+        let mut fleet = fleet();
+        for seq in 0..10 {
+            let it = held(9, seq, begun_ns + seq * PERIOD_NS);
+            fleet.take(&it.header, &it.samples, it.taken_ns);
+            fleet.tick(it.taken_ns, false);
+        }
+        let mut bytes = Vec::new();
+        fleet.state().encode_into(&mut bytes);
+        let taken_ns = begun_ns + 10 * PERIOD_NS;
+        SavedState::write(path, (term, taken_ns, 0), &bytes).unwrap();
+        taken_ns
+    }
+
+    #[test]
+    fn samples_of_a_host_that_has_booted_are_taken_while_no_state_comes() {
+        let folder = tempfile::tempdir().unwrap();
+        let (places, mut fleet) = (places(folder.path()), fleet());
+        let now_ns = clock::monotonic_ns();
+        let taken_ns = save(&places.replica, 1, now_ns - KEEP_NS - 3_000_000_000);
+        let mut following = Following::new(1, PERIOD_NS);
+        // Its clock begins anew, and its runs with it.
+        for seq in 0..20 {
+            let _ = following.keep(held(2, seq, taken_ns + 1_000_000_000 + seq * PERIOD_NS));
+        }
+        following.advance(&mut fleet, &places);
+        let (restored, replayed) = following.take_over(&mut fleet, &places);
+        assert_eq!(restored.map(|it| it.term), Some(1));
+        assert_eq!((replayed.frames, replayed.samples), (20, 20));
+        assert_eq!((fleet.accepted(), fleet.drops().total()), (30, 0));
+    }
+
+    #[test]
+    fn a_state_that_cannot_be_read_any_more_takes_back_nothing_that_was_taken_into_it() {
+        for damage in ["removed", "nonsense"] {
+            let folder = tempfile::tempdir().unwrap();
+            let (places, mut fleet) = (places(folder.path()), fleet());
+            let now_ns = clock::monotonic_ns();
+            let begun_ns = now_ns - KEEP_NS - 3_000_000_000;
+            // This host's worker has served before the one elsewhere.
+            save(&places.keyframe, 1, begun_ns - 1_000_000_000);
+            let taken_ns = save(&places.replica, 2, begun_ns);
+            let mut following = Following::new(1, PERIOD_NS);
+            for seq in 0..20 {
+                let _ = following.keep(held(9, 10 + seq, taken_ns + seq * PERIOD_NS));
+            }
+            following.advance(&mut fleet, &places);
+            assert_eq!(fleet.accepted(), 30);
+            match damage {
+                "removed" => fs::remove_file(&places.replica).unwrap(),
+                _ => fs::write(&places.replica, damage).unwrap(),
+            }
+            following.look_ns = 0;
+            let _ = following.keep(held(9, 30, taken_ns + 20 * PERIOD_NS));
+            following.advance(&mut fleet, &places);
+            let (restored, replayed) = following.take_over(&mut fleet, &places);
+            assert_eq!(restored.map(|it| it.term), Some(2), "{damage}");
+            assert_eq!(replayed.frames, 21, "{damage}");
+            let drops = fleet.drops().total();
+            assert_eq!((fleet.accepted(), drops), (31, 0), "{damage}");
+        }
+    }
 }

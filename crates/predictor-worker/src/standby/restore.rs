@@ -27,12 +27,20 @@ pub(crate) fn newest(places: &Places) -> Option<(u64, u64)> {
 }
 
 /// Restores the newest state that the files have: this host's own of before, or that of the worker elsewhere. One that
-/// cannot be used is named, and the other one taken; `None`: neither can, and the fleet is unchanged.
-pub(crate) fn restore(fleet: &mut Fleet, places: &Places) -> Option<Restored> {
+/// cannot be used is named, and the other one taken; `None`: neither can or is newer than the one `before`, and the fleet is
+/// unchanged.
+pub(crate) fn restore(
+    fleet: &mut Fleet,
+    places: &Places,
+    before: Option<(u64, u64)>,
+) -> Option<Restored> {
     let mut found: Vec<(SavedState, &Path)> = Vec::new();
     for path in files(places) {
         match SavedState::read(path) {
-            Ok(state) => found.extend(state.map(|state| (state, path))),
+            Ok(state) => {
+                let newer = state.filter(|state| Some(state.order()) > before);
+                found.extend(newer.map(|state| (state, path)));
+            }
             Err(error) => tracing::error!("{error}"),
         }
     }
