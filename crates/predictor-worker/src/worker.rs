@@ -342,9 +342,9 @@ impl Worker {
         places: &Places,
         following: Following,
     ) -> Result<(), RunError> {
-        let (restored, replayed) = following.take_over(&mut self.fleet, places);
-        self.speaking.begin(permit);
-        let renewal = watch::start(places.permit.clone(), Arc::clone(&self.speaking));
+        let (restored, replayed) = following.take_over(&mut self.fleet, places, &self.turns);
+        let speaking = Arc::clone(&self.speaking);
+        let renewal = watch::start(places.permit.clone(), speaking, permit);
         if let Some(standby) = &mut self.standby {
             standby.renewal = Some(renewal.map_err(RunError::Renewal)?);
         }

@@ -5,6 +5,8 @@
 //! any more, as from a dead host whose lease runs on, or until an operator commands, the fleet is restored from the last one
 //! and takes the frames as they become old, as if it served: the memory is bounded, and the wait is not.
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use joulebus_bus::clock;
 use joulebus_fleet::Fleet;
 
@@ -80,15 +82,18 @@ impl Following {
         }
     }
 
-    /// Has the fleet take all that is here, as if it had been there, without output.
+    /// Has the fleet take all that is here, as if it had been there, without output. Counts each frame in `turns`: of a large
+    /// fleet it takes seconds, in which a watchdog is to see that the worker works.
     pub(crate) fn take_over(
         mut self,
         fleet: &mut Fleet,
         places: &Places,
+        turns: &AtomicU64,
     ) -> (Option<Restored>, Replayed) {
         self.look(places);
         self.begin(fleet, places);
         while let Some(held) = self.backlog.pop() {
+            turns.fetch_add(1, Ordering::Relaxed);
             self.take(fleet, &held);
         }
         (self.restored, self.replayed)
@@ -217,7 +222,7 @@ mod tests {
             let _ = following.keep(held(2, seq, taken_ns + 1_000_000_000 + seq * PERIOD_NS));
         }
         following.advance(&mut fleet, &places);
-        let (restored, replayed) = following.take_over(&mut fleet, &places);
+        let (restored, replayed) = following.take_over(&mut fleet, &places, &AtomicU64::new(0));
         assert_eq!(restored.map(|it| it.term), Some(1));
         assert_eq!((replayed.frames, replayed.samples), (20, 20));
         assert_eq!((fleet.accepted(), fleet.drops().total()), (30, 0));
@@ -246,7 +251,7 @@ mod tests {
             following.look_ns = 0;
             let _ = following.keep(held(9, 30, taken_ns + 20 * PERIOD_NS));
             following.advance(&mut fleet, &places);
-            let (restored, replayed) = following.take_over(&mut fleet, &places);
+            let (restored, replayed) = following.take_over(&mut fleet, &places, &AtomicU64::new(0));
             assert_eq!(restored.map(|it| it.term), Some(2), "{damage}");
             assert_eq!(replayed.frames, 21, "{damage}");
             let drops = fleet.drops().total();

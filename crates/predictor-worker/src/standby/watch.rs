@@ -84,15 +84,21 @@ struct Renewal {
     is_told: bool,
 }
 
-/// Keeps `speaking` up to date with the permit in the file.
-pub(crate) fn start(path: PathBuf, speaking: Arc<Speaking>) -> std::io::Result<Background> {
-    Background::start("joulebus-permit", move || {
-        Ok::<_, std::io::Error>(Renewal {
-            path,
-            speaking,
-            is_told: false,
-        })
-    })
+/// Begins to serve by the first permit, and keeps `speaking` up to date with the one in the file: that may have been renewed
+/// since the first was read, by when a large fleet was restored.
+pub(crate) fn start(
+    path: PathBuf,
+    speaking: Arc<Speaking>,
+    first: &Permit,
+) -> std::io::Result<Background> {
+    speaking.begin(first);
+    let mut renewal = Renewal {
+        path,
+        speaking,
+        is_told: false,
+    };
+    renewal.step(false);
+    Background::start("joulebus-permit", move || Ok::<_, std::io::Error>(renewal))
 }
 
 impl Steps for Renewal {
@@ -157,6 +163,34 @@ mod tests {
             assert!(!speaking.holds(0), "{permit:?}");
         }
         assert_eq!(speaking.over().term, 4);
+    }
+
+    #[test]
+    fn a_permit_that_was_renewed_while_the_state_was_restored_counts_from_the_beginning() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("permit-lab");
+        for (renewed, until_ns) in [
+            (Some(PERMIT), 100),
+            (
+                Some(Permit {
+                    until_ns: Some(300),
+                    ..PERMIT
+                }),
+                300,
+            ),
+            (Some(Permit { term: 5, ..PERMIT }), 0),
+            (None, 0),
+        ] {
+            match &renewed {
+                Some(permit) => permit.write(&path).unwrap(),
+                None => Permit::withdraw(&path).unwrap(),
+            }
+            let speaking = Arc::new(Speaking::not_yet());
+            let mut thread = start(path.clone(), Arc::clone(&speaking), &PERMIT).unwrap();
+            assert_eq!(speaking.until_ns.load(Ordering::Acquire), until_ns);
+            assert_eq!(speaking.term(), 4);
+            thread.finish().unwrap();
+        }
     }
 
     #[test]
