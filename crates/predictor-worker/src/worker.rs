@@ -12,7 +12,7 @@ use joulebus_bus::{
 };
 use joulebus_config::{Config, Threads};
 use joulebus_fleet::{Fleet, Next, Schedule, TickIntake};
-use joulebus_settings::{Policy, SettingsError};
+use joulebus_settings::{FleetSettings, Policy, SettingsError};
 use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample};
 
 use crate::checkpointer::{self, CheckpointerError, Failures, read_ledger};
@@ -73,6 +73,7 @@ pub struct Worker {
 #[derive(Debug)]
 struct Standby {
     places: Places,
+    settings: FleetSettings,
     /// Keeps `speaking` up to date once there is a permit.
     renewal: Option<Background>,
 }
@@ -156,6 +157,7 @@ impl Worker {
         let mut worker = Self::open_as(config, Arc::new(Speaking::not_yet()))?;
         worker.standby = Some(Standby {
             places: Places::of(config),
+            settings: config.settings().clone(),
             renewal: None,
         });
         Ok(worker)
@@ -264,11 +266,11 @@ impl Worker {
     /// # Errors
     /// As of [`Worker::run`]; the permit's file is something else.
     pub fn stand_by(&mut self, stop: &AtomicBool) -> Result<bool, RunError> {
-        let Some(places) = self.standby.as_ref().map(|it| it.places.clone()) else {
+        let Some(standby) = &self.standby else {
             return Ok(true);
         };
-        let capacity = self.fleet.capacity() as usize;
-        let mut following = Following::new(capacity, self.header.period_ns);
+        let places = standby.places.clone();
+        let mut following = Following::new(&standby.settings, self.header.period_ns);
         let mut look_ns = 0;
         while !stop.load(Ordering::Relaxed) {
             self.turns.fetch_add(1, Ordering::Relaxed);

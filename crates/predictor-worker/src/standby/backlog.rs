@@ -2,13 +2,16 @@
 
 use std::collections::VecDeque;
 
+use joulebus_settings::FleetSettings;
 use joulebus_wire::{Sample, SampleHeader};
 
 /// For how long frames are kept: a state is a second old when it comes, and samples may reach that worker later than this
 /// one.
 pub(crate) const KEEP_NS: u64 = 10_000_000_000;
-/// Samples a robot at most: those of that time, and of the pause between two looks at the state, at 30 Hz.
-const SAMPLES_PER_ROBOT: usize = 360;
+/// For how long there is room: that time, and the pause between two looks at the state.
+const ROOM_NS: u64 = KEEP_NS + 2_000_000_000;
+/// Longest time between two samples of a robot for which there is room: sources of slow robots may send more often.
+const LONGEST_PERIOD_NS: u64 = 33_333_333;
 
 /// A frame, and when it came.
 #[derive(Debug)]
@@ -26,17 +29,26 @@ pub(crate) struct Backlog {
     most_samples: usize,
 }
 
+/// What a frame takes of the room: without samples it takes some, too.
+fn size(held: &Held) -> usize {
+    held.samples.len().max(1)
+}
+
 impl Backlog {
-    pub(crate) fn new(capacity: usize) -> Self {
+    /// For as many robots as `settings` allow, all at the rate of the fastest platform.
+    pub(crate) fn new(settings: &FleetSettings) -> Self {
+        let periods_ns = settings.platforms.iter().map(|it| it.period_ns);
+        let fastest_ns = periods_ns.fold(LONGEST_PERIOD_NS, u64::min).max(1);
+        let samples = usize::try_from(ROOM_NS / fastest_ns).unwrap_or(usize::MAX);
         Self {
             frames: VecDeque::new(),
             samples: 0,
-            most_samples: capacity.saturating_mul(SAMPLES_PER_ROBOT),
+            most_samples: samples.saturating_mul(settings.capacity as usize),
         }
     }
 
     pub(crate) fn keep(&mut self, held: Held) {
-        self.samples += held.samples.len();
+        self.samples += size(&held);
         self.frames.push_back(held);
     }
 
@@ -58,18 +70,59 @@ impl Backlog {
     /// The oldest frame.
     pub(crate) fn pop(&mut self) -> Option<Held> {
         let oldest = self.frames.pop_front()?;
-        self.samples -= oldest.samples.len();
+        self.samples -= size(&oldest);
         Some(oldest)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use joulebus_config::Config;
+
     use super::*;
+
+    fn settings(capacity: u32) -> FleetSettings {
+        let text = format!(
+            "[fleet]\nname = \"lab\"\ncapacity = {capacity}\n\
+             [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0\"]\n"
+        );
+        let config = Config::parse(&text, "nowhere".as_ref()).unwrap();
+        config.settings().clone()
+    }
+
+    #[test]
+    fn there_is_room_for_all_samples_of_the_time_at_the_rate_of_the_fastest_robots() {
+        for (period_ns, samples) in [
+            (1_000_000, 12_000),
+            (10_000_000, 1_200),
+            (33_333_333, 360),
+            (1_000_000_000, 360),
+        ] {
+            let mut settings = settings(5);
+            settings.platforms[0].period_ns = period_ns;
+            assert_eq!(Backlog::new(&settings).most_samples, 5 * samples);
+        }
+    }
+
+    #[test]
+    fn a_flood_of_frames_without_samples_takes_no_more_room_than_samples() {
+        let mut backlog = Backlog::new(&settings(1));
+        for _ in 0..10_000 {
+            backlog.keep(Held {
+                header: SampleHeader::default(),
+                samples: Vec::new(),
+                taken_ns: 1_000,
+            });
+            while backlog.pop_due(1_000).is_some() {}
+        }
+        assert_eq!(backlog.frames.len(), 360);
+        while backlog.pop().is_some() {}
+        assert_eq!(backlog.samples, 0);
+    }
 
     #[test]
     fn frames_older_than_the_time_and_those_beyond_the_room_are_due_the_oldest_first() {
-        let mut backlog = Backlog::new(2);
+        let mut backlog = Backlog::new(&settings(2));
         let frame = |seq, count: usize, taken_ns| Held {
             header: SampleHeader {
                 frame_seq: seq,

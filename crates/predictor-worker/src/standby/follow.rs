@@ -9,6 +9,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use joulebus_bus::clock;
 use joulebus_fleet::Fleet;
+use joulebus_settings::FleetSettings;
 
 use super::backlog::{Backlog, Held};
 use super::places::Places;
@@ -45,9 +46,10 @@ pub(crate) struct Following {
 }
 
 impl Following {
-    pub(crate) fn new(capacity: usize, period_ns: u64) -> Self {
+    /// `period_ns`: of the ticks.
+    pub(crate) fn new(settings: &FleetSettings, period_ns: u64) -> Self {
         Self {
-            backlog: Backlog::new(capacity),
+            backlog: Backlog::new(settings),
             period_ns,
             newest: None,
             look_ns: 0,
@@ -216,7 +218,7 @@ mod tests {
         let (places, mut fleet) = (places(folder.path()), fleet());
         let now_ns = clock::monotonic_ns();
         let taken_ns = save(&places.replica, 1, now_ns - KEEP_NS - 3_000_000_000);
-        let mut following = Following::new(1, PERIOD_NS);
+        let mut following = Following::new(config().settings(), PERIOD_NS);
         // Its clock begins anew, and its runs with it.
         for seq in 0..20 {
             let _ = following.keep(held(2, seq, taken_ns + 1_000_000_000 + seq * PERIOD_NS));
@@ -238,7 +240,7 @@ mod tests {
             // This host's worker has served before the one elsewhere.
             save(&places.keyframe, 1, begun_ns - 1_000_000_000);
             let taken_ns = save(&places.replica, 2, begun_ns);
-            let mut following = Following::new(1, PERIOD_NS);
+            let mut following = Following::new(config().settings(), PERIOD_NS);
             for seq in 0..20 {
                 let _ = following.keep(held(9, 10 + seq, taken_ns + seq * PERIOD_NS));
             }
