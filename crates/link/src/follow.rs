@@ -138,6 +138,14 @@ impl Highest {
         }
         term > highest
     }
+
+    /// The worker of `term` serves, as its link says: of one of which every so many ticks is asked for, frames may be further
+    /// apart than a term is remembered.
+    const fn serves(&mut self, term: u64, now_ns: u64) {
+        if term == self.term && term == self.at(now_ns) {
+            self.at_ns = now_ns;
+        }
+    }
 }
 
 impl ShardFeed {
@@ -302,6 +310,10 @@ impl Following {
                 })
             });
             takings[place].fenced += u64::from(is_fenced);
+            let receiver = takings[place].receiver();
+            if receiver.is_heard() && receiver.worker() == Worker::Alive {
+                highest.serves(receiver.term(), arrived_ns);
+            }
         }
         ended
     }
@@ -366,5 +378,26 @@ mod tests {
         assert_eq!(highest.at(later_ns + 1), 0);
         assert!(highest.sends(1, later_ns + 1));
         assert_eq!(highest.at(later_ns + 2), 1);
+    }
+
+    #[test]
+    fn a_term_is_remembered_while_its_worker_serves_however_rarely_its_frames_come() {
+        let mut highest = Highest::default();
+        assert!(highest.sends(3, 0));
+        // Statuses come ten times a second, and frames not for an hour.
+        for now_ns in (0..3_600_000_000_000).step_by(100_000_000) {
+            highest.serves(3, now_ns);
+            // One that nobody follows does not keep the fence up, nor take it down.
+            highest.serves(2, now_ns);
+            assert_eq!(highest.at(now_ns), 3);
+        }
+        let last_ns = 3_600_000_000_000 - 100_000_000;
+        assert!(!highest.sends(2, last_ns + FORGOTTEN_AFTER_NS));
+        assert_eq!(highest.at(last_ns + FORGOTTEN_AFTER_NS + 1), 0);
+        // What was forgotten does not come back by a status.
+        for term in [3, 0] {
+            highest.serves(term, last_ns + FORGOTTEN_AFTER_NS + 1);
+        }
+        assert_eq!(highest.at(last_ns + FORGOTTEN_AFTER_NS + 1), 0);
     }
 }
