@@ -412,7 +412,8 @@ fn insert(
 }
 
 /// Who may do what at the worker's link: all whose certificate is the fleet's may ask for its outputs; samples come from the
-/// links that the file names, each under its own name; and this link asks the other candidates of its shard for their state.
+/// links that the file names, and states and terms from the other candidates of its shard, which this link asks for them, each
+/// under its own name.
 fn access(fleet: &str, name: &str, (takes, candidates): (&[&str], &[&str])) -> serde_json::Value {
     let key = |rest: &str| format!("joulebus/{fleet}/{rest}");
     let both = ["ingress", "egress"];
@@ -436,18 +437,24 @@ fn access(fleet: &str, name: &str, (takes, candidates): (&[&str], &[&str])) -> s
         let gets = candidates
             .iter()
             .map(|other| key(&format!("outputs/{other}/{name}")));
-        let keys: Vec<String> = asks.chain(gets).collect();
+        let (asks, gets): (Vec<String>, Vec<String>) = (asks.collect(), gets.collect());
         rules.push(
-            json!({"id": "candidates", "permission": "allow", "flows": both, "key_exprs": keys,
+            json!({"id": "candidates", "permission": "allow", "flows": both, "key_exprs": asks,
             "messages": ["put", "declare_subscriber"]}),
         );
-        policies.push(json!({"subjects": ["all"], "rules": ["candidates"]}));
+        rules.push(
+            json!({"id": "states", "permission": "allow", "flows": ["egress"], "key_exprs": gets,
+            "messages": ["declare_subscriber"]}),
+        );
+        policies.push(json!({"subjects": ["all"], "rules": ["candidates", "states"]}));
     }
-    for from in takes {
-        let id = format!("samples of {from}");
+    let of_samples = takes.iter().map(|from| ("samples", from));
+    let of_states = candidates.iter().map(|from| ("outputs", from));
+    for (kind, from) in of_samples.chain(of_states) {
+        let id = format!("{kind} of {from}");
         rules.push(
             json!({"id": id, "permission": "allow", "flows": ["ingress"], "messages": ["put"],
-            "key_exprs": [key(&format!("samples/{from}/{name}"))]}),
+            "key_exprs": [key(&format!("{kind}/{from}/{name}"))]}),
         );
         subjects.push(json!({"id": id, "cert_common_names": [from]}));
         policies.push(json!({"subjects": [id], "rules": [id]}));
@@ -471,4 +478,59 @@ pub(crate) enum NetworkError {
     Config { key: String, reason: String },
     #[error("zenoh refuses a key: {0}")]
     Key(#[from] zenoh::Error),
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::Value;
+
+    use super::*;
+
+    #[test]
+    fn samples_states_and_terms_come_under_the_name_in_the_certificate_alone() {
+        let access = access("lab", "base-1", (&["edge"], &["base-2", "base-3"]));
+        let list = |value: &Value| -> Vec<String> {
+            let texts = value.as_array().unwrap().iter();
+            texts.map(|it| it.as_str().unwrap().to_owned()).collect()
+        };
+        let with = |part: &str, id: &str| -> Value {
+            let all = access[part].as_array().unwrap();
+            all.iter().find(|it| it["id"] == id).unwrap().clone()
+        };
+        let mut found = Vec::new();
+        for policy in access["policies"].as_array().unwrap() {
+            for rule in list(&policy["rules"]) {
+                let rule = with("rules", &rule);
+                let comes = list(&rule["flows"]).contains(&"ingress".to_owned());
+                if !comes || !list(&rule["messages"]).contains(&"put".to_owned()) {
+                    continue;
+                }
+                for subject in list(&policy["subjects"]) {
+                    let names = &with("subjects", &subject)["cert_common_names"];
+                    let who = names.as_array().map(|_| list(names).join(","));
+                    for key in list(&rule["key_exprs"]) {
+                        found.push((key, who.clone().unwrap_or_default()));
+                    }
+                }
+            }
+        }
+        for (key, who) in [
+            ("samples/edge/base-1", "edge"),
+            ("outputs/base-2/base-1", "base-2"),
+            ("outputs/base-3/base-1", "base-3"),
+        ] {
+            let key = format!("joulebus/lab/{key}");
+            let of_key: Vec<_> = found.iter().filter(|(of, _)| *of == key).collect();
+            assert_eq!(of_key, [&(key.clone(), who.to_owned())]);
+        }
+        // What everybody may send: requests, and nothing under this link's own name but to those that ask it.
+        let of_all = found.iter().filter(|(_, who)| who.is_empty());
+        for (key, _) in of_all {
+            let is_request = key.starts_with("joulebus/lab/ask/");
+            assert!(
+                is_request || key == "joulebus/lab/outputs/base-1/*",
+                "{key}"
+            );
+        }
+    }
 }
