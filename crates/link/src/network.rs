@@ -431,22 +431,35 @@ fn access(fleet: &str, name: &str, (takes, candidates): (&[&str], &[&str])) -> s
     let mut policies =
         vec![json!({"subjects": ["all"], "rules": ["links", "ask", "outputs", "take"]})];
     if !candidates.is_empty() {
-        let asks = candidates
-            .iter()
-            .map(|other| key(&format!("ask/outputs/{other}/{name}")));
-        let gets = candidates
-            .iter()
-            .map(|other| key(&format!("outputs/{other}/{name}")));
-        let (asks, gets): (Vec<String>, Vec<String>) = (asks.collect(), gets.collect());
-        rules.push(
-            json!({"id": "candidates", "permission": "allow", "flows": both, "key_exprs": asks,
-            "messages": ["put", "declare_subscriber"]}),
-        );
-        rules.push(
-            json!({"id": "states", "permission": "allow", "flows": ["egress"], "key_exprs": gets,
-            "messages": ["declare_subscriber"]}),
-        );
-        policies.push(json!({"subjects": ["all"], "rules": ["candidates", "states"]}));
+        let keys = |of: &dyn Fn(&str) -> String| -> Vec<String> {
+            candidates.iter().map(|other| key(&of(other))).collect()
+        };
+        // They are told that this link asks where they have said that they can be asked.
+        for (id, flow, message, keys) in [
+            (
+                "candidates",
+                "ingress",
+                "declare_subscriber",
+                keys(&|other| format!("ask/outputs/{other}/*")),
+            ),
+            (
+                "requests",
+                "egress",
+                "put",
+                keys(&|other| format!("ask/outputs/{other}/{name}")),
+            ),
+            (
+                "states",
+                "egress",
+                "declare_subscriber",
+                keys(&|other| format!("outputs/{other}/{name}")),
+            ),
+        ] {
+            rules.push(
+                json!({"id": id, "permission": "allow", "flows": [flow], "messages": [message], "key_exprs": keys}),
+            );
+        }
+        policies.push(json!({"subjects": ["all"], "rules": ["candidates", "requests", "states"]}));
     }
     let of_samples = takes.iter().map(|from| ("samples", from));
     let of_states = candidates.iter().map(|from| ("outputs", from));

@@ -44,6 +44,8 @@ struct Scene {
     field: Host,
     /// Where the links of the first two listen.
     addresses: [String; 2],
+    /// How the links of the three are secured.
+    security: [String; 3],
     lease: String,
     wires: Option<Arc<Wires>>,
 }
@@ -89,6 +91,7 @@ impl Scene {
             bases,
             field,
             addresses,
+            security: std::array::from_fn(|_| "unencrypted = true".to_owned()),
             lease: String::new(),
             wires: None,
         }
@@ -100,11 +103,11 @@ impl Scene {
     }
 
     fn base_file(&self, at: usize) -> String {
-        let (name, lease) = (NAMES[at], &self.lease);
+        let (name, lease, security) = (NAMES[at], &self.lease, &self.security[at]);
         let (own, other) = (&self.addresses[at], &self.addresses[1 - at]);
         format!(
             "name = \"{name}\"\nshards = \"shards.toml\"\n[network]\nlisten = [\"{own}\"]\nconnect = [\"{other}\"]\n\
-             unencrypted = true\n[worker]\n[[worker.take]]\nfrom = \"field\"\n{lease}"
+             {security}\n[worker]\n[[worker.take]]\nfrom = \"field\"\n{lease}"
         )
     }
 
@@ -139,9 +142,9 @@ impl Scene {
     }
 
     fn field_link(&self) -> Child {
-        let addresses = &self.addresses;
+        let (addresses, security) = (&self.addresses, &self.security[2]);
         self.field.link(&format!(
-            "name = \"field\"\nshards = \"shards.toml\"\n[network]\nconnect = {addresses:?}\nunencrypted = true\n\
+            "name = \"field\"\nshards = \"shards.toml\"\n[network]\nconnect = {addresses:?}\n{security}\n\
              [samples]\n[follow]\n"
         ))
     }
@@ -555,6 +558,53 @@ fn etcd_is_reached_with_certificates_of_its_authority_and_with_no_others() {
         let worker = worker.end();
         assert_eq!(worker.errors().contains("ready:"), is_let_in, "{worker:?}");
     }
+}
+
+#[test]
+fn states_and_terms_are_taken_under_the_name_in_the_certificate_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    if !certificates(folder.path(), 30, &["base-1", "base-2", "field", "desk"]) {
+        return;
+    }
+    let mut scene = Scene::by_hand();
+    for address in &mut scene.addresses {
+        *address = address.replacen("tcp", "tls", 1);
+    }
+    scene.security = ["base-1", "base-2", "field"].map(|name| secured(folder.path(), name));
+    let mut workers = [0, 1].map(|at| scene.worker(at));
+    let mut links = [0, 1].map(|at| scene.base_link(at));
+    let _field = scene.field_link();
+    let _robots = scene.robots();
+    let mut beside = scene.bases[0].planner();
+    // Of each other they take both.
+    for (term, at) in [(1, 0), (2, 1), (3, 0)] {
+        scene.take_over(at);
+        workers[at].wait_for_line("ready:");
+        if term > 1 {
+            assert_gave_way(&mut workers[1 - at], term - 1);
+            workers[1 - at] = scene.worker(1 - at);
+        }
+        scene.state_crosses_to(1 - at);
+    }
+    // A planners' host that says to be the other one.
+    links[1].end();
+    scene.security[1] = secured(folder.path(), "desk");
+    links[1] = scene.base_link(1);
+    let mut command = scene.bases[1].link_command(&scene.base_file(1));
+    command.arg("--take-over");
+    let _refused = Child::spawn("take over", command).wait();
+    std::thread::sleep(Duration::from_secs(3));
+    fresh(&mut beside);
+    assert!(workers[0].is_running(), "{}", workers[0].errors());
+}
+
+/// The part of a link's file with the certificate of `name` in `folder`.
+fn secured(folder: &Path, name: &str) -> String {
+    let folder = folder.display();
+    format!(
+        "[network.tls]\nca = \"{folder}/fleet-ca.pem\"\ncertificate = \"{folder}/{name}.pem\"\n\
+         key = \"{folder}/{name}.key\""
+    )
 }
 
 #[test]
