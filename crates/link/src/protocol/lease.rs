@@ -24,6 +24,8 @@ pub(crate) const MOST_TTL_S: u32 = 60;
 const LONGEST_NS: u64 = MOST_TTL_S as u64 * 1_000_000_000;
 /// How much longer a candidate waits with a free shard than the one before it in the list.
 const RANK_NS: u64 = 300_000_000;
+/// How long the others leave a free shard to the candidate that an operator wants, at most: it looks more often.
+const WISHED_NS: u64 = 1_500_000_000;
 
 /// What the store has of a shard.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -230,7 +232,7 @@ impl Candidate {
         match self.seen.wish.as_deref() {
             Some(wish) if wish == self.name => true,
             // It may be gone: then the others take it.
-            Some(_) => free_ns >= self.ttl_ns + self.rank * RANK_NS,
+            Some(_) => free_ns >= self.ttl_ns.min(WISHED_NS) + self.rank * RANK_NS,
             None => free_ns >= self.rank * RANK_NS,
         }
     }
