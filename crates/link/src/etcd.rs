@@ -3,7 +3,7 @@
 //! The gateway leaves out what is false, 0 or empty, and writes numbers of 64 bits as texts.
 
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow, bail};
 use base64::Engine as _;
@@ -21,6 +21,8 @@ use crate::protocol::lease::{Call, Holder, Reply, Seen};
 const CALL_DIVISOR: u32 = 3;
 /// Least time for a member to answer.
 const LEAST_TIME: Duration = Duration::from_millis(100);
+/// Least time between two failures that are said.
+const TOLD_EVERY: Duration = Duration::from_secs(10);
 /// Longest answer, bytes.
 const MOST_BYTES: u64 = 64 << 10;
 const MOST_CERTIFICATE_BYTES: u64 = 1 << 20;
@@ -42,7 +44,8 @@ pub(crate) struct Etcd {
     own: String,
     user: Option<(String, String)>,
     token: Option<String>,
-    is_told: bool,
+    /// What failed last and was said, and when.
+    told: Option<(String, Instant)>,
 }
 
 /// What the holder's key contains.
@@ -160,27 +163,35 @@ impl Etcd {
             own: own.to_owned(),
             user: user.transpose().context("the password of etcd's user")?,
             token: None,
-            is_told: false,
+            told: None,
         })
     }
 
-    /// Calls the store. What fails is said once, until it answers again.
+    /// Calls the store. What fails is said once, until it answers again; members may fail for different reasons in turn, of which
+    /// another one is said now and then.
     pub(crate) fn call(&mut self, call: &Call) -> Reply {
         match self.try_call(call) {
             Ok(reply) => {
-                if self.is_told {
+                if self.told.take().is_some() {
                     tracing::info!("etcd answers again");
                 }
-                self.is_told = false;
                 reply
             }
             Err(error) => {
-                if !self.is_told {
-                    tracing::warn!("etcd does not answer: {error:#}");
-                }
-                self.is_told = true;
+                self.tell(format!("{error:#}"));
                 Reply::Failed
             }
+        }
+    }
+
+    fn tell(&mut self, error: String) {
+        let is_told = self
+            .told
+            .as_ref()
+            .is_some_and(|(told, at)| *told == error || at.elapsed() < TOLD_EVERY);
+        if !is_told {
+            tracing::warn!("etcd does not answer: {error}");
+            self.told = Some((error, Instant::now()));
         }
     }
 

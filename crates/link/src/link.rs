@@ -25,7 +25,7 @@ use crate::network::{Network, NetworkError, longest_bytes, longest_state_bytes};
 use crate::refusals::Refusals;
 use crate::taking::TakenRecord;
 use crate::turn::Turn;
-use crate::{follow, forward, intake, outputs, standby, take_over};
+use crate::{follow, forward, intake, one_thread, outputs, standby, take_over};
 
 /// Interval of checking whether to stop: nothing else is done here.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
@@ -69,13 +69,17 @@ struct CheckReport {
 }
 
 pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcome> {
-    let stop = Stop::on_signals()?;
     let config = args.config.load()?;
     let settings = Settings::load(&args.file, &config)?;
     if args.check {
         output.report(&checked(&config, &settings))?;
         return Ok(Outcome::Done);
     }
+    if settings.network.tls.is_some() && !args.take_over {
+        // Before signals are caught: one that comes meanwhile is not forgotten.
+        one_thread::begin();
+    }
+    let stop = Stop::on_signals()?;
     if args.take_over {
         take_over::run(&config, &settings, &stop)?;
         return Ok(Outcome::Done);
@@ -489,6 +493,8 @@ impl fmt::Display for CheckReport {
             ("listens on", &self.listen),
             ("takes from", &self.takes),
             ("gives samples to", &self.gives),
+            ("stands by with", &self.stands_by_with),
+            ("asks for a lease", &self.lease),
         ] {
             if !list.is_empty() {
                 writeln!(out, "{what} {}", list.join(", "))?;

@@ -10,6 +10,7 @@ mod giving;
 mod intake;
 mod link;
 mod network;
+mod one_thread;
 mod outlets;
 mod outputs;
 mod protocol;

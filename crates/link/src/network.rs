@@ -32,7 +32,7 @@ const LEASE_MS: u64 = 1_000;
 /// How long a message waits for room before it is dropped, µs; one of many batches ten times that.
 const WAIT_US: u64 = 50_000;
 /// Time after which a client gives up for now where no router answers, ms.
-const ROUTER_WITHIN_MS: u32 = 1_000;
+const ROUTER_WITHIN_MS: i64 = 1_000;
 /// Longest header of a message and its frame, bytes.
 const LONGEST_HEADER: usize = 4_096;
 
@@ -354,9 +354,10 @@ fn configured(
     set("mode", json!(settings.mode.name()))?;
     set("connect/endpoints", json!(settings.connect))?;
     set("listen/endpoints", json!(settings.listen))?;
-    // Other peers may start later: a link connects when they are there. A client needs its router.
+    // Other peers may start later: a link connects when they are there, tries without end (-1; 0 is once), and does not wait
+    // for it. A client needs its router.
     let is_client = settings.mode == Mode::Client;
-    let within_ms = if is_client { ROUTER_WITHIN_MS } else { 0 };
+    let within_ms = if is_client { ROUTER_WITHIN_MS } else { -1 };
     set("connect/timeout_ms", json!(within_ms))?;
     set("connect/exit_on_failure", json!(is_client))?;
     set(

@@ -142,6 +142,13 @@ fn connects(address: &str, authority: &Path, certificate: Option<&str>) -> bool 
     })
 }
 
+/// The names of a process's threads.
+fn threads(pid: u32) -> Vec<String> {
+    let tasks = fs::read_dir(format!("/proc/{pid}/task")).unwrap();
+    let names = tasks.filter_map(|task| fs::read_to_string(task.ok()?.path().join("comm")).ok());
+    names.map(|name| name.trim().to_owned()).collect()
+}
+
 #[test]
 fn who_shows_no_certificate_gets_no_connection() {
     let folder = tempfile::tempdir().unwrap();
@@ -152,11 +159,15 @@ fn who_shows_no_certificate_gets_no_connection() {
     let base = Host::new();
     let _worker = base.worker();
     let listen = format!("listen = [\"{address}\"]");
-    let _link = base.link(&file("base", "base", folder.path(), &listen, "[worker]\n"));
+    let link = base.link(&file("base", "base", folder.path(), &listen, "[worker]\n"));
     // It gives up after three seconds.
     eventually("a connection", || {
         connects(&address, folder.path(), Some("desk"))
     });
+    // Of a connection with TLS that two threads read and write both, and memory, may be lost.
+    let threads = threads(link.pid());
+    let count = |name: &str| threads.iter().filter(|it| it.starts_with(name)).count();
+    assert_eq!((count("rx-"), count("tx-")), (1, 0), "{threads:?}");
     assert!(!connects(&address, folder.path(), None));
 }
 

@@ -209,6 +209,31 @@ fn clocks_that_are_kept_together_bound_the_uncertainty_where_the_kernel_says_tha
     }
 }
 
+#[test]
+fn links_and_workers_start_in_any_order_and_one_that_is_not_there_keeps_none_from_another() {
+    let [first, second, there] = [Host::new(), Host::new(), Host::new()];
+    let [one, other] = [free_address(), free_address()];
+    let text = format!(
+        "name = \"desk\"\n[network]\nconnect = [\"{one}\", \"{other}\"]\nunencrypted = true\n\
+         {SAMPLES}{FOLLOW}"
+    );
+    let desk = there.link(&text);
+    // Nobody answers for longer than it may take to try all of them.
+    std::thread::sleep(Duration::from_millis(2_500));
+    for (host, address) in [(&first, &other), (&second, &one)] {
+        let worker = host.worker();
+        let base = host.link(&of_worker(address, &["desk"]));
+        let robots = there.robots(&["--robots", "2"]);
+        let mut planner = there.planner();
+        planner.fresh();
+        planner.leave();
+        for child in [robots, base, worker] {
+            let _ = ended(child);
+        }
+    }
+    let _ = ended(desk);
+}
+
 /// Times that something is ended until planners elsewhere are told how.
 const ATTEMPTS: usize = 5;
 
