@@ -16,6 +16,7 @@ use crate::protocol::carried::Carried;
 use crate::protocol::split::Split;
 use crate::protocol::stream::LocalFrame;
 use crate::refusals::Refusals;
+use crate::taking::ABSENT_AFTER_NS;
 
 /// Longest sleep: how late a request or a stop may be noticed.
 const LOOK_EVERY_NS: u64 = 20_000_000;
@@ -39,6 +40,8 @@ pub(crate) fn run(
     let mut waiter = bus.arrivals_waiter(&limits)?;
     let mut samples = bus.sample_reader(&limits)?;
     let mut frame = FrameBuf::new(limits.capacity);
+    let absent_ns = clock::monotonic_ns().saturating_add(ABSENT_AFTER_NS);
+    let mut is_known = false;
     ready();
     while !stop.load(Ordering::Relaxed) {
         bus.check()?;
@@ -56,7 +59,12 @@ pub(crate) fn run(
             }
         }
         giving.turn()?;
-        let until_ns = clock::monotonic_ns() + LOOK_EVERY_NS;
+        let now_ns = clock::monotonic_ns();
+        if !is_known && now_ns > absent_ns {
+            tell_who_has_not_asked(to, &giving.records(), &settings.name);
+            is_known = true;
+        }
+        let until_ns = now_ns + LOOK_EVERY_NS;
         waiter.wait_until(Some(until_ns), None)?;
     }
     let unassigned = split.map_or(0, |split| split.unassigned);
@@ -64,6 +72,17 @@ pub(crate) fn run(
         tracing::warn!("{unassigned} samples were of robots that no shard has");
     }
     Ok((giving.records(), giving.refused))
+}
+
+fn tell_who_has_not_asked(to: &[String], asked: &[GivenRecord], own: &str) {
+    for name in to {
+        if !asked.iter().any(|it| it.to == *name) {
+            tracing::warn!(
+                "{name} has not asked for the samples published here so far: does its link run, and does its file have a \
+                 `[[worker.take]]` with `from = {own:?}`, which with TLS is the name in the certificate of this one?"
+            );
+        }
+    }
 }
 
 fn local<'a>(header: &'a SampleHeader, samples: &'a [Sample]) -> LocalFrame<'a> {

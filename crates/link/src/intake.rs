@@ -1,6 +1,6 @@
 //! The thread of the worker's host that publishes the samples of other hosts, each source under its own identity.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
@@ -38,7 +38,7 @@ pub(crate) fn run(
     let bus = config.join("link")?;
     let mut writer = bus.sample_writer(&limits, limits.capacity)?;
     let mut inbox = Inbox::new(longest_bytes(limits.capacity));
-    let mut hosts = BTreeMap::new();
+    let (mut hosts, mut told) = (BTreeMap::new(), BTreeSet::new());
     for take in takes {
         let selection = Selection::new(Carried::Samples.bit(), 1, take.robots.ranges().to_vec());
         let of_fleet = (settings.fleet(config), limits.capacity);
@@ -70,9 +70,16 @@ pub(crate) fn run(
                 let Some((taking, robots)) = hosts.get_mut(&*from) else {
                     continue;
                 };
-                let mut ended = Ok(());
+                let (mut ended, mut foreign) = (Ok(()), None);
                 taking.message(&bytes, arrived_ns, |accepted| {
-                    let has = |robot| robots.has_robot(robot) && settings.has_robot(robot);
+                    let has = |robot| {
+                        let (is_taken, is_here) =
+                            (robots.has_robot(robot), settings.has_robot(robot));
+                        if is_here && !is_taken {
+                            foreign = Some(robot);
+                        }
+                        is_here && is_taken
+                    };
                     publish(&mut writer, (&*from, &accepted), has).map_err(|error| {
                         let shown = error.to_string();
                         if error.is_final() {
@@ -82,6 +89,11 @@ pub(crate) fn run(
                     })
                 });
                 ended?;
+                if let Some(robot) = foreign.filter(|_| told.insert(from.clone())) {
+                    tracing::warn!(
+                        "{from} sends samples of robot {robot}, which is not among its `robots` in this link's file: such are left out"
+                    );
+                }
             }
             Ok(Event::Lost { name }) => {
                 if let Some((taking, _)) = hosts.get_mut(&*name)
@@ -106,7 +118,7 @@ pub(crate) fn run(
 fn publish(
     writer: &mut SampleWriter,
     (from, accepted): (&str, &Accepted<'_>),
-    has: impl Fn(u32) -> bool,
+    mut has: impl FnMut(u32) -> bool,
 ) -> Result<(), SendError> {
     let (frame, offset_ns) = (&accepted.frame, accepted.offset_ns);
     let mut header: SampleHeader = frame.header();

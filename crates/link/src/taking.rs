@@ -12,6 +12,9 @@ use crate::protocol::selection::Selection;
 use crate::refusals::Refusals;
 use crate::wall_clock::WallClock;
 
+/// After this time without a sign of another link it is said that there was none.
+pub(crate) const ABSENT_AFTER_NS: u64 = 5_000_000_000;
+
 /// What was taken from one link.
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct TakenRecord {
@@ -45,6 +48,9 @@ pub(crate) struct Taking {
     receiver: Receiver,
     clock: WallClock,
     outlet: Outlet,
+    opened_ns: u64,
+    /// Something has come from the link, or it was said that nothing has.
+    is_known: bool,
     before_clock: u64,
     pub(crate) fenced: u64,
     pub(crate) refused: Refusals,
@@ -68,6 +74,8 @@ impl Taking {
             receiver: Receiver::new(Sender { fleet, run }, selection),
             clock: network.wall_clock(),
             outlet: network.requests_to(kind, from)?,
+            opened_ns: run,
+            is_known: false,
             before_clock: 0,
             fenced: 0,
             refused: Refusals::default(),
@@ -130,8 +138,21 @@ impl Taking {
 
     /// Asks if it is due.
     pub(crate) fn ask(&mut self) {
-        if let Some(request) = self.receiver.ask(clock::monotonic_ns()) {
+        let now_ns = clock::monotonic_ns();
+        if let Some(request) = self.receiver.ask(now_ns) {
             self.outlet.send(request);
+        }
+        if !self.is_known {
+            let is_heard = self.receiver.is_heard();
+            let is_absent = now_ns.saturating_sub(self.opened_ns) > ABSENT_AFTER_NS;
+            if is_absent && !is_heard {
+                tracing::warn!(
+                    "nothing has come from {from} so far: does its link run, can the two hosts reach each other, is {from} the name in \
+                     its file and, with TLS, in its certificate, and does one of the files name the other's address?",
+                    from = self.from
+                );
+            }
+            self.is_known = is_heard || is_absent;
         }
     }
 

@@ -145,8 +145,8 @@ fn collect(path: &Path) -> Result<Store, TrialError> {
         }
     }
     if frames == 0 {
-        let detail = "no samples of joulebus in this MCAP file; convert recordings of other programs: \
-                      joulebus import";
+        let detail = "no samples of joulebus in this MCAP file; a capture of another host's planners has none: record \
+                      beside the worker; convert recordings of other programs: joulebus import";
         return Err(refused(detail.to_owned()));
     }
     Ok(store)

@@ -164,10 +164,10 @@ fn who_shows_no_certificate_gets_no_connection() {
     eventually("a connection", || {
         connects(&address, folder.path(), Some("desk"))
     });
-    // Of a connection with TLS that two threads read and write both, and memory, may be lost.
+    // A connection with TLS is lost where another thread writes it than reads it.
     let threads = threads(link.pid());
-    let count = |name: &str| threads.iter().filter(|it| it.starts_with(name)).count();
-    assert_eq!((count("rx-"), count("tx-")), (1, 0), "{threads:?}");
+    let has = |name: &str| threads.iter().any(|it| it.starts_with(name));
+    assert!(has("rx-") && !has("tx-"), "{threads:?}");
     assert!(!connects(&address, folder.path(), None));
 }
 

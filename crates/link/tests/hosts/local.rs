@@ -218,8 +218,11 @@ fn links_and_workers_start_in_any_order_and_one_that_is_not_there_keeps_none_fro
          {SAMPLES}{FOLLOW}"
     );
     let desk = there.link(&text);
-    // Nobody answers for longer than it may take to try all of them.
-    std::thread::sleep(Duration::from_millis(2_500));
+    // Nobody answers for longer than it may take to try all of them, and that is told.
+    eventually("it is told that nobody answers", || {
+        let said = desk.errors();
+        said.contains("nothing has come from base so far") && said.contains("base has not asked")
+    });
     for (host, address) in [(&first, &other), (&second, &one)] {
         let worker = host.worker();
         let base = host.link(&of_worker(address, &["desk"]));
