@@ -354,10 +354,16 @@ fn configured(
     set("mode", json!(settings.mode.name()))?;
     set("connect/endpoints", json!(settings.connect))?;
     set("listen/endpoints", json!(settings.listen))?;
-    // Other peers may start later: a link connects when they are there, tries without end (-1; 0 is once), and does not wait
-    // for it. A client needs its router.
+    // A client needs its router. A link that listens on nothing connects when the others are there: it tries without end (-1) and
+    // does not wait for it. One that listens tries once (0): those that start later connect to it. Of two that both tried
+    // without end each would go on although they are connected, which zenoh takes for a second connection and refuses, and
+    // one that is cut off in such a moment keeps the other from hearing anybody for ten seconds.
     let is_client = settings.mode == Mode::Client;
-    let within_ms = if is_client { ROUTER_WITHIN_MS } else { -1 };
+    let within_ms = match (is_client, settings.listen.is_empty()) {
+        (true, _) => ROUTER_WITHIN_MS,
+        (false, true) => -1,
+        (false, false) => 0,
+    };
     set("connect/timeout_ms", json!(within_ms))?;
     set("connect/exit_on_failure", json!(is_client))?;
     set(
