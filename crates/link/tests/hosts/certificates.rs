@@ -9,7 +9,7 @@ use std::time::Duration;
 use joulebus_test_processes::{Child, eventually};
 use zenoh::Wait as _;
 
-use crate::host::{FOLLOW, Host, SAMPLES, free_address, is_asked_by};
+use crate::host::{FOLLOW, Host, SAMPLES, free_address, has_lost_edge, is_asked_by};
 
 /// Makes certificates as the documentation says, valid for `days`.
 pub(crate) fn certificates(folder: &Path, days: u32, hosts: &[&str]) -> bool {
@@ -33,10 +33,16 @@ pub(crate) fn certificates(folder: &Path, days: u32, hosts: &[&str]) -> bool {
 
 /// A link's file with the certificate of `of` in `folder`.
 fn file(name: &str, of: &str, folder: &Path, network: &str, sides: &str) -> String {
+    let tls = tls(folder, of);
+    format!("name = \"{name}\"\n[network]\n{network}\n{tls}\n{sides}")
+}
+
+/// The part of a link's file with the certificate of `of` in `folder`.
+pub(crate) fn tls(folder: &Path, of: &str) -> String {
     let folder = folder.display();
     format!(
-        "name = \"{name}\"\n[network]\n{network}\n[network.tls]\nca = \"{folder}/fleet-ca.pem\"\n\
-         certificate = \"{folder}/{of}.pem\"\nkey = \"{folder}/{of}.key\"\n{sides}"
+        "[network.tls]\nca = \"{folder}/fleet-ca.pem\"\ncertificate = \"{folder}/{of}.pem\"\n\
+         key = \"{folder}/{of}.key\""
     )
 }
 
@@ -93,11 +99,7 @@ fn only_certificates_of_the_fleets_authority_are_let_in_and_samples_come_under_t
         assert_eq!(given > 0, is_let_in, "{certificate}: {report}");
         if may_publish {
             // After its last samples; the worker takes them with its next tick.
-            eventually("the end of the link is known", || {
-                let said = link.errors();
-                said.contains("the link of edge is gone")
-                    || said.contains("no samples come from edge")
-            });
+            eventually("the end of the link is known", || has_lost_edge(&link));
         }
         let mut beside = base.planner();
         beside.fresh();
@@ -174,13 +176,9 @@ fn who_shows_no_certificate_gets_no_connection() {
 /// Samples that the worker has accepted.
 fn accepted(base: &Host) -> u64 {
     let mut accepted = None;
-    // The watch gives up after three seconds.
     eventually("the worker is heard", || {
-        let watched = base.joulebus(&["watch", "--once", "--format", "json"]);
-        let watched = Child::spawn("watch", watched).wait();
-        if watched.code() == Some(0) {
-            accepted = watched.json()["samples_accepted"].as_u64();
-        }
+        let watched = base.watched();
+        accepted = watched.and_then(|watched| watched["samples_accepted"].as_u64());
         accepted.is_some()
     });
     accepted.unwrap()

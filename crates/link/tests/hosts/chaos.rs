@@ -110,12 +110,9 @@ fn goes_on(planner: &mut Reader, last: &mut (u64, u64), after: &str) {
 
 /// What a host says of each robot's ledger: robot, energy, metered and unmetered time; nothing where it hears no worker.
 fn ledgers(host: &Host) -> Vec<[Value; 4]> {
-    let words = ["watch", "--once", "--format", "json"];
-    let watched = Child::spawn("watch", host.joulebus(&words)).wait();
-    if watched.code() != Some(0) {
+    let Some(report) = host.watched() else {
         return Vec::new();
-    }
-    let report = watched.json();
+    };
     let robots = report["robots"].as_array().unwrap();
     let row = |robot: &Value| {
         ["robot", "drawn_j", "metered_s", "unmetered_s"].map(|key| robot[key].clone())

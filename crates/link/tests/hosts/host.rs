@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_config::Config;
 use joulebus_test_processes::{Child, eventually, free_port, joulebus_beside, left_behind};
+use serde_json::Value;
 
 use crate::planner::Reader;
 
@@ -60,16 +61,18 @@ impl Host {
         self.directory.path().join("fleet.toml")
     }
 
-    /// Samples that the worker of this host says to have accepted or dropped; `None` where it is not heard.
-    pub(crate) fn known_samples(&self) -> Option<u64> {
+    /// What this host is told of its fleet; `None` where no frame comes within the three seconds that the watch waits.
+    pub(crate) fn watched(&self) -> Option<Value> {
         let words = ["watch", "--once", "--format", "json"];
         let watched = Child::spawn("watch", self.joulebus(&words)).wait();
-        if watched.code() != Some(0) {
-            return None;
-        }
-        let report = watched.json();
+        (watched.code() == Some(0)).then(|| watched.json())
+    }
+
+    /// Samples that the worker of this host says to have accepted or dropped; `None` where it is not heard.
+    pub(crate) fn known_samples(&self) -> Option<u64> {
+        let report = self.watched()?;
         let dropped = report["samples_dropped"].as_object()?.values();
-        let dropped: u64 = dropped.filter_map(serde_json::Value::as_u64).sum();
+        let dropped: u64 = dropped.filter_map(Value::as_u64).sum();
         Some(report["samples_accepted"].as_u64()? + dropped)
     }
 
@@ -147,8 +150,14 @@ pub(crate) fn is_asked_by(link: &Child, name: &str) {
     eventually(&says, || link.errors().contains(&says));
 }
 
+/// Whether a link has said that the one of the robots' host is gone or silent.
+pub(crate) fn has_lost_edge(link: &Child) -> bool {
+    let said = link.errors();
+    said.contains("the link of edge is gone") || said.contains("no samples come from edge")
+}
+
 /// Times that a scene is played which was disturbed.
-const ATTEMPTS: usize = 5;
+pub(crate) const ATTEMPTS: usize = 5;
 
 /// Plays a scene in which no message may be lost while its links hear each other, until they did all the time. `scene` returns
 /// how often one heard nothing: a link that gets no processor for a second is taken for gone, and what was on its way to it is

@@ -6,7 +6,8 @@ use std::time::Duration;
 use joulebus_test_processes::{Child, Ended, eventually};
 
 use crate::host::{
-    FOLLOW, Host, SAMPLES, free_address, is_asked_by, of_other, of_worker, undisturbed,
+    ATTEMPTS, FOLLOW, Host, SAMPLES, free_address, has_lost_edge, is_asked_by, of_other, of_worker,
+    undisturbed,
 };
 use crate::planner::Reader;
 
@@ -120,12 +121,8 @@ fn samples_of_another_host() -> u64 {
     assert_eq!(robots.code(), Some(0), "{robots:?}");
     let sent = robots.json()["samples_sent"].as_u64().unwrap();
     // The last ones are not known of where they were lost with their link.
-    let is_silent = || {
-        let said = base.errors();
-        said.contains("no samples come from edge") || said.contains("the link of edge is gone")
-    };
     eventually("all samples are accounted for", || {
-        here.known_samples() == Some(sent) || is_silent()
+        here.known_samples() == Some(sent) || has_lost_edge(&base)
     });
     // Before the other one: its end is no silence.
     let base = ended(base);
@@ -236,9 +233,6 @@ fn links_and_workers_start_in_any_order_and_one_that_is_not_there_keeps_none_fro
     }
     let _ = ended(desk);
 }
-
-/// Times that something is ended until planners elsewhere are told how.
-const ATTEMPTS: usize = 5;
 
 /// `ends` begins a part of the fleet, waits until the planner reads, and ends the part; until the planner is told so. A link
 /// that gets no processor for a second is taken for gone before, as is promised.

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use joulebus_test_processes::{Child, eventually};
 use serde_json::Value;
 
-use crate::host::{Host, free_address, is_asked_by, undisturbed};
+use crate::host::{Host, free_address, has_lost_edge, is_asked_by, undisturbed};
 use crate::planner::Frame;
 
 const LISTS: &str = "[[shard]]\nname = \"north\"\nworkers = [\"north-1\"]\nrobots = [\"0-4\"]\n\
@@ -134,10 +134,7 @@ fn one_fleet(shards: &str) -> u64 {
             .sum::<Option<u64>>()
     };
     // The last ones are not known of where they were lost with their link.
-    let is_silent = || {
-        let said = format!("{} {}", north.errors(), south.errors());
-        said.contains("no samples come from edge") || said.contains("the link of edge is gone")
-    };
+    let is_silent = || has_lost_edge(&north) || has_lost_edge(&south);
     eventually("all samples are accounted for", || {
         known() == Some(sent) || is_silent()
     });

@@ -14,7 +14,7 @@ use joulebus_test_processes::{Child, eventually, free_port};
 use rustix::process::Signal;
 use serde_json::Value;
 
-use crate::certificates::certificates;
+use crate::certificates::{certificates, tls};
 use crate::chaos::{Chance, FAULTS, MORE};
 use crate::etcd::Etcd;
 use crate::host::{Host, free_address};
@@ -226,15 +226,9 @@ impl Account {
 
 /// What a host says of each robot's ledger.
 fn accounts(host: &Host) -> Vec<Account> {
-    let words = ["watch", "--once", "--format", "json"];
     let mut accounts = Vec::new();
-    // It gives up after three seconds.
     eventually("the accounts of all robots", || {
-        let watched = Child::spawn("watch", host.joulebus(&words)).wait();
-        if watched.code() != Some(0) {
-            return false;
-        }
-        let report = watched.json();
+        let report = host.watched().unwrap_or_default();
         let robots = report["robots"].as_array().into_iter().flatten();
         accounts = robots.filter_map(Account::of).collect();
         accounts.len() == ROBOTS as usize
@@ -570,7 +564,7 @@ fn states_and_terms_are_taken_under_the_name_in_the_certificate_alone() {
     for address in &mut scene.addresses {
         *address = address.replacen("tcp", "tls", 1);
     }
-    scene.security = ["base-1", "base-2", "field"].map(|name| secured(folder.path(), name));
+    scene.security = ["base-1", "base-2", "field"].map(|name| tls(folder.path(), name));
     let mut workers = [0, 1].map(|at| scene.worker(at));
     let mut links = [0, 1].map(|at| scene.base_link(at));
     let _field = scene.field_link();
@@ -588,7 +582,7 @@ fn states_and_terms_are_taken_under_the_name_in_the_certificate_alone() {
     }
     // A planners' host that says to be the other one.
     links[1].end();
-    scene.security[1] = secured(folder.path(), "desk");
+    scene.security[1] = tls(folder.path(), "desk");
     links[1] = scene.base_link(1);
     let mut command = scene.bases[1].link_command(&scene.base_file(1));
     command.arg("--take-over");
@@ -596,15 +590,6 @@ fn states_and_terms_are_taken_under_the_name_in_the_certificate_alone() {
     std::thread::sleep(Duration::from_secs(3));
     fresh(&mut beside);
     assert!(workers[0].is_running(), "{}", workers[0].errors());
-}
-
-/// The part of a link's file with the certificate of `name` in `folder`.
-fn secured(folder: &Path, name: &str) -> String {
-    let folder = folder.display();
-    format!(
-        "[network.tls]\nca = \"{folder}/fleet-ca.pem\"\ncertificate = \"{folder}/{name}.pem\"\n\
-         key = \"{folder}/{name}.key\""
-    )
 }
 
 #[test]

@@ -72,6 +72,15 @@ pub(crate) fn get_json(address: &str, path: &str) -> Value {
     response.json()
 }
 
+/// Whether an alarm of a robot is raised.
+pub(crate) fn has_alarm(address: &str, robot: u32, alarm: &str) -> bool {
+    let response = get(address, &format!("/api/v1/robots/{robot}"));
+    response.status == 200
+        && response.json()["alarms"]
+            .as_array()
+            .is_some_and(|alarms| alarms.iter().any(|raised| raised == alarm))
+}
+
 /// The answer to a question about a plan. A server asks to be asked again where no frame of the worker is fresh in time.
 pub(crate) fn what_if(address: &str, question: &str) -> Response {
     let head = format!(

@@ -7,7 +7,7 @@ use std::process::{Command, Stdio};
 use joulebus_test_processes::{eventually, free_port};
 use serde_json::Value;
 
-use crate::client::{get, get_json};
+use crate::client::{get, get_json, has_alarm};
 use crate::fleet::Fleet;
 
 /// A Python with the package `prometheus_client`; skips aloud without one.
@@ -63,13 +63,7 @@ fn an_independent_parser_reads_the_metrics_and_finds_the_values_of_the_api() {
     let mut worker = fleet.worker();
     let mut source = fleet.joulebus("publish sim --robots 7 --fault 2=stuck");
     let (mut server, address) = fleet.serve(&["--metrics-robots", "5"]);
-    eventually("an alarm", || {
-        let robot = get(&address, "/api/v1/robots/2");
-        robot.status == 200
-            && robot.json()["alarms"]
-                .as_array()
-                .is_some_and(|alarms| alarms.iter().any(|alarm| alarm == "StuckSensor"))
-    });
+    eventually("an alarm", || has_alarm(&address, 2, "StuckSensor"));
     source.end();
     worker.stop();
     eventually("the worker's end", || {

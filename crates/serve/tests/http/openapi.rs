@@ -3,7 +3,7 @@
 use joulebus_test_processes::eventually;
 use serde_json::Value;
 
-use crate::client::{Events, answered, get, get_json, what_if};
+use crate::client::{Events, answered, get, get_json, has_alarm, what_if};
 use crate::fleet::Fleet;
 
 /// What of `value` is not as `schema` says.
@@ -76,11 +76,7 @@ fn every_answer_is_as_the_document_says() {
     let (mut server, address) = fleet.serve(&[]);
     // By then there are points of its history, too.
     eventually("an alarm of the robot", || {
-        let robot = get(&address, "/api/v1/robots/2");
-        robot.status == 200
-            && robot.json()["alarms"]
-                .as_array()
-                .is_some_and(|alarms| alarms.iter().any(|alarm| alarm == "StuckSensor"))
+        has_alarm(&address, 2, "StuckSensor")
     });
     let document = get_json(&address, "/api/v1/openapi.json");
     let check = |name: &str, value: &Value| {
