@@ -7,7 +7,7 @@ use std::path::Path;
 use joulebus_config::Config;
 use joulebus_dataset::trial::Trial;
 use joulebus_eval::evaluate::evaluate;
-use joulebus_predictor_worker::load_models;
+use joulebus_models::load_models;
 
 const CONFIG: &str = r#"
 [fleet]

@@ -6,7 +6,7 @@ use std::error::Error;
 
 use joulebus_capture::{Reader, verify::Verifier};
 use joulebus_config::Config;
-use joulebus_predictor_worker::load_models;
+use joulebus_models::load_models;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let directory = tempfile::tempdir()?;

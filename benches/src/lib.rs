@@ -26,8 +26,7 @@ mod tick;
 mod wait;
 mod world;
 
-use hdrhistogram::Histogram;
-pub use joulebus_predictor_worker::Spread;
+pub use joulebus_latency::{Spread, histogram};
 
 pub use compare::{Change, CompareError, Comparison, Verdict};
 pub use distribution::Distribution;
@@ -35,13 +34,3 @@ pub use figure::{Better, Figure};
 pub use machine::{Build, Machine};
 pub use report::{Report, SCHEMA, Suite};
 pub use run::main;
-
-/// A histogram of ns up to a minute, with three significant digits.
-///
-/// # Panics
-/// Never: the bounds are constant and valid.
-#[must_use]
-pub fn histogram() -> Histogram<u64> {
-    Histogram::new_with_bounds(1, 60_000_000_000, 3)
-        .expect("1 ns to 1 min in three digits is valid")
-}

@@ -177,7 +177,7 @@ fn run_once(scenario: &Scenario, stop: &AtomicBool) -> (Outcome, Answers) {
         .map_err(|error| error.to_string())
         .and_then(|config| {
             let models =
-                simulated_worker::load_models(&config).map_err(|error| error.to_string())?;
+                simulated_models::load_models(&config).map_err(|error| error.to_string())?;
             Ok((config, models))
         });
     let (config, models) = match loaded {

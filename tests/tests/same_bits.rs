@@ -17,7 +17,7 @@ use joulebus_bus::Bus;
 use joulebus_config::Config;
 use joulebus_dataset::trial::Trial;
 use joulebus_eval::evaluate::{Evaluation, RobotEvaluation, Step, evaluate};
-use joulebus_predictor_worker::load_models;
+use joulebus_models::load_models;
 use joulebus_tests::{Child, PATIENCE, program};
 use joulebus_wire::{Diagnostic, Forecast, Quality};
 use recordings::trials;

@@ -1,6 +1,6 @@
 //! The report in the format shared by all benchmarks.
 
-use joulebus_predictor_worker::Spread;
+use joulebus_latency::Spread;
 
 use super::Row;
 use crate::figure::robots;

@@ -4,8 +4,8 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use hdrhistogram::Histogram;
+use joulebus_latency::Spread;
 use joulebus_predictor::{Features, Model, features};
-use joulebus_predictor_worker::Spread;
 
 use crate::histogram;
 

@@ -16,7 +16,7 @@ use iceoryx2::prelude::{
     ZeroCopySend, ipc,
 };
 use joulebus_bus::clock;
-use joulebus_predictor_worker::Spread;
+use joulebus_latency::Spread;
 use joulebus_wire::{Forecast, ForecastHeader, Sample, SampleHeader};
 
 use super::{Launcher, WARM_UP, finish, record_places};

@@ -3,12 +3,9 @@
 use std::fmt;
 
 use hdrhistogram::Histogram;
-use joulebus_predictor_worker::Spread;
+use joulebus_latency::{Spread, histogram};
 use joulebus_wire::ForecastHeader;
 use serde::{Deserialize, Serialize};
-
-/// Upper bound of the histograms, ns.
-const LONGEST_NS: u64 = 60_000_000_000;
 
 /// Upper bounds of [`Counted::counts`], s; the last count is of longer times.
 pub const UPPER_S: [f64; 16] = [
@@ -53,14 +50,8 @@ impl Default for Stages {
 impl Stages {
     /// Empty distributions.
     #[must_use]
-    #[allow(
-        clippy::expect_used,
-        clippy::missing_panics_doc,
-        reason = "the bounds are constants"
-    )]
     pub fn new() -> Self {
-        let empty = Histogram::new_with_bounds(1, LONGEST_NS, 3);
-        let empty = empty.expect("1 ns to a minute with three digits is a valid range");
+        let empty = histogram();
         Self {
             total: empty.clone(),
             parts: std::array::from_fn(|_| empty.clone()),

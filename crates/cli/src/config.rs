@@ -8,8 +8,8 @@ use std::path::PathBuf;
 
 use clap::Subcommand;
 use joulebus_config::{Config, ConfigError, Explanation, Problem, explain, explanations};
+use joulebus_models::load_models;
 use joulebus_predictor::Model;
-use joulebus_predictor_worker::load_models;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{self, Format, Output, say};

@@ -5,9 +5,9 @@ use std::io::{self, BufWriter, Write as _};
 use std::path::Path;
 
 use joulebus_files::replace;
-use joulebus_fleet::missing_steps;
 use joulebus_predictor::{
     FEATURE_NAMES, FEATURES, FeatureSet, Features, INPUTS, LAGS, ReadingAge, features,
+    missing_steps,
 };
 use joulebus_wire::{Sample, sample_flag};
 use sha2::{Digest as _, Sha256};

@@ -22,7 +22,6 @@ mod tick;
 
 pub use estimate::online::Learned;
 pub use estimate::scores::Scores;
-pub use estimate::window::missing_steps;
 pub use fleet::Fleet;
 pub use ingest::frame::{FrameIntake, TickIntake};
 pub use ledger::battery::SavedBattery;

@@ -12,11 +12,11 @@ use anyhow::{Context as _, anyhow};
 use joulebus_bus::{WorkerLock, clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_plan_server::PlanServer;
-use joulebus_predictor_worker::Places;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
 use joulebus_program::verbs::link::LinkArguments;
+use joulebus_standby::Places;
 use serde::Serialize;
 
 use crate::config::{Mode, Settings, Side};

@@ -12,7 +12,7 @@ use joulebus_config::Config;
 use joulebus_consumer::{
     BudgetFeed, DiagnosticFeed, Event, Feed, PlanStateFeed, Planner, ReadError, WorkerState,
 };
-use joulebus_predictor_worker::SavedState;
+use joulebus_standby::SavedState;
 use joulebus_wire::{Payload, SCHEMA_VERSION, StateHeader};
 
 use crate::giving::{GivenRecord, Giving};

@@ -10,7 +10,7 @@ use std::time::Duration;
 use anyhow::Context as _;
 use joulebus_bus::{Domain, WorkerLock, clock};
 use joulebus_config::Config;
-use joulebus_predictor_worker::{Permit, SavedState};
+use joulebus_standby::{Permit, SavedState};
 use joulebus_wire::StateHeader;
 
 use crate::config::{LeaseSettings, Settings, Standby};

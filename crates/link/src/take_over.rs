@@ -6,9 +6,9 @@ use std::time::Duration;
 use anyhow::{Context as _, bail};
 use joulebus_bus::{WorkerLock, clock};
 use joulebus_config::Config;
-use joulebus_predictor_worker::{Permit, Places};
 use joulebus_program::output::say;
 use joulebus_program::stop::Stop;
+use joulebus_standby::{Permit, Places};
 
 use crate::config::Settings;
 use crate::etcd::Etcd;

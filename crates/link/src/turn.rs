@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use joulebus_bus::clock;
-use joulebus_predictor_worker::{Permit, PermitError, Places};
+use joulebus_standby::{Permit, PermitError, Places};
 
 /// What it is at an instant; shared by the threads.
 #[derive(Debug)]

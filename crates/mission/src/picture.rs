@@ -1,6 +1,6 @@
 //! A mission as a figure.
 
-use joulebus_report::figure::{Axis, Colour, Figure, FigureError, Layer, Mark, Panel};
+use joulebus_figure::{Axis, Colour, Figure, FigureError, Layer, Mark, Panel};
 
 use crate::error::MissionError;
 use crate::policy::Policy;

@@ -10,13 +10,13 @@ use joulebus_bus::{
     Steps, clock,
 };
 use joulebus_config::Config;
+use joulebus_standby::Places;
 use joulebus_wire::{DropCounts, DropReason};
 
 use crate::checkpoint::Checkpoint;
 use crate::keyframes::{KeyframeOrders, KeyframeSender};
 use crate::ledger_files::{LedgerFileError, LedgerFiles};
 use crate::save_schedule::SaveSchedule;
-use crate::standby::Places;
 use crate::state_directory::checkpoint_path;
 
 /// Longest sleep of the checkpointer, ns.

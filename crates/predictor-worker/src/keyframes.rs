@@ -11,9 +11,9 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use joulebus_bus::{Bus, Limits, OpenError, StateWriter, clock, process_id};
 use joulebus_fleet::{Fleet, FleetState};
 use joulebus_settings::FleetSettings;
+use joulebus_standby::SavedState;
 use joulebus_wire::{SCHEMA_VERSION, StateHeader};
 
-use crate::standby::SavedState;
 use crate::standby::watch::Speaking;
 
 /// Minimum time between two keyframes, unless there is a new reader, ns.

@@ -26,9 +26,8 @@ mod tick_pool;
 mod worker;
 
 pub use checkpointer::CheckpointerError;
-pub use joulebus_models::{ModelsError, load_models};
 pub use ledger_files::LedgerFileError;
-pub use report::{Parts, Report, Spread};
-pub use standby::{Permit, PermitError, PermitOver, Places, SavedState, SavedStateError};
+pub use report::{Parts, Report};
+pub use standby::PermitOver;
 pub use tick_pool::{TickPool, TickPoolError};
 pub use worker::{OpenError, RunError, Worker};

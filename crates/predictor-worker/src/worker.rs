@@ -20,17 +20,15 @@ use crate::journal::Journal;
 use crate::keyframes::{Keyframes, keyframes};
 use crate::ledger_files::LedgerFileError;
 use crate::outbox::{LeftOut, Outbox};
-use crate::report::{Parts, Report, Spread, by_name};
+use crate::report::{Parts, Report, by_name};
 use crate::shedding::Shedding;
 use crate::standby::backlog::Held;
 use crate::standby::follow::Following;
 use crate::standby::watch::{self, PermitOver, Speaking};
-use crate::standby::{Permit, PermitError, Places, SavedState};
 use crate::tick_pool::{TickPool, TickPoolError};
+use joulebus_latency::{Spread, histogram};
 use joulebus_models::{ModelsError, load_models};
-
-/// Longest tick that the histogram resolves, ns.
-const LONGEST_TICK_NS: u64 = 60_000_000_000;
+use joulebus_standby::{Permit, PermitError, Places, SavedState};
 
 /// How often a worker that stands by looks for its permit, ns.
 const PERMIT_EVERY_NS: u64 = watch::READ_EVERY.as_nanos() as u64;
@@ -185,8 +183,7 @@ impl Worker {
         }
         let mut part = vec![Sample::new(0, 0, 0); PART];
         part.clear();
-        let ticks_ns = Histogram::new_with_bounds(1, LONGEST_TICK_NS, 3)
-            .expect("these bounds are constant, and valid");
+        let ticks_ns = histogram();
         // Before the other threads are started, whose stacks are not touched.
         touch_own_memory();
         let mut bus = Bus::join(&domain, "worker")?;

@@ -13,7 +13,8 @@ use std::time::{Duration, Instant};
 use joulebus_bus::{Bus, FrameBuf, clock};
 use joulebus_config::Config;
 use joulebus_fleet::{Fleet, FleetState};
-use joulebus_predictor_worker::{Worker, load_models};
+use joulebus_models::load_models;
+use joulebus_predictor_worker::Worker;
 use joulebus_wire::{
     Budget, Forecast, SCHEMA_VERSION, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader,
     tick_flag,

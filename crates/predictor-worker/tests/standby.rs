@@ -13,7 +13,8 @@ use std::time::{Duration, Instant};
 
 use joulebus_bus::{Bus, clock};
 use joulebus_config::Config;
-use joulebus_predictor_worker::{Permit, Places, RunError, SavedState, Worker};
+use joulebus_predictor_worker::{RunError, Worker};
+use joulebus_standby::{Permit, Places, SavedState};
 use joulebus_wire::{Budget, Forecast, Quality, SCHEMA_VERSION, Sample, SampleHeader};
 use on_drop::OnDrop;
 

@@ -46,5 +46,5 @@ pub use nan::{canonical, canonical_f64};
 pub use network::Network;
 pub use parameters::{HIDDEN, Layer, Normalisation, Parameters};
 pub use persistence::Persistence;
-pub use reading_age::ReadingAge;
+pub use reading_age::{ReadingAge, missing_steps};
 pub use rollout::{RolloutStart, Rollouts};

@@ -3,8 +3,8 @@
 use super::document::{Cell, Column, Part, Section, Table};
 use super::material::{Material, interval, scaled};
 use super::paper;
-use crate::figure::{Axis, Colour, Direction, Figure, Interval, Layer, Mark, Panel};
 use joulebus_eval::score::ForecasterScore;
+use joulebus_figure::{Axis, Colour, Direction, Figure, Interval, Layer, Mark, Panel};
 
 /// The section: from velocities alone to the network.
 pub(super) fn section(material: &Material<'_>) -> Section {

@@ -6,10 +6,10 @@ use rayon::prelude::*;
 
 use super::document::{Cell, Column, Part, Section, Table};
 use super::material::{Material, label};
-use crate::figure::{Axis, Colour, Direction, Figure, Interval, Layer, Mark, Panel};
 use joulebus_dataset::trial::Trial;
 use joulebus_eval::evaluate::{EvaluateError, RobotEvaluation, Series, evaluate_trial};
 use joulebus_eval::score::{Cell as Scores, Design, Recording, recorded_platform};
+use joulebus_figure::{Axis, Colour, Direction, Figure, Interval, Layer, Mark, Panel};
 use joulebus_statistics::metrics::CoverageTally;
 
 /// Nominal coverages.

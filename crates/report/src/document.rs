@@ -4,7 +4,7 @@
 use serde::ser::{SerializeMap as _, SerializeSeq as _};
 use serde::{Serialize, Serializer};
 
-use crate::figure::Figure;
+use joulebus_figure::Figure;
 
 /// A report.
 #[derive(Debug, Clone, PartialEq, Serialize)]

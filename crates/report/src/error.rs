@@ -1,8 +1,8 @@
 //! Errors of making a report.
 
-use crate::figure::FigureError;
 use joulebus_eval::evaluate::EvaluateError;
 use joulebus_eval::score::ScoreError;
+use joulebus_figure::FigureError;
 use joulebus_train::TrainError;
 
 /// Errors of making a report.

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use super::ReportError;
 use super::document::Document;
 use super::html::html;
-use crate::figure::Figure;
+use joulebus_figure::Figure;
 
 /// Pixels of a PNG per CSS pixel: 230 dots per inch at page size.
 const SCALE: f32 = 2.0;

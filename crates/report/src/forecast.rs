@@ -3,8 +3,8 @@
 use super::document::{Cell, Column, Part, Section, Table};
 use super::material::{Material, label};
 use super::paper;
-use crate::figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel, bins, tiles};
 use joulebus_eval::evaluate::Series;
+use joulebus_figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel, bins, tiles};
 use joulebus_statistics::metrics::{ResidualQuantiles, quantile, sorted, tally};
 
 const TILES: usize = 60;

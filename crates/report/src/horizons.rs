@@ -2,8 +2,8 @@
 
 use super::document::{Cell, Column, Part, Section, Table};
 use super::material::{Material, scaled};
-use crate::figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
 use joulebus_eval::score::{Horizon, HorizonScore};
+use joulebus_figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
 use joulebus_statistics::bootstrap::Estimate;
 
 /// The section; `None` if no horizon was evaluated.

@@ -3,7 +3,7 @@
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::document::{Document, Part, Section, Table};
-use crate::figure::{Colour, Figure, FigureError};
+use joulebus_figure::{Colour, Figure, FigureError};
 
 const STYLE: &str = include_str!("report.css");
 

@@ -13,7 +13,6 @@ mod document;
 mod draw;
 mod error;
 mod experiment;
-pub mod figure;
 mod files;
 mod forecast;
 mod horizons;

@@ -3,10 +3,10 @@
 use super::document::{Cell, Column, Part, Section, Table};
 use super::material::{Material, label};
 use super::paper;
-use crate::figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel, bins};
 use joulebus_dataset::trial::{Column as Recorded, Trial};
 use joulebus_eval::analyze::autocorrelation;
 use joulebus_eval::score::{Contents, Recording};
+use joulebus_figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel, bins};
 use joulebus_statistics::metrics::{quantile, sorted};
 
 /// Maximum lag shown, rows.

@@ -3,8 +3,8 @@
 use super::document::{Part, Section};
 use super::material::{Material, interval, label, scaled};
 use super::{paper, scores};
-use crate::figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
 use joulebus_eval::score::{Cell as Scores, ForecasterScore};
+use joulebus_figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
 
 /// Maximum number of names in a figure.
 const MOST: usize = 24;
@@ -146,7 +146,7 @@ fn scores_of(sets: &[Scores], forecaster: usize) -> impl Iterator<Item = &Foreca
 fn dots(
     material: &Material<'_>,
     sets: &[Scores],
-    value: impl Fn(&ForecasterScore) -> crate::figure::Interval,
+    value: impl Fn(&ForecasterScore) -> joulebus_figure::Interval,
 ) -> Vec<Layer> {
     let compared = material.compared();
     let count = compared.len();
@@ -168,7 +168,7 @@ fn draw_panel(material: &Material<'_>, sets: &[Scores], names: Axis) -> Panel {
     let values = sets.iter().map(|set| {
         let [value, low, high] = [0.0, -1.0, 1.0]
             .map(|deviations| unit.scaled_w(set.reading_mean_w + deviations * set.reading_std_w));
-        crate::figure::Interval { value, low, high }
+        joulebus_figure::Interval { value, low, high }
     });
     let mark = Mark::Dots {
         values: values.collect(),

@@ -14,8 +14,8 @@ use super::recorded::{all_scores, options};
 use super::robots::Grouping;
 use super::unit::Unit;
 use super::{ReportError, ablation, calibration, forecast, horizons, power, robots, scores};
-use crate::figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
 use joulebus_eval::score::{Cell as Scores, Recording};
+use joulebus_figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
 use joulebus_train::{Epoch, Trained};
 
 /// The note on every figure of simulated robots.

@@ -10,8 +10,8 @@ use std::ops::ControlFlow;
 use std::sync::OnceLock;
 
 use joulebus_eval::score::{Design, Recording};
+use joulebus_figure::{Axis, Colour, Figure, Layer, Mark, Panel};
 use joulebus_predictor::Model;
-use joulebus_report::figure::{Axis, Colour, Figure, Layer, Mark, Panel};
 use joulebus_report::{
     Cell, Column, Document, File, Part, Recorded, ReportError, Section, Simulated, SimulatedReport,
     Table, files, html, recorded, simulated,

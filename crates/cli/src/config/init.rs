@@ -8,7 +8,7 @@ use anyhow::Context as _;
 use joulebus_config::{Assignment, Config, fleet_file, platform_file};
 use joulebus_dataset::inspect::{Profile, profile};
 use joulebus_dataset::trial::Trial;
-use joulebus_predictor_worker::load_models;
+use joulebus_models::load_models;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::file::write;
 use joulebus_program::output::{Output, say};

@@ -7,7 +7,8 @@ use joulebus_bus::{
     clock,
 };
 use joulebus_config::Config;
-use joulebus_predictor_worker::{Permit, Places, load_models};
+use joulebus_models::load_models;
+use joulebus_standby::{Permit, Places};
 use rustix::fs::{Access, access, statfs};
 
 use super::{Check, Status};

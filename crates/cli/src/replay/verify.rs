@@ -5,8 +5,8 @@ use std::path::Path;
 use std::time::Instant;
 
 use joulebus_capture::verify::{Comparison, Verification, Verifier, WhatIf};
+use joulebus_models::load_models;
 use joulebus_predictor::Model;
-use joulebus_predictor_worker::load_models;
 use joulebus_program::exit::Outcome;
 use joulebus_program::model_source;
 use joulebus_program::output::Output;

@@ -1,7 +1,7 @@
 //! What stands above and below the table of the live view: sums, the selected robot's chart, and events.
 
 use joulebus_board::{Board, Point, Row};
-use joulebus_predictor_worker::Spread;
+use joulebus_latency::Spread;
 use joulebus_wire::{Diagnostic, diagnostic_flag};
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};

@@ -2,7 +2,7 @@
 
 mod lanes;
 
-use joulebus_predictor::{FeatureSet, Features, LAGS, ReadingAge, features};
+use joulebus_predictor::{FeatureSet, Features, LAGS, ReadingAge, features, missing_steps};
 
 pub(crate) use lanes::{ClosedLanes, WindowLanes};
 
@@ -331,42 +331,9 @@ impl RequiredInputs {
     }
 }
 
-/// Sample periods missing in `elapsed_ns` between two samples: none until the next one is overdue
-/// by more than half a period, of `period_ns`, which is not 0.
-#[must_use]
-pub fn missing_steps(elapsed_ns: u64, period_ns: u64) -> u64 {
-    if elapsed_ns <= period_ns + period_ns / 2 {
-        return 0;
-    }
-    ((elapsed_ns - period_ns) + period_ns / 2) / period_ns
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_gap_is_declared_past_half_a_period_and_counted_by_rounding() {
-        let cases = [
-            (0, 0),
-            (10, 0),
-            (15, 0),
-            (16, 1),
-            (20, 1),
-            (24, 1),
-            (25, 2),
-            (34, 2),
-            (35, 3),
-        ];
-        for (elapsed, missing) in cases {
-            assert_eq!(
-                missing_steps(elapsed, 10),
-                missing,
-                "after {elapsed} of period 10"
-            );
-        }
-        assert_eq!(missing_steps(u64::MAX, 1), u64::MAX - 1);
-    }
 
     fn full() -> Window {
         let mut window = Window::EMPTY;

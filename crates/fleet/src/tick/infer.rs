@@ -4,11 +4,11 @@
 // Lanes are counted: that is the loop that the compiler makes vectors of.
 #![allow(clippy::needless_range_loop)]
 
-use joulebus_predictor::SimdTask;
+use joulebus_predictor::{SimdTask, missing_steps};
 use joulebus_wire::{InvalidReason, Quality};
 
 use crate::estimate::online::{Members, OnlineLanes};
-use crate::estimate::window::{WindowLanes, missing_steps};
+use crate::estimate::window::WindowLanes;
 use crate::layout::lanes::{self, Block as _, LANES, Lanes, put};
 use crate::state::columns::ColumnsMut;
 use crate::tick::batch::{Batch, Inferred};

@@ -10,9 +10,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use joulebus_bus::clock;
 use joulebus_fleet::Fleet;
 use joulebus_settings::FleetSettings;
+use joulebus_standby::Places;
 
 use super::backlog::{Backlog, Held};
-use super::places::Places;
 use super::restore::{Restored, newest, restore};
 
 /// How often it is looked which state is the newest.
@@ -148,9 +148,9 @@ mod tests {
 
     use joulebus_config::Config;
     use joulebus_models::load_models;
+    use joulebus_standby::SavedState;
     use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader};
 
-    use super::super::SavedState;
     use super::super::backlog::KEEP_NS;
     use super::*;
 

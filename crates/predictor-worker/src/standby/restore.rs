@@ -3,9 +3,7 @@
 use std::path::Path;
 
 use joulebus_fleet::{Fleet, FleetState};
-
-use super::places::Places;
-use super::saved_state::SavedState;
+use joulebus_standby::{Places, SavedState};
 
 /// Where a worker's state is from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

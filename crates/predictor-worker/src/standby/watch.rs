@@ -6,8 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use joulebus_bus::{Background, Steps};
-
-use super::permit::{Permit, PermitError};
+use joulebus_standby::{Permit, PermitError};
 
 /// How often the permit's file is read.
 pub(crate) const READ_EVERY: Duration = Duration::from_millis(50);

@@ -1,10 +1,10 @@
 //! One sample of one robot.
 
 use joulebus_energy::EnergySample;
-use joulebus_predictor::{Features, LAGS};
+use joulebus_predictor::{Features, LAGS, missing_steps};
 use joulebus_wire::{InvalidReason, Quality, sample_flag};
 
-use crate::estimate::window::{Gap, RequiredInputs, Window, missing_steps};
+use crate::estimate::window::{Gap, RequiredInputs, Window};
 use crate::ingest::pending::{Pending, PendingState};
 use crate::layout::lanes::{Block as _, LANES};
 use crate::state::columns::ColumnsMut;

@@ -9,7 +9,7 @@ use super::{Figure, FigureError};
 
 /// DejaVu Sans 2.37 without hinting, reduced to the characters used; its licence is in the same
 /// directory.
-const FONT: &[u8] = include_bytes!("../../fonts/DejaVuSans-part.ttf");
+const FONT: &[u8] = include_bytes!("../fonts/DejaVuSans-part.ttf");
 const FAMILY: &str = "DejaVu Sans";
 
 impl Figure {

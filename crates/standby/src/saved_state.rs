@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use joulebus_bus::clock;
 use joulebus_wire::fnv1a;
 
-use super::places::replace;
+use crate::places::replace;
 
 /// First bytes of the file; the last of them is its version.
 const MAGIC: [u8; 8] = *b"jbsaved\x01";
@@ -17,7 +17,7 @@ const HEAD_BYTES: usize = 8 + 5 * 8 + BOOT_BYTES;
 /// Largest file: of a million robots it takes a fifth of that.
 const MOST_BYTES: u64 = 4 << 30;
 
-/// An encoded [`joulebus_fleet::FleetState`], and where it is from.
+/// An encoded state of a fleet (`FleetState` of `joulebus-fleet`), and where it is from.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SavedState {
     /// Term of the worker that it was taken from.
@@ -85,7 +85,8 @@ impl SavedState {
     }
 
     /// Which of two is newer: that of the later term, then the one that was taken later.
-    pub(crate) const fn order(&self) -> (u64, u64) {
+    #[must_use]
+    pub const fn order(&self) -> (u64, u64) {
         (self.term, self.taken_ns)
     }
 }

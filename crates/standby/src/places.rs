@@ -10,11 +10,11 @@ use joulebus_files::disk::{self, File};
 /// The files, in the directory of the fleet in shared memory: the last member of the fleet on this host removes them.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Places {
-    /// [`Permit`](super::Permit) of this host's worker.
+    /// [`Permit`](crate::Permit) of this host's worker.
     pub permit: PathBuf,
-    /// [`SavedState`](super::SavedState) of this host's worker while it serves.
+    /// [`SavedState`](crate::SavedState) of this host's worker while it serves.
     pub keyframe: PathBuf,
-    /// [`SavedState`](super::SavedState) of the worker elsewhere that serves.
+    /// [`SavedState`](crate::SavedState) of the worker elsewhere that serves.
     pub replica: PathBuf,
     /// Exists while an operator has requested that this host's worker serve, and nobody has answered.
     pub request: PathBuf,
@@ -36,7 +36,7 @@ impl Places {
 }
 
 /// Replaces a file whole: whoever reads it sees the one before or this one.
-pub(super) fn replace(path: &Path, parts: &[&[u8]]) -> io::Result<()> {
+pub(crate) fn replace(path: &Path, parts: &[&[u8]]) -> io::Result<()> {
     let mut draft = path.as_os_str().to_owned();
     draft.push(".new");
     let draft = PathBuf::from(draft);
@@ -52,7 +52,7 @@ pub(super) fn replace(path: &Path, parts: &[&[u8]]) -> io::Result<()> {
 }
 
 /// Removes a file, if it is there.
-pub(super) fn remove(path: &Path) -> io::Result<()> {
+pub(crate) fn remove(path: &Path) -> io::Result<()> {
     match disk::remove_file(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
         removed => removed,

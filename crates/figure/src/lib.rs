@@ -8,6 +8,7 @@
 //! panel without data shows a note instead of an empty axis.
 //!
 //! As JSON, a figure can be drawn by another library: numbers that are not finite are null.
+#![forbid(unsafe_code)]
 
 mod axis;
 mod bins;
