@@ -4,7 +4,8 @@
 
 use std::error::Error;
 
-use joulebus_capture::{Reader, verify::Verifier};
+use joulebus_capture_format::Reader;
+use joulebus_capture_verify::Verifier;
 use joulebus_config::Config;
 use joulebus_models::load_models;
 

@@ -11,8 +11,7 @@ use std::sync::mpsc;
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use joulebus_capture::record::{Options, Recorder, Target};
-use joulebus_capture::{Attachments, Clock};
+use joulebus_capture_recorder::{Options, Recorder, Target, attach, host_clock};
 use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
 use joulebus_publisher::{Pace, Publisher, RobotState};
@@ -135,9 +134,9 @@ pub fn record(file: &Path) -> Result<(), Box<dyn Error>> {
     let mut fleet =
         PrivateFleet::new("[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n")?;
     let config = Config::load(fleet.config())?;
-    let clock = Clock::now();
+    let clock = host_clock();
     // The capture contains config, models and build: it can be replayed on its own.
-    let attachments = Attachments::of(std::slice::from_ref(&config), clock)?;
+    let attachments = attach(std::slice::from_ref(&config), clock)?;
     let target = Target::File(file.to_owned());
     // Started before the worker, so that its first tick is in the capture.
     let recorder = Recorder::start(

@@ -1,14 +1,14 @@
 //! MCAP files: scanned, recovered, imported.
 
-#[path = "../../crates/capture/tests/damaged/mod.rs"]
+#[path = "../../crates/capture/format/tests/bounded/damaged.rs"]
 #[allow(dead_code)] // The tests damage its files; here the input is already damaged.
 pub(crate) mod damaged;
 
 use std::io::Cursor;
 
-use joulebus_capture::import::{Imported, Mapping};
-use joulebus_capture::inspect::inspect;
-use joulebus_capture::scan::{Event, Scan, ScanError};
+use joulebus_capture_format::import::{Imported, Mapping};
+use joulebus_capture_format::inspect::inspect;
+use joulebus_capture_format::scan::{Event, Scan, ScanError};
 
 /// Maximum length of an input, bytes; offsets are below it.
 fn place_lies_in(offset: u64, bytes: &[u8]) {
@@ -92,7 +92,8 @@ pub(crate) fn import(bytes: &[u8]) -> bool {
     let mapping: Mapping = MAPPINGS[usize::from(*which) % MAPPINGS.len()]
         .parse()
         .expect("a sound mapping");
-    let Ok(imported) = joulebus_capture::import::import(Cursor::new(bytes), "bag", &mapping) else {
+    let Ok(imported) = joulebus_capture_format::import::import(Cursor::new(bytes), "bag", &mapping)
+    else {
         return false;
     };
     adds_up(&imported);

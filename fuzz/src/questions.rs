@@ -5,7 +5,7 @@
 
 use std::sync::OnceLock;
 
-use joulebus_capture::Query;
+use joulebus_capture_format::Query;
 use joulebus_fleet::Fleet;
 use joulebus_plan::{Fleet as PlanFleet, Path, Plan, Point, Question, Refused, Reply, RobotRows};
 use joulebus_wire::{

@@ -1,13 +1,13 @@
 //! The seeds, made by our own writers: small, valid, and one of each kind.
 
-#[path = "../../crates/capture/tests/bag/mod.rs"]
+#[path = "../../crates/capture/format/tests/format/bag.rs"]
 #[allow(dead_code)] // Its tests import what they write.
 mod bag;
 
 use std::io::Write as _;
 use std::path::Path;
 
-use joulebus_capture::{Attachments, CaptureSettings, Message, Preset, Times, Writer};
+use joulebus_capture_format::{Attachments, CaptureSettings, Message, Preset, Times, Writer};
 use joulebus_config::Config;
 use joulebus_dataset::trial::{Column, Row, Trial};
 use joulebus_fleet::Fleet;

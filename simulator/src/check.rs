@@ -3,17 +3,17 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
 
+use joulebus_capture_format::Reader;
+use joulebus_capture_verify::Verifier;
 use joulebus_predictor::Model;
 use joulebus_wire::{
     Budget, BudgetHeader, Forecast, ForecastHeader, SampleHeader, budget_flag, fnv1a, forecast_flag,
 };
 use simulated_bus::{self as bus, BudgetReader, Bus, ForecastReader};
-use simulated_capture::Reader;
-use simulated_capture::record::{Options, Summary};
-use simulated_capture::verify::Verifier;
 use simulated_config::Config;
 use simulated_consumer::End;
 use simulated_host::{self as host, disk, time};
+use simulated_recorder::{Options, Summary};
 
 use simulated_plan::Answered;
 

@@ -3,15 +3,15 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use joulebus_capture_format::{Attachments, CaptureSettings, Preset};
 use joulebus_wire::{Forecast, ForecastHeader, Sample};
-use simulated_capture::record::{Options, Recorder, Summary, Target};
-use simulated_capture::{Attachments, CaptureSettings, Clock, Preset};
 use simulated_config::Config;
 use simulated_consumer::{BudgetFeed, DiagnosticFeed, End, Event, PlanStateFeed, Planner};
 use simulated_host::{self as host, time};
 use simulated_plan::{Answered, ClientError, Plan, PlanClient, QueryError, Question, Reply};
 use simulated_plan_server::{PlanServer, QueryReport};
 use simulated_publisher::{Publisher, RobotState};
+use simulated_recorder::{Options, Recorder, Summary, Target, host_clock};
 use simulated_worker::Worker;
 
 use crate::scenario::Setup;
@@ -413,7 +413,7 @@ pub(crate) fn recorder(config: &Config, path: String) -> Option<Program> {
     let started = Recorder::start(
         config,
         Vec::new(),
-        Clock::now(),
+        host_clock(),
         attachments,
         target,
         &options,

@@ -1,8 +1,9 @@
 //! Captures with a change.
 
+use std::fs::File;
 use std::path::Path;
 
-use joulebus_capture::{CaptureSettings, Message, Reader, Times, Writer};
+use joulebus_capture_format::{CaptureSettings, Message, Reader, Times, Writer};
 
 /// Writes a copy of the capture with one message changed, as the recorder would have written it.
 ///
@@ -11,8 +12,8 @@ use joulebus_capture::{CaptureSettings, Message, Reader, Times, Writer};
 pub fn spoilt(file: &Path, to: &Path, spoil: impl Fn(&mut Message) -> bool) {
     let reader = Reader::open(file).expect("a capture");
     let attachments = reader.attachments().clone();
-    let mut writer =
-        Writer::create(to, CaptureSettings::default(), &attachments).expect("a capture");
+    let to = File::create_new(to).expect("a new file");
+    let mut writer = Writer::new(to, CaptureSettings::default(), &attachments).expect("a capture");
     let mut done = false;
     for entry in reader {
         let mut entry = entry.expect("a capture");

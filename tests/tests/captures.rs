@@ -8,7 +8,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use joulebus_bus::clock;
-use joulebus_capture::{Entry, Message, ReadError, Reader};
+use joulebus_capture_format::{Entry, Message, ReadError, Reader};
 use joulebus_tests::{Arena, Child, Dice, Setup, Spread, eventually, figure, without_loss};
 
 /// 20 robots at 30 Hz, as in the demonstration.

@@ -6,7 +6,7 @@
 use std::collections::BTreeMap;
 use std::fs;
 
-use joulebus_capture::{Message, Query, Reader};
+use joulebus_capture_format::{Message, Query, Reader};
 use joulebus_tests::{
     Arena, AskerLine, Child, Dice, PATIENCE, Setup, Spread, alone, eventually, figure, spoilt,
 };

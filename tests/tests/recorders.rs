@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use joulebus_capture::{Message, Reader};
+use joulebus_capture_format::{Message, Reader};
 use joulebus_tests::{Arena, Child, Ended, Setup, alone, eventually, program, without_loss};
 use rustix::process::Signal;
 

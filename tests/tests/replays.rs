@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use joulebus_capture::{Entry, Message, Reader};
+use joulebus_capture_format::{Entry, Message, Reader};
 use joulebus_predictor::{FeatureSet, Network};
 use joulebus_tests::{
     Arena, Child, Ended, ReaderLine, Setup, alone, eventually, program, script, spoilt,

@@ -6,8 +6,8 @@ use std::io::{self, BufWriter, Write as _};
 use std::path::PathBuf;
 
 use anyhow::Context as _;
-use joulebus_capture::scan::ScanError;
-use joulebus_capture::values::{Line, values};
+use joulebus_capture_format::scan::ScanError;
+use joulebus_capture_format::values::{Line, values};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::StdoutClosed;
 use joulebus_program::output::{Output, OutputFormat, printable, say};

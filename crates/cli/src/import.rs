@@ -10,7 +10,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, anyhow, bail};
-use joulebus_capture::import::{Imported, Mapping, RobotReport};
+use joulebus_capture_format::import::{Imported, Mapping, RobotReport};
 use joulebus_dataset::trial::{ColumnMap, Row, Trial, is_capture};
 use joulebus_files::disk;
 use joulebus_program::config_file::ConfigFile;

@@ -5,7 +5,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use joulebus_capture::inspect::{Finding, Inspection, inspect};
+use joulebus_capture_format::inspect::{Finding, Inspection, inspect};
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use serde::Serialize;

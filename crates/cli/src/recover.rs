@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::{Context as _, bail};
-use joulebus_capture::inspect::inspect;
-use joulebus_capture::recover::{RecoverError, Recovery, recover};
+use joulebus_capture_format::inspect::inspect;
+use joulebus_capture_format::recover::{RecoverError, Recovery, recover};
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use serde::Serialize;

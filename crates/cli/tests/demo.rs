@@ -176,9 +176,9 @@ fn the_capture_contains_all_samples_sent() {
     let (file, demo, summary) = whole.expect("the recorder lost messages each time");
     let mut samples = 0;
     let mut messages = 0;
-    for entry in joulebus_capture::Reader::open(&file).unwrap() {
+    for entry in joulebus_capture_format::Reader::open(&file).unwrap() {
         messages += 1;
-        if let joulebus_capture::Message::Samples(_, rows) = entry.unwrap().message {
+        if let joulebus_capture_format::Message::Samples(_, rows) = entry.unwrap().message {
             samples += rows.len() as u64;
         }
     }

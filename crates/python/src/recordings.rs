@@ -5,7 +5,7 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use bytemuck::{NoUninit, cast_slice};
-use joulebus_capture::{Message, MessageKind, ReadError, Reader};
+use joulebus_capture_format::{Message, MessageKind, ReadError, Reader};
 use joulebus_dataset::rows::trial_rows as rows_of;
 use joulebus_dataset::trial::{Column, Row, Trial, TrialError};
 use joulebus_predictor::INPUTS;

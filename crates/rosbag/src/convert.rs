@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use joulebus_capture::{RosFile, RosTopic, RosTopicId, WriteError};
+use joulebus_capture_format::{RosFile, RosTopic, RosTopicId, WriteError};
 
 use crate::bag::{Bag, BagError, Definition, MOST_BYTES, Row};
 

@@ -12,7 +12,7 @@ use std::process::ExitCode;
 
 use anyhow::{Context as _, bail};
 use clap::Parser as _;
-use joulebus_capture::RosFile;
+use joulebus_capture_format::RosFile;
 use joulebus_program::exit::{self, Outcome};
 use joulebus_program::exit_with_parent;
 use joulebus_program::output::say;

@@ -19,8 +19,8 @@ use ::foxglove::{
     WebSocketServerHandle,
 };
 use anyhow::Context as _;
-use joulebus_capture::record::{Options, Recorder, Target};
-use joulebus_capture::{Attachments, CaptureSettings, Clock, Entry, Preset, ReadError, Reader};
+use joulebus_capture_format::{CaptureSettings, Entry, Preset, ReadError, Reader};
+use joulebus_capture_recorder::{Options, Recorder, Target, attach, host_clock};
 use joulebus_config::Config;
 use joulebus_program::output::say;
 use joulebus_program::verbs::serve::ServeArguments;
@@ -72,8 +72,8 @@ impl Foxglove {
             .context(&context)
             .start_blocking()
             .with_context(|| format!("cannot listen at {hidden}"))?;
-        let clock = Clock::now();
-        let attachments = Attachments::of(std::slice::from_ref(config), clock)?;
+        let clock = host_clock();
+        let attachments = attach(std::slice::from_ref(config), clock)?;
         let (reader, writer) = io::pipe().context("cannot make a pipe")?;
         let options = Options {
             settings: CaptureSettings::of(Preset::FastWrite),

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow};
 use joulebus_board::AlarmRecord;
-use joulebus_capture::Clock;
+use joulebus_capture_recorder::host_clock;
 use joulebus_config::Config;
 use joulebus_consumer::FleetAlarms;
 use joulebus_program::exit::UsageError;
@@ -239,7 +239,7 @@ fn read(
     records: &SyncSender<AlarmRecord>,
     shared: &Shared,
 ) -> anyhow::Result<()> {
-    let clock = Clock::now();
+    let clock = host_clock();
     while shared.end_by.get().is_none() {
         alarms.wait(|change| {
             let record = AlarmRecord::new(fleet, &change, clock.unix_ns(change.at_ns));

@@ -11,7 +11,7 @@ use std::sync::mpsc::channel;
 use std::thread;
 use std::time::Duration;
 
-use joulebus_capture::{Message, MessageKind};
+use joulebus_capture_format::{Message, MessageKind};
 use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
 use joulebus_publisher::{Pace, Publisher, RobotState};
@@ -137,7 +137,7 @@ fn a_server_that_shows_the_fleet_is_not_told_as_one_that_records_it() {
         .map(|node| node.name.as_str())
         .collect();
     assert_eq!(names, ["foxglove"]);
-    assert_ne!(names, [joulebus_capture::record::RECORDER]);
+    assert_ne!(names, [joulebus_capture_recorder::RECORDER]);
     server.stop();
     assert!(fleet.stale_files().is_empty());
 }

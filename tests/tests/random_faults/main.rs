@@ -16,7 +16,7 @@ use std::process::Command;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::Duration;
 
-use joulebus_capture::Reader;
+use joulebus_capture_format::Reader;
 use joulebus_tests::{
     Arena, Child, Dice, Ended, Forge, Planner, ReaderLine, Setup, alone, figure, sample,
 };

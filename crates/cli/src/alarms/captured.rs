@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context as _;
-use joulebus_capture::{Entry, Message, ReadError, Reader};
+use joulebus_capture_format::{Entry, Message, ReadError, Reader};
 use joulebus_consumer::{AlarmChange, AlarmHistory, Change, FleetAlarm};
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};

@@ -2,7 +2,8 @@
 
 use joulebus_board::AlarmRecord;
 use joulebus_bus::clock;
-use joulebus_capture::Clock;
+use joulebus_capture_format::Clock;
+use joulebus_capture_recorder::host_clock;
 use joulebus_consumer::{FleetAlarm, FleetAlarms};
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
@@ -17,7 +18,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let mut alarms = FleetAlarms::with_config(&config, "alarms")?;
     let mut sink = Sink {
         fleet: config.fleet().to_owned(),
-        clock: Clock::now(),
+        clock: host_clock(),
         command: args.on_alarm.clone().map(OnAlarm::start).transpose()?,
         output,
     };

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
 use anyhow::{Context as _, bail};
-use joulebus_capture::import::{Imported, Mapping, import_files};
+use joulebus_capture_format::import::{Imported, Mapping, import_files};
 use joulebus_dataset::trial::is_capture;
 use joulebus_program::exit::INCOMPLETE;
 

@@ -6,7 +6,8 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use joulebus_bus::clock;
-use joulebus_capture::{Attachments, CaptureSettings, Clock, Message, Preset, Times, Writer};
+use joulebus_capture_format::{CaptureSettings, Clock, Message, Preset, Times, Writer};
+use joulebus_capture_recorder::attach;
 use joulebus_config::Config;
 use joulebus_dataset::trial::{Playback, Trial, TrialFleet};
 use joulebus_program::exit::UsageError;
@@ -39,7 +40,7 @@ pub(super) fn write(
         // Both are below 2^63 ns for the next 200 years.
         offset_ns: start_unix_ns.wrapping_sub(BASE_NS) as i64,
     };
-    let mut attachments = Attachments::of(std::slice::from_ref(config), clock)?;
+    let mut attachments = attach(std::slice::from_ref(config), clock)?;
     let robots = ids
         .iter()
         .zip(&names)

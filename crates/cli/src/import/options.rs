@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Context as _;
-use joulebus_capture::import::{CurrentSign, Mapping, RobotMapping, TimeSource};
+use joulebus_capture_format::import::{CurrentSign, Mapping, RobotMapping, TimeSource};
 use joulebus_program::exit::UsageError;
 
 /// Maximum size of a mapping, bytes.

@@ -1,6 +1,6 @@
 //! Selection of topics.
 
-use joulebus_capture::MessageKind;
+use joulebus_capture_format::MessageKind;
 use joulebus_program::exit::UsageError;
 use regex::Regex;
 

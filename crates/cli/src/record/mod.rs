@@ -12,8 +12,8 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use joulebus_bus::clock;
-use joulebus_capture::record::{Options, Recorder, Snapshot, Summary, Target};
-use joulebus_capture::{Attachments, CaptureSettings, Clock, Preset};
+use joulebus_capture_format::{CaptureSettings, Preset};
+use joulebus_capture_recorder::{Options, Recorder, Snapshot, Summary, Target, attach, host_clock};
 use joulebus_config::Config;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
@@ -116,10 +116,10 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     signal_hook::flag::register(SIGUSR1, Arc::clone(&write_down))
         .context("cannot handle SIGUSR1")?;
     let configs = args.configs()?;
-    let clock = Clock::now();
+    let clock = host_clock();
     let names: Vec<&str> = configs.iter().map(Config::fleet).collect();
     let options = args.options(&names)?;
-    let attachments = Attachments::of(&configs, clock)?;
+    let attachments = attach(&configs, clock)?;
     let began_ns = clock::monotonic_ns();
     let mut others = Others::start(&args.config, &args.out)?;
     let recorder = Recorder::start(

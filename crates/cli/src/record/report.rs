@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use joulebus_capture::record::Summary;
+use joulebus_capture_recorder::Summary;
 use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 

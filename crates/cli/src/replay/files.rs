@@ -5,7 +5,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread;
 
 use anyhow::{Context as _, anyhow};
-use joulebus_capture::{Attachments, Entry, ReadError, Reader};
+use joulebus_capture_format::{Attachments, Entry, ReadError, Reader};
 use joulebus_config::{Config, ModelSource, is_below};
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::say;

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Duration;
 
-use joulebus_capture::MessageKind;
+use joulebus_capture_format::MessageKind;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 

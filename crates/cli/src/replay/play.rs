@@ -4,7 +4,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use joulebus_bus::{Domain, clock, set_timer_slack};
-use joulebus_capture::{Clock, Entry, MessageKind};
+use joulebus_capture_format::{Clock, Entry, MessageKind};
 use joulebus_config::{Config, is_below};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, say};
@@ -266,7 +266,7 @@ impl Player {
 
     /// Sends a message once the worker has capacity; false at a signal.
     fn send(&mut self, entry: Entry, kind: MessageKind, stop: &Stop) -> anyhow::Result<bool> {
-        if let joulebus_capture::Message::Samples(header, samples) = &entry.message {
+        if let joulebus_capture_format::Message::Samples(header, samples) = &entry.message {
             let epoch = self
                 .rebase
                 .as_ref()

@@ -5,7 +5,7 @@ use joulebus_bus::{
     BudgetWriter, Bus, DiagnosticWriter, Domain, ForecastWriter, Limits, PlanStateWriter,
     SampleWriter, SendError, Waker, WorkerLock, clock,
 };
-use joulebus_capture::{Message, MessageKind};
+use joulebus_capture_format::{Message, MessageKind};
 use joulebus_wire::{Sample, WakeEvent};
 
 use super::rebase::{Moment, Rebase};

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use joulebus_capture::Entry;
+use joulebus_capture_format::Entry;
 
 use crate::publish::number;
 

@@ -4,7 +4,7 @@ use std::fmt;
 use std::path::Path;
 use std::time::Instant;
 
-use joulebus_capture::verify::{Comparison, Verification, Verifier, WhatIf};
+use joulebus_capture_verify::{Comparison, Verification, Verifier, WhatIf};
 use joulebus_models::load_models;
 use joulebus_predictor::Model;
 use joulebus_program::exit::Outcome;

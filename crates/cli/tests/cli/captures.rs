@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use joulebus_capture::{Attachments, CaptureSettings, Writer};
+use joulebus_capture_format::{Attachments, CaptureSettings, Writer};
 
 use crate::fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
 use crate::recordings::shared;
@@ -194,7 +194,12 @@ fn a_capture_decides_neither_where_directories_are_made_nor_which_files_are_read
         attachments.add("cli/models/0-x".to_owned(), "", Vec::new());
         let path = fleet.path("foreign.mcap");
         let _ = fs::remove_file(&path);
-        let writer = Writer::create(&path, CaptureSettings::default(), &attachments).unwrap();
+        let writer = Writer::new(
+            fs::File::create_new(&path).unwrap(),
+            CaptureSettings::default(),
+            &attachments,
+        )
+        .unwrap();
         writer.finish().unwrap();
         let refused = run(&["replay", &text(&path), verb]);
         assert_eq!(code(&refused), 2, "{named}: {}", stderr(&refused));

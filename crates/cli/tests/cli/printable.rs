@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Output;
 
-use joulebus_capture::{Attachments, CaptureSettings, Message, Times, Writer};
+use joulebus_capture_format::{Attachments, CaptureSettings, Message, Times, Writer};
 use joulebus_wire::{Sample, SampleHeader};
 
 use crate::fleet::{Fleet, output};
@@ -31,7 +31,12 @@ fn capture(folder: &Path) -> String {
     let mut attachments = Attachments::default();
     attachments.describe(EVIL, EVIL.to_owned());
     attachments.add(format!("{EVIL}/config.toml"), EVIL, b"name =".to_vec());
-    let mut writer = Writer::create(&path, CaptureSettings::default(), &attachments).unwrap();
+    let mut writer = Writer::new(
+        fs::File::create_new(&path).unwrap(),
+        CaptureSettings::default(),
+        &attachments,
+    )
+    .unwrap();
     let message = Message::Samples(SampleHeader::default(), vec![Sample::new(0, 0, 0)]);
     writer.write(EVIL, Times::default(), &message).unwrap();
     writer.finish().unwrap();

@@ -11,7 +11,7 @@ use std::os::unix::fs::FileExt as _;
 use std::path::Path;
 use std::sync::Arc;
 
-use joulebus_capture::{Message, ReadError, Reader};
+use joulebus_capture_format::{Message, ReadError, Reader};
 use joulebus_wire::{Sample, sample_flag};
 
 use super::limits::MCAP_MAGIC;

@@ -4,7 +4,7 @@ use std::fs;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use joulebus_capture::{Attachments, CaptureSettings, Message, Times, Writer};
+use joulebus_capture_format::{Attachments, CaptureSettings, Message, Times, Writer};
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
 /// Unix time of the first sample of [`capture`], ns: ten seconds before a midnight.
@@ -79,7 +79,12 @@ fn write(folder: &Path, name: &str, text: &str) -> PathBuf {
 pub(crate) fn capture(folder: &Path, name: &str, frames: u64, robots: u32) -> PathBuf {
     let path = folder.join(name);
     let settings = CaptureSettings::default();
-    let mut writer = Writer::create(&path, settings, &Attachments::default()).unwrap();
+    let mut writer = Writer::new(
+        fs::File::create_new(&path).unwrap(),
+        settings,
+        &Attachments::default(),
+    )
+    .unwrap();
     let period_ns = 1_000_000_000 / 30;
     for frame in 0..frames {
         let stamp_ns = 5_000_000_000 + frame * period_ns;

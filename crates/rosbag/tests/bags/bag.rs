@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 
 use byteorder::LittleEndian;
 use cdr_encoding::to_vec;
-use joulebus_capture::ros::{
+use joulebus_ros_messages::{
     BatteryState, Header, Odometry, Pose, PoseWithCovariance, Quaternion, Time, Twist,
     TwistWithCovariance, Vector3,
 };

@@ -11,7 +11,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use joulebus_capture::import::{Imported, Mapping, import, import_files};
+use joulebus_capture_format::import::{Imported, Mapping, import, import_files};
 use joulebus_test_processes::{eventually, joulebus_beside};
 
 use bag::{Bag, convert, joulebus, text};

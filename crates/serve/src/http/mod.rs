@@ -45,7 +45,7 @@ use hyper::service::{Service as _, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use joulebus_bus::{inspect, yield_to_the_worker};
-use joulebus_capture::record::RECORDER;
+use joulebus_capture_recorder::RECORDER;
 use joulebus_config::Config;
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::say;

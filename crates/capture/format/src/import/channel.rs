@@ -1,0 +1,36 @@
+//! A channel of a recording.
+
+use joulebus_ros_messages::{RosError, RosType};
+
+/// A channel of the file.
+#[derive(Debug, Clone)]
+pub(super) struct Channel {
+    pub(super) topic: String,
+    pub(super) type_name: String,
+    pub(super) encoding: String,
+    pub(super) kind: Result<RosType, RosError>,
+    pub(super) messages: u64,
+}
+
+impl Channel {
+    /// Whether both are of one topic of a recording.
+    fn is_of(&self, other: &Self) -> bool {
+        (&self.topic, &self.type_name, &self.encoding)
+            == (&other.topic, &other.type_name, &other.encoding)
+            && self.kind == other.kind
+    }
+}
+
+/// Adds the channels of a recording's next file.
+pub(super) fn join(channels: &mut Vec<Channel>, of_next_file: Vec<Channel>) {
+    let known = channels.len();
+    for channel in of_next_file {
+        match channels[..known]
+            .iter_mut()
+            .find(|known| known.is_of(&channel))
+        {
+            Some(known) => known.messages += channel.messages,
+            None => channels.push(channel),
+        }
+    }
+}

@@ -1,0 +1,9 @@
+//! Memory and work are bounded, for damaged files and for long ones. Allocations are counted, so
+//! these tests have a program of their own.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
+
+#[path = "../../../../../tests/counting.rs"]
+mod counting;
+mod damage;
+mod damaged;
+mod long_files;

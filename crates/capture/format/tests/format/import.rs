@@ -1,0 +1,376 @@
+//! Import of other programs' recordings: used and refused messages, with reasons.
+
+use std::fs::{self, File};
+
+use crate::bag::{BATTERY, Bag, battery, header, odometry, twist};
+use crate::recordings::shared;
+use byteorder::BigEndian;
+use cdr_encoding::to_vec;
+use joulebus_capture_format::import::{Mapping, import};
+use joulebus_ros_messages::TwistStamped;
+
+#[test]
+fn a_real_recording_becomes_rows_and_everything_else_is_counted() {
+    let Some(folder) = shared("mcap/couguv") else {
+        return;
+    };
+    let file = folder.join("SO_lastbag_mcap_0.mcap");
+    let mapping: Mapping = "current = \"discharge-positive\"".parse().unwrap();
+    let imported = import(File::open(&file).unwrap(), "couguv", &mapping).unwrap();
+    assert_eq!(imported.robots.len(), 1);
+    let robot = &imported.robots[0];
+    assert_eq!((robot.name.as_str(), robot.time), ("coug2", "log"));
+    assert_eq!(robot.battery.messages, 2628);
+    assert!(robot.battery.refused.is_empty());
+    // Ten bursts per second for 119.5 s.
+    assert_eq!(robot.row_count, robot.rows.len() as u64);
+    assert_eq!(robot.row_count + robot.merged_in_bursts, 2628);
+    assert!(
+        (1190..=1200).contains(&robot.row_count),
+        "{}",
+        robot.row_count
+    );
+    assert!(
+        robot
+            .rows
+            .windows(2)
+            .all(|pair| pair[0].time_ns < pair[1].time_ns)
+    );
+    assert!(
+        robot
+            .rows
+            .iter()
+            .all(|row| row.power_w > 0.0 && row.v_mps.is_nan() && row.omega_radps.is_nan())
+    );
+    assert!(robot.command.is_none());
+    let odometry = robot.odometry.as_ref().unwrap();
+    assert_eq!(odometry.topic, "/coug2/odom");
+    let not_numbers: u64 = odometry.refused.values().sum();
+    assert!(
+        not_numbers > 0 && robot.rows.iter().all(|row| row.x_m.is_nan()),
+        "{odometry:?}"
+    );
+    let notes = robot.notes.join("\n");
+    assert!(
+        notes.contains("2628 of 2628 readings have no stamp"),
+        "{notes}"
+    );
+    assert!(notes.contains("`present` is false"), "{notes}");
+    assert!(!notes.contains("flowing into the battery"), "{notes}");
+    assert_eq!(imported.unusable.len(), 1, "{:?}", imported.unusable);
+    let others: u64 = imported.others.values().sum();
+    let used = robot.battery.messages + odometry.messages + imported.unusable[0].messages;
+    assert_eq!(others + used, 18_558);
+    println!(
+        "figure: couguv: {} rows of {} readings, {} merged in bursts, {others} messages of {} other types",
+        robot.row_count,
+        robot.battery.messages,
+        robot.merged_in_bursts,
+        imported.others.len()
+    );
+}
+
+#[test]
+fn a_current_of_the_wrong_sign_is_reported() {
+    let Some(folder) = shared("mcap/couguv") else {
+        return;
+    };
+    let file = folder.join("SO_lastbag_mcap_0.mcap");
+    let imported = import(File::open(&file).unwrap(), "couguv", &Mapping::default()).unwrap();
+    let robot = &imported.robots[0];
+    assert!(robot.rows.iter().all(|row| row.power_w < 0.0));
+    assert!(
+        robot
+            .notes
+            .join("\n")
+            .contains("check whether it is discharge-positive"),
+        "{:?}",
+        robot.notes
+    );
+    // Stamps of 0 are unset.
+    let mapping: Mapping = "time = \"header\"".parse().unwrap();
+    let imported = import(File::open(&file).unwrap(), "couguv", &mapping).unwrap();
+    let robot = &imported.robots[0];
+    assert_eq!(robot.row_count, 0);
+    assert_eq!(robot.battery.refused["its header has no stamp"], 2628);
+    assert!(!imported.is_whole());
+}
+
+#[test]
+fn corner_cases_of_rosbag2_are_reported_as_without_battery() {
+    let Some(folder) = shared("mcap/rosbag2") else {
+        return;
+    };
+    let mut files = 0;
+    for file in fs::read_dir(folder).unwrap() {
+        let file = file.unwrap().path();
+        let imported = import(File::open(&file).unwrap(), "x", &Mapping::default()).unwrap();
+        assert!(
+            imported.robots.is_empty() && imported.damage.is_empty(),
+            "{}",
+            file.display()
+        );
+        let others: u64 = imported.others.values().sum();
+        assert!(others > 0, "{}", file.display());
+        files += 1;
+        let mapping: Mapping = "[[robot]]\nname = \"r\"\nbattery = \"/test_topic\""
+            .parse()
+            .unwrap();
+        let refused = import(File::open(&file).unwrap(), "x", &mapping).unwrap_err();
+        assert!(refused.to_string().contains("/test_topic"), "{refused}");
+    }
+    assert_eq!(files, 20);
+}
+
+const TENTH_NS: u64 = 100_000_000;
+const START_NS: u64 = 1_700_000_000_000_000_000;
+
+#[test]
+fn readings_commands_and_odometry_are_joined_in_time() {
+    let mut bag = Bag::new();
+    bag.channel("/r/battery", "sensor_msgs/msg/BatteryState", "cdr", BATTERY);
+    bag.channel("/r/cmd_vel", "geometry_msgs/msg/TwistStamped", "cdr", "");
+    bag.channel("/r/odom", "nav_msgs/msg/Odometry", "cdr", "");
+    for step in 0..20_u64 {
+        let now_ns = START_NS + step * TENTH_NS;
+        // Recorded late and out of order; the headers have the right times.
+        let late_ns = now_ns + 7_000_000 * (step % 3);
+        bag.message(
+            "/r/battery",
+            late_ns,
+            &battery(now_ns, 12.0, -0.5 - step as f32),
+        );
+        if step >= 5 {
+            let stamped = TwistStamped {
+                header: header(now_ns - 1),
+                twist: twist(step as f64, -1.0),
+            };
+            bag.message("/r/cmd_vel", late_ns, &stamped);
+        }
+        if step == 3 {
+            bag.message("/r/odom", late_ns, &odometry(now_ns, 1.5, 0.5, 0.3));
+        }
+    }
+    let imported = bag.import("odometry_max_age_s = 0.35").unwrap();
+    assert!(imported.is_whole(), "{imported}");
+    let robot = &imported.robots[0];
+    assert_eq!(
+        (robot.time, robot.row_count, robot.name.as_str()),
+        ("header", 20, "r")
+    );
+    for (step, row) in robot.rows.iter().enumerate() {
+        assert_eq!(row.time_ns, START_NS + step as u64 * TENTH_NS);
+        // Negative while discharging, as in ROS: the power drawn is positive.
+        assert_eq!(row.power_w, 12.0 * (0.5 + step as f64));
+        if step < 5 {
+            assert!(row.v_mps.is_nan() && row.omega_radps.is_nan());
+        } else {
+            assert_eq!((row.v_mps, row.omega_radps), (step as f64, -1.0));
+        }
+        if (3..=6).contains(&step) {
+            assert_eq!((row.x_m, row.y_m, row.v_measured_mps), (1.5, 3.0, 0.3));
+            assert!((row.theta_rad - 0.5).abs() < 1e-12);
+        } else {
+            assert!(
+                row.x_m.is_nan() && row.v_measured_mps.is_nan(),
+                "{step}: {row:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn undecodable_messages_are_refused_by_reason_and_the_rest_is_used() {
+    let mut bag = Bag::new();
+    bag.channel("/battery", "sensor_msgs/BatteryState", "cdr", BATTERY);
+    for step in 0..10_u64 {
+        let now_ns = START_NS + step * TENTH_NS;
+        bag.message("/battery", now_ns, &battery(now_ns, 10.0, -1.0));
+    }
+    let mut whole = vec![0, 0, 0, 0];
+    whole.extend(to_vec::<_, BigEndian>(&battery(START_NS + 20 * TENTH_NS, 11.0, -2.0)).unwrap());
+    bag.raw("/battery", START_NS + 20 * TENTH_NS, &whole);
+    bag.message(
+        "/battery",
+        START_NS + 21 * TENTH_NS,
+        &battery(1, f32::NAN, -1.0),
+    );
+    for cut in 0..whole.len() {
+        bag.raw("/battery", START_NS + 30 * TENTH_NS, &whole[..cut]);
+    }
+    let mut other = whole.clone();
+    other[1] = 7;
+    bag.raw("/battery", START_NS + 31 * TENTH_NS, &other);
+    whole.extend([0; 9]);
+    bag.raw("/battery", START_NS + 32 * TENTH_NS, &whole);
+    let messages = 10 + 2 + (whole.len() as u64 - 9) + 2;
+    let imported = bag.import("").unwrap();
+    let robot = &imported.robots[0];
+    assert_eq!(
+        (robot.battery.messages, robot.row_count, robot.name.as_str()),
+        (messages, 11, "bag")
+    );
+    assert_eq!(robot.rows[10].power_w, 22.0);
+    // A string may lack its terminating zero and there may be up to three bytes of padding: nothing
+    // else is tolerated.
+    let refused: u64 = robot.battery.refused.values().sum();
+    assert_eq!(
+        refused + robot.row_count + robot.merged_in_bursts,
+        messages,
+        "{:?}",
+        robot.battery
+    );
+    assert!(!imported.is_whole());
+    assert!(
+        robot
+            .battery
+            .refused
+            .keys()
+            .any(|why| why.contains("plain CDR begins with"))
+    );
+    assert!(
+        robot
+            .battery
+            .refused
+            .keys()
+            .any(|why| why.contains("not a number"))
+    );
+    assert!(
+        robot
+            .battery
+            .refused
+            .keys()
+            .any(|why| why.contains("9 bytes follow"))
+    );
+}
+
+/// Found by fuzzing: a topic may have channels of several kinds.
+#[test]
+fn messages_of_another_kind_on_a_topic_are_refused_and_counted() {
+    let mut bag = Bag::new();
+    bag.channel("/r/battery", "sensor_msgs/msg/BatteryState", "cdr", BATTERY);
+    for step in 0..3_u64 {
+        let now_ns = START_NS + step * TENTH_NS;
+        bag.message("/r/battery", now_ns, &battery(now_ns, 12.0, -1.0));
+    }
+    bag.channel("/r/battery", "geometry_msgs/msg/Twist", "cdr", "");
+    bag.message("/r/battery", START_NS + 3 * TENTH_NS, &twist(1.0, 1.0));
+    let mapping = "[[robot]]\nname = \"r\"\nbattery = \"/r/battery\"";
+    let imported = bag.import(mapping).unwrap();
+    let robot = &imported.robots[0];
+    assert_eq!((robot.battery.messages, robot.row_count), (4, 3));
+    assert_eq!(robot.battery.refused["of a channel of Twist messages"], 1);
+    assert!(robot.rows.iter().all(|row| row.v_mps.is_nan()));
+}
+
+#[test]
+fn a_type_with_other_fields_or_another_encoding_is_not_misread() {
+    let mut bag = Bag::new();
+    let older = BATTERY.replace("float32 temperature\n", "");
+    bag.channel(
+        "/old/battery",
+        "sensor_msgs/msg/BatteryState",
+        "cdr",
+        &older,
+    );
+    bag.channel(
+        "/odd/battery",
+        "sensor_msgs/msg/BatteryState",
+        "wrong_format",
+        BATTERY,
+    );
+    bag.message("/old/battery", START_NS, &1_u32);
+    bag.message("/odd/battery", START_NS, &1_u32);
+    let imported = bag.import("").unwrap();
+    assert!(imported.robots.is_empty());
+    let why: Vec<&str> = imported
+        .unusable
+        .iter()
+        .map(|channel| channel.why.as_str())
+        .collect();
+    assert_eq!(why.len(), 2, "{why:?}");
+    assert!(
+        why.iter().any(|why| why.contains("float32 temperature")),
+        "{why:?}"
+    );
+    assert!(
+        why.iter().any(|why| why.contains("wrong_format")),
+        "{why:?}"
+    );
+}
+
+#[test]
+fn two_robots_of_one_file_are_distinguished_by_namespace_or_mapping() {
+    let bag = || {
+        let mut bag = Bag::new();
+        for robot in ["a", "b"] {
+            bag.channel(
+                &format!("/{robot}/battery"),
+                "sensor_msgs/msg/BatteryState",
+                "cdr",
+                BATTERY,
+            );
+            bag.channel(
+                &format!("/{robot}/cmd_vel"),
+                "geometry_msgs/msg/Twist",
+                "cdr",
+                "",
+            );
+        }
+        for step in 0..5_u64 {
+            let now_ns = START_NS + step * TENTH_NS;
+            for (robot, v_mps) in [("a", 1.0), ("b", 2.0)] {
+                bag.message(&format!("/{robot}/cmd_vel"), now_ns, &twist(v_mps, 0.0));
+                bag.message(
+                    &format!("/{robot}/battery"),
+                    now_ns,
+                    &battery(now_ns, 10_000.0, 500.0),
+                );
+            }
+        }
+        bag
+    };
+    let imported = bag().import("").unwrap();
+    let found: Vec<_> = imported
+        .robots
+        .iter()
+        .map(|robot| (robot.name.as_str(), robot.rows[2].v_mps))
+        .collect();
+    assert_eq!(found, [("a", 1.0), ("b", 2.0)]);
+    let mapping = "time = \"log\"\n[[robot]]\nname = \"second\"\nid = 9\nbattery = \"/b/battery\"\n\
+        command = \"/a/cmd_vel\"\ncurrent = \"discharge-positive\"\nvoltage_unit_v = 0.001\ncurrent_unit_a = 0.001";
+    let imported = bag().import(mapping).unwrap();
+    let robot = &imported.robots[0];
+    assert_eq!(
+        (robot.name.as_str(), robot.id, robot.time),
+        ("second", Some(9), "log")
+    );
+    assert_eq!((robot.rows[0].v_mps, robot.rows[0].power_w), (1.0, 5.0));
+    assert_eq!(imported.unusable.len(), 2, "{:?}", imported.unusable);
+    let twice = format!("{mapping}\n[[robot]]\nname = \"second\"\nbattery = \"/a/battery\"");
+    assert!(
+        bag()
+            .import(&twice)
+            .unwrap_err()
+            .to_string()
+            .contains("second")
+    );
+}
+
+#[test]
+fn an_invalid_mapping_is_refused() {
+    for (text, says) in [
+        ("tme = \"log\"", "tme"),
+        ("time = \"wall\"", "wall"),
+        ("burst_s = -1.0", "burst_s"),
+        ("burst_s = nan", "burst_s"),
+        ("[[robot]]\nname = \"r\"", "battery"),
+        (
+            "[[robot]]\nname = \"r\"\nbattery = \"b\"\nvoltage_unit_v = 0.0",
+            "voltage_unit_v",
+        ),
+    ] {
+        let error = text.parse::<Mapping>().unwrap_err().to_string();
+        assert!(error.contains(says), "{text}: {error}");
+    }
+}

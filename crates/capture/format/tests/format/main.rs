@@ -1,0 +1,16 @@
+//! The format of captures: bits, schemas, limits, and files of other programs.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
+
+mod bag;
+mod bits;
+mod conformance;
+#[path = "../fields/mod.rs"]
+mod fields;
+mod foxglove_layout;
+mod import;
+mod limits;
+mod real;
+#[path = "../../../../../tests/recordings.rs"]
+mod recordings;
+mod schemas;
+mod small_files;

@@ -1,0 +1,88 @@
+//! Options of a recording.
+
+use std::fmt;
+use std::sync::Arc;
+
+use joulebus_capture_format::{CaptureSettings, MessageKind};
+
+/// Name, among the members of a fleet, of processes that record it.
+pub const RECORDER: &str = "recorder";
+
+/// Options of a recording.
+#[derive(Clone)]
+pub struct Options {
+    /// Settings of the files.
+    pub settings: CaptureSettings,
+    /// Also channels for single robots, for plots.
+    pub per_robot: bool,
+    /// Which topics are recorded.
+    pub choose: Arc<dyn Fn(&str) -> bool + Send + Sync>,
+    /// Maximum file size, bytes; then the next file begins.
+    pub max_file_bytes: u64,
+    /// Maximum duration of a file, ns; then the next file begins. A file's index is kept in memory
+    /// until its end: about 30 MB per hour.
+    pub max_file_ns: u64,
+    /// If the file exists, start the next part that does not, instead of an error.
+    pub resume: bool,
+    /// Keep the last seconds in memory instead of writing everything.
+    pub snapshot: Option<Snapshot>,
+    /// Size of the queue in front of the disk, bytes; messages beyond it are dropped.
+    pub queue_bytes: usize,
+    /// Name of the process among the members of the fleet. [`RECORDER`] is told as one that records.
+    pub member: &'static str,
+}
+
+impl fmt::Debug for Options {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_struct("Options")
+            .field("settings", &self.settings)
+            .field("per_robot", &self.per_robot)
+            .field("max_file_bytes", &self.max_file_bytes)
+            .field("max_file_ns", &self.max_file_ns)
+            .field("resume", &self.resume)
+            .field("snapshot", &self.snapshot)
+            .field("queue_bytes", &self.queue_bytes)
+            .field("member", &self.member)
+            .finish_non_exhaustive()
+    }
+}
+
+/// Configuration of a snapshot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Snapshot {
+    /// Time span kept, ns.
+    pub keep_ns: u64,
+    /// Maximum size, bytes; the time span is reduced if necessary.
+    pub max_bytes: usize,
+    /// Save when a robot raises a new alarm, in addition to explicit requests.
+    pub on_alarm: bool,
+}
+
+impl Default for Options {
+    /// Everything in files of an hour, a queue of 128 MiB.
+    fn default() -> Self {
+        Self {
+            settings: CaptureSettings::default(),
+            per_robot: false,
+            choose: Arc::new(|_| true),
+            max_file_bytes: u64::MAX,
+            max_file_ns: 3_600_000_000_000,
+            resume: false,
+            snapshot: None,
+            queue_bytes: 128 << 20,
+            member: RECORDER,
+        }
+    }
+}
+
+impl Options {
+    /// Whether any recorded topic needs a service of the fleet.
+    pub(super) fn wants(&self, kind: MessageKind, fleet: &str) -> bool {
+        let choose = &self.choose;
+        let on_alarm = self.snapshot.is_some_and(|snapshot| snapshot.on_alarm);
+        let alarms = on_alarm && kind == MessageKind::Diagnostics;
+        // The journal states which diagnostics were never sent.
+        let diagnostics = kind == MessageKind::Ticks && self.wants(MessageKind::Diagnostics, fleet);
+        choose(&kind.topic(fleet, 0)) || self.per_robot || alarms || diagnostics
+    }
+}

@@ -1,0 +1,159 @@
+//! State shared by the threads of a recording: the queue, losses, and the summary.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+use joulebus_bus::clock;
+
+use crate::files::{Files, Kept};
+use crate::gaps::Gaps;
+use crate::item::Item;
+use crate::options::Options;
+use crate::queue::Queue;
+use joulebus_capture_format::{MessageKind, Written};
+
+/// Losses of a topic.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Lost {
+    /// Messages overwritten in shared memory before the recorder received them.
+    pub overwritten: u64,
+    /// Messages dropped because the queue was full, or not written: the disk was too slow, full or
+    /// failed.
+    pub unwritten: u64,
+}
+
+/// What a recording has come to.
+#[derive(Debug, Clone, Default)]
+pub struct Summary {
+    /// Files with their statistics.
+    pub files: Vec<(PathBuf, Written)>,
+    /// Losses by topic; topics without losses are omitted.
+    pub lost: BTreeMap<String, Lost>,
+    /// Memory buffer of a snapshot that was not written; none for other recordings.
+    pub kept: Option<Kept>,
+    /// Why it stopped before its end, if it did.
+    pub failure: Option<String>,
+}
+
+impl Summary {
+    /// Messages in all files.
+    #[must_use]
+    pub fn messages(&self) -> u64 {
+        self.files.iter().map(|(_, written)| written.messages).sum()
+    }
+
+    /// Bytes of all files.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.files.iter().map(|(_, written)| written.bytes).sum()
+    }
+
+    /// Messages lost.
+    #[must_use]
+    pub fn messages_lost(&self) -> u64 {
+        let lost = self.lost.values();
+        // False frames state any numbers.
+        lost.map(|lost| lost.overwritten.saturating_add(lost.unwritten))
+            .fold(0, u64::saturating_add)
+    }
+}
+
+/// State shared by the threads.
+#[derive(Debug)]
+pub(crate) struct Shared {
+    pub(super) write_down: AtomicBool,
+    pub(super) over: AtomicBool,
+    pub(super) queue: Queue,
+    gaps: Mutex<(Gaps, BTreeMap<String, Lost>)>,
+    summary: Mutex<Summary>,
+    options: Options,
+}
+
+impl Shared {
+    pub(super) fn new(options: &Options) -> Self {
+        Self {
+            write_down: AtomicBool::new(false),
+            over: AtomicBool::new(false),
+            queue: Queue::new(options.queue_bytes),
+            gaps: Mutex::new((Gaps::new(clock::monotonic_ns()), BTreeMap::new())),
+            summary: Mutex::default(),
+            options: options.clone(),
+        }
+    }
+
+    /// Puts the item into the queue; counts the messages missing before it, and itself if it is
+    /// dropped.
+    pub(crate) fn hand_on(&self, item: Item) {
+        let found = {
+            let mut gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
+            gaps.0.look(&item.fleet, &item.message)
+        };
+        let topic = item.topic();
+        let diagnostics = MessageKind::Diagnostics.topic(&item.fleet, 0);
+        let unwritten = (!self.queue.push(item)).into();
+        self.count(topic, found.missing, unwritten);
+        if found.never_sent > 0 {
+            self.forgive(&diagnostics, found.never_sent);
+        }
+    }
+
+    fn forgive(&self, topic: &str, never_sent: u64) {
+        let mut gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(lost) = gaps.1.get_mut(topic) {
+            lost.overwritten = lost.overwritten.saturating_sub(never_sent);
+            if *lost == Lost::default() {
+                gaps.1.remove(topic);
+            }
+        }
+    }
+
+    pub(super) fn count(&self, topic: String, overwritten: u64, unwritten: u64) {
+        if overwritten > 0 || unwritten > 0 {
+            let mut gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
+            let lost = gaps.1.entry(topic).or_default();
+            lost.overwritten = lost.overwritten.saturating_add(overwritten);
+            lost.unwritten = lost.unwritten.saturating_add(unwritten);
+        }
+    }
+
+    pub(super) fn summary(&self) -> Summary {
+        let summary = self.summary.lock().unwrap_or_else(PoisonError::into_inner);
+        let gaps = self.gaps.lock().unwrap_or_else(PoisonError::into_inner);
+        // The journal is also read for the diagnostics: messages of kinds that are not recorded are
+        // not lost.
+        let is_asked_for = |topic: &str| self.options.per_robot || (self.options.choose)(topic);
+        let lost = gaps.1.iter().filter(|(topic, _)| is_asked_for(topic));
+        Summary {
+            lost: lost.map(|(topic, lost)| (topic.clone(), *lost)).collect(),
+            ..summary.clone()
+        }
+    }
+
+    pub(super) fn note_files(&self, files: &Files) {
+        let mut summary = self.summary.lock().unwrap_or_else(PoisonError::into_inner);
+        summary.files = files.written();
+        summary.kept = files.kept();
+    }
+
+    /// Final statistics of the files.
+    pub(super) fn end_files(&self, files: &Files) {
+        for (topic, count) in files.lost() {
+            self.count(topic.clone(), 0, *count);
+        }
+        self.note_files(files);
+    }
+
+    pub(super) fn note_failure(&self, reason: String) {
+        let mut summary = self.summary.lock().unwrap_or_else(PoisonError::into_inner);
+        summary.failure.get_or_insert(reason);
+    }
+
+    /// Stops writing: all further messages are counted as lost.
+    pub(super) fn fail(&self, reason: String) {
+        self.note_failure(reason);
+        self.over.store(true, Ordering::Relaxed);
+        self.queue.close();
+    }
+}

@@ -1,0 +1,581 @@
+//! Assembles the parts of each tick: a capture has them in the order in which the recorder received
+//! them.
+
+use std::collections::{BTreeMap, HashMap, VecDeque};
+
+use joulebus_wire::{
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
+    PlanStateHeader, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader, tick_flag,
+};
+
+use crate::report::Loss;
+use joulebus_capture_format::{Message, MessageKind};
+
+/// Maximum lead, in ticks, of one service over another in a capture: more than any service buffers.
+const WINDOW: u64 = 64;
+/// Maximum number of frames of samples waiting for their tick.
+const MOST_FRAMES: usize = 8_192;
+/// Maximum number of samples in them: 224 MB.
+const MOST_SAMPLES: usize = 4_000_000;
+/// Maximum number of unfinished runs of the worker; older ones count as ended.
+const MOST_RUNS: usize = 8;
+/// Maximum size of a keyframe, bytes: that of a million robots has about 305 MB.
+const MOST_KEYFRAME_BYTES: u64 = 512 << 20;
+
+/// One frame of samples.
+pub(super) type SampleFrame = (SampleHeader, Vec<Sample>);
+
+/// Recorded parts of one tick.
+#[derive(Debug, Default)]
+pub(super) struct TickParts {
+    pub(super) journal: Option<(TickHeader, Vec<TakenFrame>)>,
+    /// The frames of the journal, in its order; `None` where the capture lacks one.
+    pub(super) frames: Vec<Option<SampleFrame>>,
+    /// Missing frames and their positions; none until the tick is the next one of its run.
+    wanted: Option<HashMap<FrameKey, VecDeque<usize>>>,
+    /// A frame of the journal of which the capture has several that differ.
+    pub(super) ambiguous: Option<FrameKey>,
+    pub(super) forecasts: Option<(ForecastHeader, Vec<Forecast>)>,
+    pub(super) diagnostics: Option<(DiagnosticHeader, Vec<Diagnostic>)>,
+    pub(super) budgets: Option<(BudgetHeader, Vec<Budget>)>,
+    pub(super) plan_states: Option<(PlanStateHeader, Vec<PlanState>)>,
+}
+
+/// An event in a worker's run.
+#[derive(Debug)]
+pub(super) enum Event {
+    /// A tick with all its parts. Ticks of a run are in order.
+    Tick {
+        worker_epoch: u64,
+        tick: u64,
+        parts: Box<TickParts>,
+    },
+    /// A complete keyframe: the state after `tick`.
+    Keyframe {
+        worker_epoch: u64,
+        tick: u64,
+        bytes: Vec<u8>,
+    },
+}
+
+/// Converts messages to events.
+#[derive(Debug, Default)]
+pub(super) struct Assembler {
+    runs: BTreeMap<u64, Run>,
+    frames: FrameStore,
+    /// The newest of each kind, by run; and whether it is complete.
+    newest: HashMap<(u64, MessageKind), u64>,
+    /// The oldest and the newest frame of each run of each source.
+    frame_range: HashMap<(u64, u64), (u64, u64)>,
+    /// Start of the recording: run and tick.
+    first: Option<(u64, u64)>,
+    ended: bool,
+    piece: Option<(StateHeader, Vec<u8>)>,
+    /// Keyframes with a missing piece.
+    pub(super) broken_keyframes: u64,
+    events: VecDeque<Event>,
+}
+
+/// Waiting parts of one run of the worker.
+#[derive(Debug, Default)]
+struct Run {
+    ticks: BTreeMap<u64, TickParts>,
+    newest: u64,
+}
+
+/// Frames not taken by a tick so far, each with its number, and their order of arrival.
+#[derive(Debug, Default)]
+struct FrameStore {
+    frames: HashMap<FrameKey, VecDeque<(u64, SampleFrame)>>,
+    /// Numbers of frames, including some taken long ago.
+    order: VecDeque<(u64, FrameKey)>,
+    next: u64,
+    held: usize,
+    samples: usize,
+    untaken: u64,
+}
+
+/// Source, its run, and the number of a frame in it.
+pub(super) type FrameKey = (u64, u64, u64);
+
+impl Assembler {
+    /// Takes a message; other kinds are ignored.
+    pub(super) fn push(&mut self, message: Message) {
+        match message {
+            Message::Samples(header, samples) => self.put(header, samples),
+            Message::Ticks(header, taken) => {
+                let place = (header.worker_epoch, header.tick);
+                let parts = self.parts(place, MessageKind::Ticks);
+                parts.journal = Some((header, taken));
+                parts.wanted = None;
+            }
+            Message::Forecasts(header, rows) => {
+                let place = (header.worker_epoch, header.tick);
+                self.parts(place, MessageKind::Forecasts).forecasts = Some((header, rows));
+            }
+            Message::Diagnostics(header, rows) => {
+                let place = (header.worker_epoch, header.tick);
+                self.parts(place, MessageKind::Diagnostics).diagnostics = Some((header, rows));
+            }
+            Message::Budgets(header, rows) => {
+                let place = (header.worker_epoch, header.tick);
+                self.parts(place, MessageKind::Budgets).budgets = Some((header, rows));
+            }
+            Message::PlanStates(header, rows) => {
+                let place = (header.worker_epoch, header.tick);
+                self.parts(place, MessageKind::PlanStates).plan_states = Some((header, rows));
+            }
+            Message::State(header, bytes) => self.add_piece(header, &bytes),
+            _ => return,
+        }
+        self.release(false);
+    }
+
+    /// Ends the input: releases the waiting parts.
+    pub(super) fn finish(&mut self) {
+        self.broken_keyframes += u64::from(self.piece.take().is_some());
+        self.ended = true;
+        self.release(true);
+    }
+
+    /// The next event, if one is complete.
+    pub(super) fn next_event(&mut self) -> Option<Event> {
+        self.events.pop_front()
+    }
+
+    /// Frames of samples that no tick took, as far as known.
+    pub(super) fn untaken_frames(&self) -> u64 {
+        self.frames.untaken + self.frames.held as u64
+    }
+
+    /// Why a message of `kind` is missing: lost, or never sent because the run ended.
+    pub(super) fn lack(&self, (run, tick): (u64, u64), kind: MessageKind, lost: Loss) -> Loss {
+        let newest = self.newest.get(&(run, kind)).copied().unwrap_or_default();
+        if self.is_over(run, tick) && tick > newest {
+            Loss::End
+        } else {
+            lost
+        }
+    }
+
+    /// As [`Assembler::lack`], for a frame of samples.
+    pub(super) fn lack_of_frame(&self, (run, tick): (u64, u64), taken: &TakenFrame) -> Loss {
+        let (source_id, frame_seq) = (taken.source_id, taken.frame_seq);
+        let range = self.frame_range.get(&(source_id, taken.source_epoch));
+        if self.is_over(run, tick) && range.is_none_or(|(_, newest)| frame_seq > *newest) {
+            Loss::End
+        } else if self.is_young(run, tick) && range.is_none_or(|(oldest, _)| frame_seq < *oldest) {
+            Loss::Beginning
+        } else {
+            Loss::Samples {
+                source_id,
+                frame_seq,
+            }
+        }
+    }
+
+    /// Whether the run has ended, and `tick` is among its last.
+    fn is_over(&self, run: u64, tick: u64) -> bool {
+        let newest = |kind| self.newest.get(&(run, kind)).copied().unwrap_or_default();
+        let last = newest(MessageKind::Ticks).max(newest(MessageKind::Forecasts));
+        let is_newest = self
+            .runs
+            .keys()
+            .next_back()
+            .is_none_or(|newest| *newest <= run);
+        (self.ended || !is_newest) && tick + WINDOW > last
+    }
+
+    /// Whether `tick` is among the first of the recording.
+    fn is_young(&self, run: u64, tick: u64) -> bool {
+        self.first
+            .is_some_and(|(first_run, first)| run == first_run && tick < first + WINDOW)
+    }
+
+    fn parts(&mut self, (worker_epoch, tick): (u64, u64), kind: MessageKind) -> &mut TickParts {
+        let newest = self.newest.entry((worker_epoch, kind)).or_default();
+        *newest = tick.max(*newest);
+        self.first.get_or_insert((worker_epoch, tick));
+        let run = self.runs.entry(worker_epoch).or_default();
+        run.newest = run.newest.max(tick);
+        run.ticks.entry(tick).or_default()
+    }
+
+    fn put(&mut self, header: SampleHeader, samples: Vec<Sample>) {
+        let key = (header.source_id, header.source_epoch);
+        let seq = header.frame_seq;
+        let range = self.frame_range.entry(key).or_insert((seq, seq));
+        *range = (seq.min(range.0), seq.max(range.1));
+        let key = key_of(&header);
+        let mut next = self
+            .runs
+            .values_mut()
+            .filter_map(|run| run.ticks.first_entry());
+        let place =
+            next.find_map(|mut tick| tick.get_mut().place_of(key).map(|place| (tick, place)));
+        match place {
+            Some((tick, place)) => tick.into_mut().frames[place] = Some((header, samples)),
+            None => self.frames.put(header, samples),
+        }
+    }
+
+    fn add_piece(&mut self, header: StateHeader, bytes: &[u8]) {
+        let follows = |(first, sofar): &(StateHeader, Vec<u8>)| {
+            (first.worker_epoch, first.tick) == (header.worker_epoch, header.tick)
+                && sofar.len() as u64 == header.offset
+        };
+        if header.total_bytes > MOST_KEYFRAME_BYTES {
+            self.broken_keyframes += u64::from(header.offset == 0);
+            return;
+        }
+        if header.offset == 0 {
+            let before = self.piece.replace((header, bytes.to_vec()));
+            self.broken_keyframes += u64::from(before.is_some());
+        } else if let Some((_, sofar)) = self.piece.as_mut().filter(|piece| follows(piece)) {
+            sofar.extend_from_slice(bytes);
+        } else {
+            // The end of a keyframe whose beginning is missing.
+            self.broken_keyframes += u64::from(self.piece.take().is_some());
+            return;
+        }
+        if let Some((first, whole)) = self
+            .piece
+            .take_if(|(first, sofar)| sofar.len() as u64 >= first.total_bytes)
+        {
+            self.events.push_back(Event::Keyframe {
+                worker_epoch: first.worker_epoch,
+                tick: first.tick,
+                bytes: whole,
+            });
+        }
+    }
+
+    /// Releases the ticks that are complete, and those that never will be.
+    fn release(&mut self, all: bool) {
+        let newest_run = self.runs.keys().next_back().copied().unwrap_or_default();
+        let newest_tick = self.runs.get(&newest_run).map_or(0, |run| run.newest);
+        let oldest_run = self.runs.keys().rev().nth(MOST_RUNS - 1).copied();
+        let oldest_run = oldest_run.unwrap_or_default();
+        for (worker_epoch, run) in &mut self.runs {
+            // A run that others have long followed has ended.
+            let over = all
+                || (*worker_epoch < newest_run && newest_tick > WINDOW)
+                || *worker_epoch < oldest_run;
+            while let Some(mut head) = run.ticks.first_entry() {
+                self.frames.fill(head.get_mut());
+                let (tick, parts) = (*head.key(), head.get());
+                if !parts.is_complete() && !over && run.newest < tick + WINDOW {
+                    break;
+                }
+                let mut parts = Box::new(head.remove());
+                parts.ambiguous = self.frames.ambiguous(&parts.frames);
+                self.events.push_back(Event::Tick {
+                    worker_epoch: *worker_epoch,
+                    tick,
+                    parts,
+                });
+            }
+        }
+        self.runs
+            .retain(|worker_epoch, run| *worker_epoch == newest_run || !run.ticks.is_empty());
+    }
+}
+
+impl TickParts {
+    fn is_complete(&self) -> bool {
+        let Some((header, _)) = &self.journal else {
+            return false;
+        };
+        let sheds = header.flags & tick_flag::NO_DIAGNOSTICS != 0;
+        let plans = header.flags & tick_flag::PLAN_STATES != 0;
+        self.wanted.as_ref().is_some_and(HashMap::is_empty)
+            && self.forecasts.is_some()
+            && (self.diagnostics.is_some() || sheds)
+            && self.budgets.is_some()
+            && (self.plan_states.is_some() || !plans)
+    }
+
+    /// Position of a frame that the tick is waiting for.
+    fn place_of(&mut self, key: FrameKey) -> Option<usize> {
+        let wanted = self.wanted.as_mut()?;
+        let places = wanted.get_mut(&key)?;
+        let place = places.pop_front();
+        if places.is_empty() {
+            wanted.remove(&key);
+        }
+        place
+    }
+
+    /// Approximate memory of the parts, bytes.
+    pub(super) fn bytes(&self) -> usize {
+        let frames = self.frames.iter().flatten();
+        size_of::<Self>()
+            + frames
+                .map(|(_, samples)| size_of_val(samples.as_slice()))
+                .sum::<usize>()
+            + self
+                .forecasts
+                .as_ref()
+                .map_or(0, |(_, rows)| size_of_val(rows.as_slice()))
+            + self
+                .diagnostics
+                .as_ref()
+                .map_or(0, |(_, rows)| size_of_val(rows.as_slice()))
+            + self
+                .budgets
+                .as_ref()
+                .map_or(0, |(_, rows)| size_of_val(rows.as_slice()))
+            + self
+                .plan_states
+                .as_ref()
+                .map_or(0, |(_, rows)| size_of_val(rows.as_slice()))
+    }
+}
+
+const fn key_of(header: &SampleHeader) -> FrameKey {
+    (header.source_id, header.source_epoch, header.frame_seq)
+}
+
+fn bytes_of(samples: &[Sample]) -> &[u8] {
+    bytemuck::cast_slice(samples)
+}
+
+/// Whether two frames have the same bits: NaN does not equal itself.
+fn is_same(one: &SampleFrame, other: &SampleFrame) -> bool {
+    one.0 == other.0 && bytes_of(&one.1) == bytes_of(&other.1)
+}
+
+impl FrameStore {
+    fn put(&mut self, header: SampleHeader, samples: Vec<Sample>) {
+        let key = key_of(&header);
+        self.held += 1;
+        self.samples += samples.len();
+        self.order.push_back((self.next, key));
+        let waiting = self.frames.entry(key).or_default();
+        waiting.push_back((self.next, (header, samples)));
+        self.next += 1;
+        while self.held > MOST_FRAMES || (self.samples > MOST_SAMPLES && self.held > 1) {
+            let Some((number, oldest)) = self.order.pop_front() else {
+                return;
+            };
+            if self.holds(number, oldest) {
+                self.untaken += u64::from(self.get(oldest).is_some());
+            }
+        }
+        // Taken frames are removed from the order once they are more than half of it.
+        if self.order.len() > 2 * self.held + MOST_FRAMES {
+            let mut order = std::mem::take(&mut self.order);
+            order.retain(|(number, key)| self.holds(*number, *key));
+            self.order = order;
+        }
+    }
+
+    /// True if the frame of that number has not been taken: those of a key are taken in order.
+    fn holds(&self, number: u64, key: FrameKey) -> bool {
+        let waiting = self.frames.get(&key).and_then(VecDeque::front);
+        waiting.is_some_and(|(oldest, _)| *oldest <= number)
+    }
+
+    fn get(&mut self, key: FrameKey) -> Option<SampleFrame> {
+        let waiting = self.frames.get_mut(&key)?;
+        let frame = waiting.pop_front();
+        if waiting.is_empty() {
+            self.frames.remove(&key);
+        }
+        let (_, frame) = frame?;
+        self.held -= 1;
+        self.samples -= frame.1.len();
+        Some(frame)
+    }
+
+    /// The first of a tick's `frames` with the source, run and number of another frame that differs: one
+    /// of them is false, and nothing tells which of them the worker took. The others are not taken any more.
+    fn ambiguous(&mut self, frames: &[Option<SampleFrame>]) -> Option<FrameKey> {
+        let mut first = None;
+        let mut seen: HashMap<FrameKey, &SampleFrame> = HashMap::new();
+        for frame in frames.iter().flatten() {
+            let key = key_of(&frame.0);
+            let waiting = self.frames.get(&key).into_iter().flatten();
+            let mut others = waiting
+                .map(|(_, other)| other)
+                .chain(seen.insert(key, frame));
+            if others.any(|other| !is_same(frame, other)) {
+                first.get_or_insert(key);
+                while self.get(key).is_some() {
+                    self.untaken += 1;
+                }
+            }
+        }
+        first
+    }
+
+    /// Adds the available frames in a tick's journal, once; frames that arrive later are added one
+    /// by one.
+    fn fill(&mut self, parts: &mut TickParts) {
+        let (None, Some((_, taken))) = (&parts.wanted, &parts.journal) else {
+            return;
+        };
+        let mut wanted: HashMap<FrameKey, VecDeque<usize>> = HashMap::new();
+        parts.frames.resize_with(taken.len(), || None);
+        for (place, taken) in taken.iter().enumerate() {
+            let frame = &mut parts.frames[place];
+            if frame.is_none() {
+                let key = (taken.source_id, taken.source_epoch, taken.frame_seq);
+                *frame = self.get(key);
+                if frame.is_none() {
+                    wanted.entry(key).or_default().push_back(place);
+                }
+            }
+        }
+        parts.wanted = Some(wanted);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame(frame_seq: u64) -> Message {
+        let header = SampleHeader {
+            frame_seq,
+            ..SampleHeader::default()
+        };
+        Message::Samples(header, Vec::new())
+    }
+
+    fn journal(worker_epoch: u64, tick: u64, frames: impl Iterator<Item = u64>) -> Message {
+        let header = TickHeader {
+            worker_epoch,
+            tick,
+            ..TickHeader::default()
+        };
+        let taken = frames.map(|frame_seq| TakenFrame {
+            source_id: 0,
+            source_epoch: 0,
+            frame_seq,
+            taken_ns: 0,
+            samples: 0,
+            truncated: 0,
+        });
+        Message::Ticks(header, taken.collect())
+    }
+
+    fn outputs(worker_epoch: u64, tick: u64) -> [Message; 3] {
+        let forecasts = ForecastHeader {
+            worker_epoch,
+            tick,
+            ..ForecastHeader::default()
+        };
+        let diagnostics = DiagnosticHeader {
+            worker_epoch,
+            tick,
+            ..DiagnosticHeader::default()
+        };
+        let budgets = BudgetHeader {
+            worker_epoch,
+            tick,
+            ..BudgetHeader::default()
+        };
+        [
+            Message::Forecasts(forecasts, Vec::new()),
+            Message::Diagnostics(diagnostics, Vec::new()),
+            Message::Budgets(budgets, Vec::new()),
+        ]
+    }
+
+    /// The released ticks, each with whether all its frames are present.
+    fn ticks(assembler: &mut Assembler) -> Vec<(u64, u64, bool)> {
+        let mut ticks = Vec::new();
+        while let Some(event) = assembler.next_event() {
+            if let Event::Tick {
+                worker_epoch,
+                tick,
+                parts,
+            } = event
+            {
+                let whole = parts.frames.iter().all(Option::is_some);
+                ticks.push((worker_epoch, tick, whole));
+            }
+        }
+        ticks
+    }
+
+    #[test]
+    fn a_tick_gets_its_frames_at_any_order_of_arrival_and_each_frame_once() {
+        // Two ticks list the same frame, which was received twice.
+        let (first, second) = (
+            journal(1, 1, [5, 6].into_iter()),
+            journal(1, 2, [6].into_iter()),
+        );
+        let orders: [&[usize]; 4] = [
+            &[0, 1, 2, 3, 4],
+            &[3, 4, 0, 1, 2],
+            &[0, 3, 1, 4, 2],
+            &[4, 2, 3, 1, 0],
+        ];
+        let messages = [first, frame(5), frame(6), frame(6), second];
+        for order in orders {
+            let mut assembler = Assembler::default();
+            for at in order {
+                assembler.push(messages[*at].clone());
+            }
+            for message in outputs(1, 1).into_iter().chain(outputs(1, 2)) {
+                assembler.push(message);
+            }
+            assert_eq!(
+                ticks(&mut assembler),
+                [(1, 1, true), (1, 2, true)],
+                "{order:?}"
+            );
+            assembler.finish();
+            assert_eq!(assembler.untaken_frames(), 0, "{order:?}");
+        }
+    }
+
+    /// Number of messages in a small file. The cost of each must not grow with their number,
+    /// otherwise these tests take hours.
+    const MANY: u64 = 200_000;
+
+    #[test]
+    fn a_tick_that_lacks_many_frames_does_not_slow_later_messages() {
+        let mut assembler = Assembler::default();
+        assembler.push(journal(1, 1, 0..MANY));
+        for seq in 0..MANY {
+            assembler.push(frame(MANY + seq));
+        }
+        for seq in 0..MANY {
+            assembler.push(frame(seq));
+        }
+        outputs(1, 1)
+            .into_iter()
+            .for_each(|message| assembler.push(message));
+        assert_eq!(ticks(&mut assembler), [(1, 1, true)]);
+    }
+
+    #[test]
+    fn the_number_of_unfinished_runs_is_bounded() {
+        let mut assembler = Assembler::default();
+        let mut found = 0;
+        for run in 1..=MANY {
+            assembler.push(journal(run, 1, [7].into_iter()));
+            found += ticks(&mut assembler).len();
+            assert!(assembler.runs.len() <= MOST_RUNS);
+        }
+        assert_eq!(found as u64, MANY - MOST_RUNS as u64);
+    }
+
+    #[test]
+    fn a_frame_received_and_taken_repeatedly_leaves_no_entries() {
+        let mut store = FrameStore::default();
+        let key = (0, 0, 7);
+        for _ in 0..MANY {
+            let Message::Samples(header, samples) = frame(7) else {
+                panic!("a frame");
+            };
+            store.put(header, samples);
+            assert!(store.get(key).is_some());
+            assert!(store.order.len() <= 2 * MOST_FRAMES);
+        }
+        assert_eq!((store.held, store.untaken), (0, 0));
+    }
+}

@@ -1,0 +1,463 @@
+//! Verification: recomputes everything that a worker published from its samples, and compares it
+//! bit for bit.
+//!
+//! The worker's journal states which frames of samples each tick took at which time, and a keyframe
+//! the fleet's state before; from there the tick is a pure function. So a recording that begins in
+//! the middle, or has a gap, is verified from its next keyXX;
+mod compare;
+mod queries;
+mod report;
+mod what_if;
+
+use std::collections::{BTreeMap, VecDeque};
+
+use joulebus_fleet::{Fleet, FleetState};
+use joulebus_predictor::Model;
+use joulebus_settings::{FleetSettings, SettingsError};
+use joulebus_wire::{ForecastHeader, PlanStateHeader, TakenFrame, TickHeader, tick_flag};
+
+use assemble::{Assembler, Event, SampleFrame, TickParts};
+use compare::FieldDifference;
+use joulebus_capture_format::{Entry, Message, MessageKind};
+use queries::Queries;
+
+pub use compare::Value;
+pub use report::{Difference, Loss, Verification};
+pub use what_if::{Comparison, ModelScores, RobotComparison, WhatIf};
+
+/// Maximum memory of ticks waiting for a keyframe, and of keyframes waiting for their ticks, bytes.
+const MOST_WAITING: usize = 256 << 20;
+/// Maximum number of keyframes waiting for their ticks: one arrives every five seconds, and its
+/// ticks directly after it.
+const MOST_KEYFRAMES: usize = 64;
+
+/// Recomputes a capture of one fleet.
+#[derive(Debug)]
+pub struct Verifier {
+    fleet: Fleet,
+    /// The tick that `fleet` has just computed: run and number. `None` without a known state.
+    at: Option<(u64, u64)>,
+    assembler: Assembler,
+    /// Ticks of one run that wait for a keyframe.
+    waiting: VecDeque<Waiting>,
+    waiting_bytes: usize,
+    keyframes: BTreeMap<(u64, u64), Vec<u8>>,
+    sequences: BTreeMap<String, u32>,
+    queries: Queries,
+    report: Verification,
+}
+
+#[derive(Debug)]
+struct Waiting {
+    worker_epoch: u64,
+    tick: u64,
+    parts: Box<TickParts>,
+}
+
+impl Verifier {
+    /// With the worker's settings and models: `models[i]` is that of `settings.platforms[i]`.
+    ///
+    /// # Errors
+    /// As [`Fleet::new`].
+    pub fn new(settings: FleetSettings, models: Vec<Model>) -> Result<Self, SettingsError> {
+        let queries = Queries::new(&settings, &models);
+        Ok(Self {
+            queries,
+            fleet: Fleet::new(settings, models)?,
+            at: None,
+            assembler: Assembler::default(),
+            waiting: VecDeque::new(),
+            waiting_bytes: 0,
+            keyframes: BTreeMap::new(),
+            sequences: BTreeMap::new(),
+            report: Verification::default(),
+        })
+    }
+
+    /// Takes the next message of the fleet's channels; of split files in their order.
+    pub fn push(&mut self, entry: Entry) {
+        self.count(&entry);
+        match entry.message {
+            Message::Query(query) => self.queries.take(query, &entry.fleet, &mut self.report),
+            message => self.assembler.push(message),
+        }
+        self.work();
+    }
+
+    /// Ends the input.
+    #[must_use]
+    pub fn finish(mut self) -> Verification {
+        self.assembler.finish();
+        self.work();
+        self.give_up_waiting();
+        self.queries.finish(&mut self.report);
+        self.report.broken_keyframes = self.assembler.broken_keyframes;
+        self.report.untaken_frames = self.assembler.untaken_frames();
+        self.report.close();
+        self.report
+    }
+
+    fn count(&mut self, entry: &Entry) {
+        let report = &mut self.report;
+        report.messages += 1;
+        report.note_time(entry.log_time_ns);
+        let Some(kind) = entry.message.kind() else {
+            return;
+        };
+        report.note_kind(kind);
+        if let Some(last) = self.sequences.get_mut(&*entry.topic) {
+            let lost = entry.sequence.wrapping_sub(*last).wrapping_sub(1);
+            // Numbers that decrease belong to another recording, which is no loss.
+            if lost < u32::MAX / 2 {
+                report.messages_lost += u64::from(lost);
+            }
+            *last = entry.sequence;
+        } else {
+            self.sequences
+                .insert(entry.topic.to_string(), entry.sequence);
+        }
+    }
+
+    fn work(&mut self) {
+        while let Some(event) = self.assembler.next_event() {
+            match event {
+                Event::Keyframe {
+                    worker_epoch,
+                    tick,
+                    bytes,
+                } => {
+                    self.report.keyframes += 1;
+                    // A keyframe of a tick that is already computed is redundant.
+                    if self.at.is_none_or(|at| at < (worker_epoch, tick)) {
+                        self.keep((worker_epoch, tick), bytes);
+                    }
+                }
+                Event::Tick {
+                    worker_epoch,
+                    tick,
+                    parts,
+                } => self.tick(Waiting {
+                    worker_epoch,
+                    tick,
+                    parts,
+                }),
+            }
+            self.resume();
+        }
+    }
+
+    /// Stores a keyframe until its tick arrives; the oldest ones are dropped if there are too many.
+    fn keep(&mut self, place: (u64, u64), bytes: Vec<u8>) {
+        self.keyframes.insert(place, bytes);
+        let held =
+            |keyframes: &BTreeMap<_, Vec<u8>>| keyframes.values().map(Vec::len).sum::<usize>();
+        while self.keyframes.len() > 1
+            && (self.keyframes.len() > MOST_KEYFRAMES || held(&self.keyframes) > MOST_WAITING)
+        {
+            self.keyframes.pop_first();
+        }
+    }
+
+    fn tick(&mut self, next: Waiting) {
+        let place = (next.worker_epoch, next.tick);
+        self.report.note_tick(place);
+        match self.at {
+            Some((run, tick)) if (run, tick + 1) == place => self.compute(next),
+            // Before the keyframe, or the last, partly published tick of a worker that was
+            // replaced.
+            Some(at) if place <= at => self.give_up(&next),
+            _ => self.wait(next),
+        }
+    }
+
+    /// Stores a tick until a keyframe arrives.
+    fn wait(&mut self, next: Waiting) {
+        if self
+            .waiting
+            .front()
+            .is_some_and(|first| first.worker_epoch != next.worker_epoch)
+        {
+            self.give_up_waiting();
+        }
+        self.waiting_bytes += next.parts.bytes();
+        self.waiting.push_back(next);
+        while self.waiting_bytes > MOST_WAITING {
+            self.give_up_first();
+        }
+    }
+
+    fn give_up_waiting(&mut self) {
+        while !self.waiting.is_empty() {
+            self.give_up_first();
+        }
+    }
+
+    /// The state before the first waiting tick is unknown, and will remain so.
+    fn give_up_first(&mut self) {
+        let Some(first) = self.waiting.pop_front() else {
+            return;
+        };
+        self.waiting_bytes -= first.parts.bytes();
+        self.give_up(&first);
+    }
+
+    fn give_up(&mut self, tick: &Waiting) {
+        let lack = match self.lack(tick) {
+            Some(Loss::End) => Loss::End,
+            // At the beginning of a recording, something is always missing.
+            Some(lack) if self.report.has_begun => lack,
+            _ => Loss::NoKeyframe,
+        };
+        self.report.lose((tick.worker_epoch, tick.tick), lack);
+    }
+
+    /// Continues from the first keyframe that waiting ticks follow.
+    fn resume(&mut self) {
+        while let Some(first) = self.waiting.front() {
+            let run = first.worker_epoch;
+            let from = (run, first.tick.saturating_sub(1));
+            let Some(&(_, tick)) = self
+                .keyframes
+                .range(from..=(run, u64::MAX))
+                .next()
+                .map(|(key, _)| key)
+            else {
+                return;
+            };
+            while self.waiting.front().is_some_and(|first| first.tick <= tick) {
+                self.give_up_first();
+            }
+            let Some(bytes) = self.keyframes.remove(&(run, tick)) else {
+                return;
+            };
+            if let Err(error) =
+                FleetState::decode(&bytes).and_then(|state| self.fleet.restore_state(&state))
+            {
+                self.report.refuse_keyframe(tick, &error);
+                continue;
+            }
+            self.at = Some((run, tick));
+            self.catch_up();
+        }
+    }
+
+    /// Computes consecutive waiting ticks.
+    fn catch_up(&mut self) {
+        while let (Some(first), Some((run, tick))) = (self.waiting.front(), self.at) {
+            if (first.worker_epoch, first.tick) != (run, tick + 1) {
+                // A tick is missing completely.
+                self.at = None;
+                return;
+            }
+            self.waiting_bytes -= first.parts.bytes();
+            if let Some(first) = self.waiting.pop_front() {
+                self.compute(first);
+            }
+        }
+    }
+
+    /// Missing inputs of a tick.
+    fn lack(&self, next: &Waiting) -> Option<Loss> {
+        let place = (next.worker_epoch, next.tick);
+        let Some((header, taken)) = &next.parts.journal else {
+            return Some(
+                self.assembler
+                    .lack(place, MessageKind::Ticks, Loss::Journal),
+            );
+        };
+        if header.unlisted > 0 {
+            return Some(Loss::Unlisted);
+        }
+        if let Some((source_id, _, frame_seq)) = next.parts.ambiguous {
+            return Some(Loss::Ambiguous {
+                source_id,
+                frame_seq,
+            });
+        }
+        let mut frames = taken.iter().zip(&next.parts.frames);
+        frames.find_map(|(taken, frame)| match frame {
+            None => Some(self.assembler.lack_of_frame(place, taken)),
+            Some((_, samples)) => {
+                let sent = u64::from(taken.samples) + u64::from(taken.truncated);
+                // The recorder missed the one that the worker took.
+                (samples.len() as u64 != sent).then_some(Loss::Ambiguous {
+                    source_id: taken.source_id,
+                    frame_seq: taken.frame_seq,
+                })
+            }
+        })
+    }
+
+    fn compute(&mut self, next: Waiting) {
+        let place = (next.worker_epoch, next.tick);
+        let lack = self.lack(&next);
+        let parts = *next.parts;
+        let (None, Some((header, taken))) = (lack, &parts.journal) else {
+            self.at = None;
+            return self.report.lose(place, lack.unwrap_or(Loss::Journal));
+        };
+        self.at = Some(place);
+        self.keyframes = self.keyframes.split_off(&(place.0, place.1 + 1));
+        let mut comparison = TickComparison {
+            report: &mut self.report,
+            place,
+        };
+        take(&mut self.fleet, taken, &parts.frames);
+        let sheds = header.flags & tick_flag::NO_DIAGNOSTICS != 0;
+        let plans = header.flags & tick_flag::PLAN_STATES != 0;
+        let header = tick(&mut self.fleet, header);
+        comparison.report.verified(self.fleet.len());
+        comparison.forecasts(&self.fleet, &header, &parts);
+        comparison.diagnostics(&self.fleet, &parts);
+        comparison.budgets(&self.fleet, &parts);
+        comparison.plan_states(&self.fleet, &header, &parts);
+        self.queries
+            .ticked(place, &self.fleet, plans, &mut self.report);
+        let assembler = &self.assembler;
+        for (kind, is_there) in [
+            (MessageKind::Forecasts, parts.forecasts.is_some()),
+            // Under overload the worker omits them, and reports so.
+            (
+                MessageKind::Diagnostics,
+                parts.diagnostics.is_some() || sheds,
+            ),
+            (MessageKind::Budgets, parts.budgets.is_some()),
+            // The worker writes them while somebody reads them, and reports so.
+            (
+                MessageKind::PlanStates,
+                parts.plan_states.is_some() || !plans,
+            ),
+        ] {
+            if !is_there {
+                let loss = assembler.lack(place, kind, Loss::Output);
+                self.report.lack_output(kind, place, loss);
+            }
+        }
+    }
+}
+
+/// Takes the frames like the worker.
+fn take(fleet: &mut Fleet, taken: &[TakenFrame], frames: &[Option<SampleFrame>]) {
+    for (taken, frame) in taken.iter().zip(frames) {
+        let Some((header, samples)) = frame else {
+            continue;
+        };
+        let looked_at = samples.len().min(taken.samples as usize);
+        fleet.take(header, &samples[..looked_at], taken.taken_ns);
+    }
+}
+
+/// Ticks, and returns the worker's header fields about the intake.
+fn tick(fleet: &mut Fleet, journal: &TickHeader) -> ForecastHeader {
+    let missed = journal.flags & tick_flag::DEADLINE_MISSED != 0;
+    let intake = fleet.tick(journal.start_ns, missed);
+    let (first_intended_ns, first_sent_ns, first_taken_ns) = intake.first.unwrap_or_default();
+    ForecastHeader {
+        model_hash: fleet.model_hash(),
+        capacity: fleet.capacity(),
+        frames_taken: intake.frames,
+        first_intended_ns,
+        first_sent_ns,
+        first_taken_ns,
+        compute_start_ns: journal.start_ns,
+        samples_accepted: fleet.accepted(),
+        samples_dropped: fleet.drops(),
+        ..ForecastHeader::default()
+    }
+}
+
+/// Compares the outputs of one tick.
+struct TickComparison<'a> {
+    report: &'a mut Verification,
+    place: (u64, u64),
+}
+
+impl TickComparison<'_> {
+    fn differs(&mut self, what: &'static str, robot: Option<u32>, difference: FieldDifference) {
+        self.report.differ(self.place, what, robot, difference);
+    }
+
+    fn forecasts(&mut self, fleet: &Fleet, computed: &ForecastHeader, parts: &TickParts) {
+        let Some((header, rows)) = &parts.forecasts else {
+            return;
+        };
+        compare::intakes(header, computed, |difference| {
+            self.differs("forecasts", None, difference);
+        });
+        self.length("forecasts", rows.len(), fleet);
+        for (place, recorded) in rows.iter().enumerate().take(fleet.len()) {
+            let computed = fleet.forecast(place);
+            compare::forecasts(recorded, &computed, |difference| {
+                self.differs("forecast", Some(computed.robot), difference);
+            });
+        }
+    }
+
+    fn diagnostics(&mut self, fleet: &Fleet, parts: &TickParts) {
+        let Some((header, rows)) = &parts.diagnostics else {
+            return;
+        };
+        let refusals = fleet.refusals();
+        for (place, (recorded, computed)) in header.refused.iter().zip(&refusals).enumerate() {
+            if recorded != computed {
+                let robots = (recorded.robot, computed.robot);
+                let values = (Value::from(robots.0), Value::from(robots.1));
+                let robot = Some(refusals[place].robot);
+                self.differs("diagnostics", robot, ("refused robots", values.0, values.1));
+            }
+        }
+        self.length("diagnostics", rows.len(), fleet);
+        for (place, recorded) in rows.iter().enumerate().take(fleet.len()) {
+            let computed = fleet.diagnostic(place);
+            compare::diagnostics(recorded, &computed, |difference| {
+                self.differs("diagnostic", Some(computed.robot), difference);
+            });
+        }
+    }
+
+    fn budgets(&mut self, fleet: &Fleet, parts: &TickParts) {
+        let Some((_, rows)) = &parts.budgets else {
+            return;
+        };
+        self.length("budgets", rows.len(), fleet);
+        for (place, recorded) in rows.iter().enumerate().take(fleet.len()) {
+            let computed = fleet.budget(place);
+            compare::budgets(recorded, &computed, |difference| {
+                self.differs("budget", Some(computed.robot), difference);
+            });
+        }
+    }
+
+    fn plan_states(&mut self, fleet: &Fleet, computed: &ForecastHeader, parts: &TickParts) {
+        let Some((header, rows)) = &parts.plan_states else {
+            return;
+        };
+        let computed = PlanStateHeader {
+            settings_hash: fleet.settings_hash(),
+            model_hash: computed.model_hash,
+            models: fleet.model_hashes(),
+            compute_start_ns: computed.compute_start_ns,
+            ..PlanStateHeader::default()
+        };
+        compare::plan_state_headers(header, &computed, |difference| {
+            self.differs("plan_states", None, difference);
+        });
+        self.length("plan_states", rows.len(), fleet);
+        for (place, recorded) in rows.iter().enumerate().take(fleet.len()) {
+            let computed = fleet.plan_state(place);
+            compare::plan_states(recorded, &computed, |difference| {
+                self.differs("plan_state", Some(computed.robot), difference);
+            });
+        }
+    }
+
+    fn length(&mut self, what: &'static str, recorded: usize, fleet: &Fleet) {
+        if recorded != fleet.len() {
+            let values = (
+                Value::from(recorded as u64),
+                Value::from(fleet.len() as u64),
+            );
+            self.differs(what, None, ("robots", values.0, values.1));
+        }
+    }
+}

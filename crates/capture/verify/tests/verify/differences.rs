@@ -1,0 +1,912 @@
+//! Verification: differences found, and conditions that are not differences.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use crate::world::random::Noise;
+use crate::world::{self, MS, PERIOD_NS, Source, healthy};
+use joulebus_capture_format::{
+    Attachments, CaptureSettings, Entry, Message, MessageKind, Query, Reader, Times, Writer,
+};
+use joulebus_capture_verify::{Loss, Verification, Verifier};
+use joulebus_fleet::Fleet;
+use joulebus_plan::{Fleet as PlanFleet, Plan, Question, Refused, RobotRows};
+use joulebus_wire::{
+    AnswerHeader, BudgetHeader, DiagnosticHeader, ForecastHeader, PlanStateHeader, QUERY_STEPS,
+    QueryRecord, QueryRefusal, SCHEMA_VERSION, Sample, StateHeader, TakenFrame, TickHeader, fnv1a,
+    sample_flag, tick_flag,
+};
+use proptest::prelude::*;
+
+const CAPACITY: u32 = 12;
+const EPOCH: u64 = 1_000;
+const START_NS: u64 = 60_000 * MS;
+/// Ticks between two keyframes, and from the state to the keyframe's arrival.
+const KEYFRAME_EVERY: u64 = 40;
+const KEYFRAME_LATE: u64 = 6;
+const PIECE_BYTES: usize = 1_000;
+
+/// A simulated worker, with everything that it and its sources send, in order.
+struct Simulation {
+    fleet: Fleet,
+    sources: [Source; 2],
+    noise: Noise,
+    worker_epoch: u64,
+    tick: u64,
+    step: u64,
+    now_ns: u64,
+    sent: Vec<Message>,
+    late: Vec<(u64, Message)>,
+}
+
+impl Simulation {
+    fn new(seed: u64) -> Self {
+        Self::of(seed, world::fleet(CAPACITY))
+    }
+
+    fn of(seed: u64, fleet: Fleet) -> Self {
+        let mut simulation = Self {
+            fleet,
+            sources: [Source::new(1, 1), Source::new(2, 1)],
+            noise: Noise(seed),
+            worker_epoch: EPOCH,
+            tick: 0,
+            step: 0,
+            now_ns: START_NS,
+            sent: Vec::new(),
+            late: Vec::new(),
+        };
+        simulation.keyframe();
+        simulation
+    }
+
+    /// Restarts the worker.
+    fn restart(&mut self) {
+        let late = std::mem::take(&mut self.late);
+        self.sent
+            .extend(late.into_iter().map(|(_, message)| message));
+        self.fleet = world::fleet(CAPACITY);
+        (self.worker_epoch, self.tick) = (self.worker_epoch + 1, 0);
+        self.keyframe();
+    }
+
+    fn keyframe(&mut self) {
+        let mut bytes = Vec::new();
+        self.fleet.state().encode_into(&mut bytes);
+        let due = if self.tick == 0 {
+            0
+        } else {
+            self.tick + KEYFRAME_LATE
+        };
+        for (place, piece) in bytes.chunks(PIECE_BYTES).enumerate() {
+            let header = StateHeader {
+                schema: SCHEMA_VERSION,
+                worker_epoch: self.worker_epoch,
+                tick: self.tick,
+                total_bytes: bytes.len() as u64,
+                offset: (place * PIECE_BYTES) as u64,
+                ..StateHeader::default()
+            };
+            self.late
+                .push((due, Message::State(header, piece.to_vec())));
+        }
+    }
+
+    fn samples(&mut self, source: usize) -> Vec<Sample> {
+        let robots: &[u32] = [
+            &[1, 2, 3, 101, 102, 201][..],
+            &[4, 5, 6, 103, 202, 203, 204][..],
+        ][source];
+        let mut samples = Vec::new();
+        for robot in robots {
+            let mut sample = healthy(*robot, self.step, self.now_ns, PERIOD_NS);
+            match self.noise.next_u64() % 40 {
+                0 => continue,
+                1 => sample.power_w = f32::NAN,
+                2 => sample.flags &= !sample_flag::POWER,
+                3 => sample.v_mps = 9.0,
+                4 => sample.robot += 1_000,
+                _ => {}
+            }
+            samples.push(sample);
+        }
+        samples
+    }
+
+    fn run(&mut self, ticks: u64) {
+        for _ in 0..ticks {
+            self.now_ns += PERIOD_NS + self.noise.next_u64() % MS;
+            self.step += 1;
+            self.turn();
+        }
+    }
+
+    fn turn(&mut self) {
+        let mut taken = Vec::new();
+        for source in 0..2 {
+            // Sometimes a source stalls, and sends nothing for a while.
+            if self.noise.next_u64().is_multiple_of(15) {
+                continue;
+            }
+            let samples = self.samples(source);
+            let header = self.sources[source].frame(samples.len());
+            let taken_ns = self.now_ns + self.noise.next_u64() % MS;
+            self.fleet.take(&header, &samples, taken_ns);
+            taken.push(TakenFrame {
+                source_id: header.source_id,
+                source_epoch: header.source_epoch,
+                frame_seq: header.frame_seq,
+                taken_ns,
+                samples: samples.len() as u32,
+                truncated: 0,
+            });
+            self.sent.push(Message::Samples(header, samples));
+        }
+        let start_ns = self.now_ns + 2 * MS;
+        let missed = self.noise.next_u64().is_multiple_of(10);
+        let intake = self.fleet.tick(start_ns, missed);
+        self.tick += 1;
+        let (first_intended_ns, first_sent_ns, first_taken_ns) = intake.first.unwrap_or_default();
+        let header = ForecastHeader {
+            schema: SCHEMA_VERSION,
+            worker_epoch: self.worker_epoch,
+            tick: self.tick,
+            model_hash: self.fleet.model_hash(),
+            capacity: CAPACITY,
+            frames_taken: intake.frames,
+            first_intended_ns,
+            first_sent_ns,
+            first_taken_ns,
+            compute_start_ns: start_ns,
+            samples_accepted: self.fleet.accepted(),
+            samples_dropped: self.fleet.drops(),
+            ..ForecastHeader::default()
+        };
+        self.publish(header);
+        let journal = TickHeader {
+            schema: SCHEMA_VERSION,
+            worker_epoch: self.worker_epoch,
+            tick: self.tick,
+            start_ns,
+            flags: u32::from(missed) * tick_flag::DEADLINE_MISSED
+                + u32::from(self.plans()) * tick_flag::PLAN_STATES,
+            ..TickHeader::default()
+        };
+        self.sent.push(Message::Ticks(journal, taken));
+        if self.tick.is_multiple_of(KEYFRAME_EVERY) {
+            self.keyframe();
+        }
+        let tick = self.tick;
+        for (_, message) in self.late.extract_if(.., |(due, _)| *due <= tick) {
+            self.sent.push(message);
+        }
+    }
+
+    /// Whether somebody reads what plans start from: for ten of every forty ticks nobody does.
+    fn plans(&self) -> bool {
+        self.tick % 40 < 30
+    }
+
+    fn publish(&mut self, header: ForecastHeader) {
+        let robots = 0..self.fleet.len();
+        let (worker_epoch, tick) = (self.worker_epoch, self.tick);
+        let compute_start_ns = header.compute_start_ns;
+        let forecasts = robots.clone().map(|place| self.fleet.forecast(place));
+        self.sent
+            .push(Message::Forecasts(header, forecasts.collect()));
+        let header = DiagnosticHeader {
+            schema: SCHEMA_VERSION,
+            worker_epoch,
+            tick,
+            refused: self.fleet.refusals(),
+            ..DiagnosticHeader::default()
+        };
+        let diagnostics = robots.clone().map(|place| self.fleet.diagnostic(place));
+        self.sent
+            .push(Message::Diagnostics(header, diagnostics.collect()));
+        let header = BudgetHeader {
+            schema: SCHEMA_VERSION,
+            worker_epoch,
+            tick,
+            ..BudgetHeader::default()
+        };
+        let budgets = robots.clone().map(|place| self.fleet.budget(place));
+        self.sent.push(Message::Budgets(header, budgets.collect()));
+        if !self.plans() {
+            return;
+        }
+        let header = PlanStateHeader {
+            schema: SCHEMA_VERSION,
+            worker_epoch,
+            tick,
+            settings_hash: self.fleet.settings_hash(),
+            model_hash: self.fleet.model_hash(),
+            models: self.fleet.model_hashes(),
+            compute_start_ns,
+            ..PlanStateHeader::default()
+        };
+        let rows = robots.map(|place| self.fleet.plan_state(place));
+        self.sent.push(Message::PlanStates(header, rows.collect()));
+    }
+}
+
+fn recorded(seed: u64, ticks: u64) -> Vec<Message> {
+    let mut simulation = Simulation::new(seed);
+    simulation.run(ticks);
+    simulation.sent
+}
+
+/// As written by a recorder: numbered by channel.
+fn entries(messages: Vec<Message>) -> Vec<Entry> {
+    let mut sequences: HashMap<MessageKind, u32> = HashMap::new();
+    let entry = |(place, message): (usize, Message)| {
+        let kind = message.kind().unwrap();
+        let sequence = sequences.entry(kind).or_default();
+        *sequence += 1;
+        Entry {
+            topic: kind.topic("lab", 0).into(),
+            fleet: Arc::from("lab"),
+            log_time_ns: 1_000_000 * place as u64,
+            publish_time_ns: 0,
+            sequence: *sequence - 1,
+            message,
+        }
+    };
+    messages.into_iter().enumerate().map(entry).collect()
+}
+
+fn verify(entries: impl IntoIterator<Item = Entry>) -> Verification {
+    let verifier = Verifier::new(world::settings(CAPACITY), world::models());
+    verify_by(verifier.unwrap(), entries)
+}
+
+fn verify_by(mut verifier: Verifier, entries: impl IntoIterator<Item = Entry>) -> Verification {
+    for entry in entries {
+        verifier.push(entry);
+    }
+    verifier.finish()
+}
+
+fn tick_of(message: &Message) -> u64 {
+    match message {
+        Message::Forecasts(header, _) => header.tick,
+        Message::Diagnostics(header, _) => header.tick,
+        Message::Budgets(header, _) => header.tick,
+        Message::PlanStates(header, _) => header.tick,
+        Message::Ticks(header, _) => header.tick,
+        _ => 0,
+    }
+}
+
+#[test]
+fn a_complete_recording_has_no_differences() {
+    let report = verify(entries(recorded(1, 200)));
+    assert!(report.is_clean(), "{report}");
+    assert_eq!(
+        (report.ticks, report.ticks_verified, report.robots),
+        (200, 200, CAPACITY as usize)
+    );
+    assert_eq!(
+        (report.keyframes, report.untaken_frames, report.runs),
+        (5, 0, 1),
+        "{report:?}"
+    );
+    assert!(
+        report
+            .to_string()
+            .starts_with("200 ticks, 12 robots, 0 differences\n"),
+        "{report}"
+    );
+}
+
+/// Everything that can be learned online, and every kind of fault among the samples. `tools/aarch64.sh` runs
+/// this on two kinds of processor with one `JOULEBUS_MACHINES`, a directory: each verifies what both have
+/// recorded.
+#[test]
+fn what_one_machine_records_another_computes_to_the_bit() {
+    let own = tempfile::tempdir().unwrap();
+    let machines = std::env::var_os("JOULEBUS_MACHINES").map(std::path::PathBuf::from);
+    let machines = machines.unwrap_or_else(|| own.path().to_owned());
+    let settings = world::learning(CAPACITY);
+    let fleet = Fleet::new(settings.clone(), world::fresh_models()).unwrap();
+    let mut simulation = Simulation::of(5, fleet);
+    simulation.run(400);
+    let path = machines.join(format!("{}.mcap", std::env::consts::ARCH));
+    let file = std::fs::File::create(&path).unwrap();
+    let mut writer =
+        Writer::new(file, CaptureSettings::default(), &Attachments::default()).unwrap();
+    for entry in entries(simulation.sent) {
+        let times = Times {
+            log_ns: entry.log_time_ns,
+            publish_ns: entry.publish_time_ns,
+        };
+        writer.write("lab", times, &entry.message).unwrap();
+    }
+    writer.finish().unwrap();
+    let mut verified = 0;
+    for file in std::fs::read_dir(&machines).unwrap() {
+        let path = file.unwrap().path();
+        let mut reader = Reader::new(std::fs::File::open(&path).unwrap()).unwrap();
+        let read = std::iter::from_fn(|| reader.next_entry().unwrap());
+        let verifier = Verifier::new(settings.clone(), world::fresh_models()).unwrap();
+        let report = verify_by(verifier, read);
+        assert!(report.is_clean(), "{}: {report}", path.display());
+        assert_eq!(report.ticks_verified, 400, "{}: {report}", path.display());
+        verified += 1;
+    }
+    assert!(verified > 0);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(ProptestConfig::default().cases.min(48)))]
+
+    /// The recorder reads one service after the other, and may be late in any of them.
+    #[test]
+    fn the_order_in_which_a_recorder_reads_has_no_effect(
+        seed in any::<u64>(), lag in 1usize..150,
+    ) {
+        let mut noise = Noise(seed);
+        let messages = recorded(seed % 8, 120);
+        // Each kind keeps its order.
+        let mut keyed: Vec<(usize, Message)> = Vec::new();
+        let mut last: HashMap<MessageKind, usize> = HashMap::new();
+        for (place, message) in messages.into_iter().enumerate() {
+            let last = last.entry(message.kind().unwrap()).or_default();
+            *last = (*last).max(place + (noise.next_u64() % lag as u64) as usize);
+            keyed.push((*last, message));
+        }
+        keyed.sort_by_key(|(at, _)| *at);
+        let report = verify(entries(keyed.into_iter().map(|(_, message)| message).collect()));
+        prop_assert!(report.is_clean(), "{report}");
+        prop_assert_eq!(report.ticks_verified, 120);
+    }
+
+    #[test]
+    fn a_recording_may_begin_and_end_anywhere(seed in 0u64..8, from in 0.0f64..0.55, to in 0.8f64..1.0) {
+        let all = entries(recorded(seed, 200));
+        let (from, to) = ((from * all.len() as f64) as usize, (to * all.len() as f64) as usize);
+        let before = verify(all[from..to].to_vec());
+        prop_assert!(before.is_clean(), "{before}");
+        prop_assert!(before.ticks_before_first_keyframe < KEYFRAME_EVERY + KEYFRAME_LATE, "{before:?}");
+        prop_assert!(before.ticks_cut_off < 4, "{before:?}");
+        prop_assert_eq!(
+            before.ticks,
+            before.ticks_verified + before.ticks_before_first_keyframe
+                + before.ticks_cut_off.min(before.ticks - before.ticks_verified - before.ticks_before_first_keyframe)
+        );
+    }
+
+    #[test]
+    fn losses_are_reported_and_nothing_else_differs(
+        seed in 0u64..8, lost in prop::collection::vec(any::<prop::sample::Index>(), 1..4),
+    ) {
+        let all = entries(recorded(seed, 200));
+        let lost: Vec<usize> = lost.into_iter().map(|index| index.index(all.len())).collect();
+        let kept = all.iter().enumerate().filter(|(place, _)| !lost.contains(place));
+        let report = verify(kept.map(|(_, entry)| entry.clone()));
+        prop_assert_eq!(report.differences, 0, "{}", report);
+        // Losses at either end cannot be detected.
+        let inside = |place: &&usize| {
+            let kind = |place: usize| all[place].message.kind();
+            let same = |other: &usize| kind(*other) == kind(**place) && !lost.contains(other);
+            (0..**place).any(|other| same(&other)) && (**place + 1..all.len()).any(|other| same(&other))
+        };
+        if lost.iter().filter(inside).count() > 0 {
+            prop_assert!(!report.is_clean(), "{report}");
+            prop_assert!(report.messages_lost > 0, "{report}");
+        }
+    }
+}
+
+#[test]
+fn a_lost_frame_of_samples_is_named_and_verification_resumes_at_the_next_keyframe() {
+    let all = entries(recorded(3, 200));
+    let is_lost = |entry: &Entry| matches!(&entry.message, Message::Samples(header, _) if header.source_id == 2 && header.frame_seq == 50);
+    let taken_by = all.iter().find_map(|entry| match &entry.message {
+        Message::Ticks(header, taken) => taken
+            .iter()
+            .any(|taken| taken.source_id == 2 && taken.frame_seq == 50)
+            .then_some(header.tick),
+        _ => None,
+    });
+    let tick = taken_by.unwrap();
+    let report = verify(all.into_iter().filter(|entry| !is_lost(entry)));
+    let resumed = tick.div_ceil(KEYFRAME_EVERY) * KEYFRAME_EVERY;
+    assert_eq!(report.ticks_unverified, resumed - tick + 1, "{report}");
+    assert_eq!(report.ticks_verified, 200 - report.ticks_unverified);
+    let frame = Loss::Samples {
+        source_id: 2,
+        frame_seq: 50,
+    };
+    assert_eq!(report.losses[0], (tick, frame), "{report}");
+    assert_eq!((report.differences, report.is_clean()), (0, false));
+}
+
+#[test]
+fn frames_that_repeat_the_number_of_another_one_are_named_and_never_reported_as_differences() {
+    let all = entries(recorded(3, 200));
+    let at = all
+        .iter()
+        .position(|entry| matches!(&entry.message, Message::Samples(header, _) if header.source_id == 2 && header.frame_seq == 50));
+    let at = at.unwrap();
+    let Message::Samples(header, samples) = &all[at].message else {
+        panic!("a frame of samples");
+    };
+    let with = |change: &dyn Fn(&mut Entry), place: usize| {
+        let mut entries = all.clone();
+        let mut copy = all[at].clone();
+        change(&mut copy);
+        entries.insert(place, copy);
+        verify(entries)
+    };
+    let number = Loss::Ambiguous {
+        source_id: 2,
+        frame_seq: 50,
+    };
+    let other_power = |entry: &mut Entry| {
+        let mut samples = samples.clone();
+        samples[0].power_w = f32::from_bits(samples[0].power_w.to_bits() ^ 1);
+        entry.message = Message::Samples(*header, samples);
+    };
+    let other_header = |entry: &mut Entry| {
+        let mut header = *header;
+        header.sent_ns ^= 1;
+        entry.message = Message::Samples(header, samples.clone());
+    };
+    let longer = |entry: &mut Entry| {
+        entry.message = Message::Samples(*header, [&samples[..], samples].concat());
+    };
+    let changes: [&dyn Fn(&mut Entry); 3] = [&other_power, &other_header, &longer];
+    for (number_of_change, change) in changes.into_iter().enumerate() {
+        for place in [at, at + 1] {
+            let report = with(change, place);
+            let what = format!("change {number_of_change} at {place}: {report}");
+            assert_eq!(report.differences, 0, "{what}");
+            assert!(
+                report.losses.iter().any(|(_, loss)| *loss == number),
+                "{what}"
+            );
+            assert!(!report.is_clean() && report.ticks_verified > 100, "{what}");
+        }
+    }
+    // Only the false one was recorded.
+    let mut entries = all.clone();
+    longer(&mut entries[at]);
+    let report = verify(entries);
+    assert_eq!(
+        (report.differences, report.losses[0].1),
+        (0, number),
+        "{report}"
+    );
+    // The same bits twice: whichever it took.
+    let same = with(&|_| {}, at);
+    assert_eq!((same.differences, same.ticks_unverified), (0, 0), "{same}");
+}
+
+/// Each field of each payload, one at a time: found with its tick, robot and name.
+#[test]
+fn a_flipped_bit_in_any_output_is_named() {
+    let messages = recorded(4, 90);
+    let place = |kind: MessageKind| {
+        let is_it = |message: &Message| message.kind() == Some(kind) && tick_of(message) == 65;
+        messages.iter().position(is_it).unwrap()
+    };
+    let (forecasts, diagnostics, budgets, plan_states) = (
+        place(MessageKind::Forecasts),
+        place(MessageKind::Diagnostics),
+        place(MessageKind::Budgets),
+        place(MessageKind::PlanStates),
+    );
+    let flip32 = |value: &mut f32| *value = f32::from_bits(value.to_bits() ^ 1);
+    let flip64 = |value: &mut f64| *value = f64::from_bits(value.to_bits() ^ 1);
+    type Spoil<'a> = Box<dyn Fn(&mut [Message]) + 'a>;
+    let mut cases: Vec<(&str, Spoil<'_>)> = Vec::new();
+    macro_rules! case {
+        ($kind:ident, $at:expr, $name:literal, |$row:ident| $change:expr) => {
+            cases.push((
+                $name,
+                Box::new(move |messages: &mut [Message]| {
+                    let Message::$kind(_, rows) = &mut messages[$at] else {
+                        panic!("another kind")
+                    };
+                    let $row = &mut rows[5];
+                    $change;
+                }),
+            ));
+        };
+    }
+    case!(Forecasts, forecasts, "forecast.power_w", |row| flip32(
+        &mut row.power_w
+    ));
+    case!(Forecasts, forecasts, "forecast.lo_w", |row| flip32(
+        &mut row.lo_w
+    ));
+    case!(Forecasts, forecasts, "forecast.hi_w", |row| flip32(
+        &mut row.hi_w
+    ));
+    case!(Forecasts, forecasts, "forecast.reading_w", |row| flip32(
+        &mut row.reading_w
+    ));
+    case!(Forecasts, forecasts, "forecast.flags", |row| row.flags ^= 8);
+    case!(Forecasts, forecasts, "forecast.quality", |row| row
+        .quality ^=
+        1);
+    case!(Forecasts, forecasts, "forecast.quality_detail", |row| {
+        row.quality_detail ^= 1;
+    });
+    case!(Forecasts, forecasts, "forecast.generation", |row| row
+        .generation ^=
+        1);
+    case!(Forecasts, forecasts, "forecast.sample_seq", |row| row
+        .sample_seq ^=
+        1);
+    case!(Forecasts, forecasts, "forecast.stamp_ns", |row| row
+        .stamp_ns ^=
+        1);
+    case!(Forecasts, forecasts, "forecast.target_ns", |row| row
+        .target_ns ^=
+        1);
+    case!(Forecasts, forecasts, "forecast.reading_age_ns", |row| {
+        row.reading_age_ns ^= 1;
+    });
+    case!(Forecasts, forecasts, "forecast.source_epoch", |row| row
+        .source_epoch ^=
+        1);
+    case!(Diagnostics, diagnostics, "diagnostic.residual_w", |row| {
+        flip32(&mut row.residual_w);
+    });
+    case!(Diagnostics, diagnostics, "diagnostic.bias_w", |row| flip32(
+        &mut row.bias_w
+    ));
+    case!(Diagnostics, diagnostics, "diagnostic.cusum_up", |row| {
+        flip32(&mut row.cusum_up);
+    });
+    case!(Diagnostics, diagnostics, "diagnostic.alarms", |row| row
+        .alarms ^=
+        1 << 11);
+    case!(Diagnostics, diagnostics, "diagnostic.scored", |row| row
+        .scored ^=
+        1);
+    case!(Diagnostics, diagnostics, "diagnostic.mae_w", |row| flip64(
+        &mut row.mae_w
+    ));
+    case!(Diagnostics, diagnostics, "diagnostic.skill", |row| flip64(
+        &mut row.skill
+    ));
+    case!(Diagnostics, diagnostics, "diagnostic.refused", |row| row
+        .refused ^=
+        1);
+    case!(Budgets, budgets, "budget.drawn_uj", |row| row.drawn_uj ^= 1);
+    case!(Budgets, budgets, "budget.drawn_remainder", |row| row
+        .drawn_remainder ^=
+        1);
+    case!(Budgets, budgets, "budget.unmetered_ns", |row| row
+        .unmetered_ns ^=
+        1);
+    case!(Budgets, budgets, "budget.mean_power_w", |row| flip32(
+        &mut row.mean_power_w
+    ));
+    case!(Budgets, budgets, "budget.time_to_empty_hi_s", |row| flip32(
+        &mut row.time_to_empty_hi_s
+    ));
+    case!(PlanStates, plan_states, "plan_state.quality", |row| {
+        row.quality ^= 1;
+    });
+    case!(PlanStates, plan_states, "plan_state.open_steps", |row| {
+        row.open_steps ^= 1;
+    });
+    case!(PlanStates, plan_states, "plan_state.lag1_w", |row| flip32(
+        &mut row.lag1_w
+    ));
+    case!(PlanStates, plan_states, "plan_state.gain_mean", |row| {
+        flip32(&mut row.gain_mean);
+    });
+    case!(PlanStates, plan_states, "plan_state.above_held", |row| {
+        flip32(&mut row.above_held);
+    });
+    for (name, spoil) in cases {
+        let mut spoilt = messages.clone();
+        spoil(&mut spoilt);
+        let Message::Forecasts(_, rows) = &messages[forecasts] else {
+            panic!("another kind")
+        };
+        let report = verify(entries(spoilt));
+        let first = report
+            .first
+            .clone()
+            .unwrap_or_else(|| panic!("{name} was not found"));
+        assert_eq!(
+            (first.tick, first.robot, &*first.field),
+            (65, Some(rows[5].robot), name)
+        );
+        assert_ne!(first.recorded, first.computed, "{name}");
+        assert_eq!(
+            (report.differences, report.ticks_verified),
+            (1, 90),
+            "{name}: {report}"
+        );
+        assert!(!report.is_clean(), "{name}");
+    }
+}
+
+#[test]
+fn a_flipped_bit_in_a_sample_shows_at_its_tick_and_robot() {
+    let mut messages = recorded(5, 90);
+    let taken_at_60 = |message: &Message| match message {
+        Message::Ticks(header, taken) if header.tick == 60 => taken.first().copied(),
+        _ => None,
+    };
+    let taken = messages.iter().find_map(taken_at_60).unwrap();
+    let mut robot = 0;
+    for message in &mut messages {
+        if let Message::Samples(header, samples) = message
+            && (header.source_id, header.frame_seq) == (taken.source_id, taken.frame_seq)
+        {
+            let is_read = |sample: &&mut Sample| sample.power_w.is_finite() && sample.robot < 1_000;
+            let sample = samples.iter_mut().find(is_read).unwrap();
+            sample.power_w = f32::from_bits(sample.power_w.to_bits() ^ (1 << 12));
+            robot = sample.robot;
+        }
+    }
+    let report = verify(entries(messages));
+    let first = report.first.clone().unwrap();
+    assert_eq!((first.tick, first.robot), (60, Some(robot)), "{report}");
+    assert!(
+        report.differences > 1,
+        "an error in a ledger persists: {report}"
+    );
+}
+
+#[test]
+fn a_killed_worker_and_its_successor_are_both_verified() {
+    let mut simulation = Simulation::new(6);
+    simulation.run(100);
+    // Killed after it had sent its forecasts.
+    let mut sent = std::mem::take(&mut simulation.sent);
+    let is_forecasts = |message: &Message| matches!(message, Message::Forecasts(..));
+    let half = sent.iter().rposition(is_forecasts).unwrap();
+    sent.truncate(half + 1);
+    simulation.sent = sent;
+    simulation.restart();
+    simulation.run(150);
+    let report = verify(entries(simulation.sent));
+    assert!(report.is_clean(), "{report}");
+    assert_eq!(
+        (report.runs, report.ticks_verified, report.ticks_cut_off),
+        (2, 99 + 150, 1),
+        "{report}"
+    );
+}
+
+#[test]
+fn without_a_keyframe_or_with_another_model_nothing_is_verified() {
+    let messages = recorded(7, 60);
+    let without = messages
+        .iter()
+        .filter(|message| message.kind() != Some(MessageKind::State));
+    let report = verify(entries(without.cloned().collect()));
+    assert_eq!(
+        (
+            report.ticks_verified,
+            report.ticks_unverified,
+            report.is_clean()
+        ),
+        (0, 60, false)
+    );
+    assert!(report.to_string().contains("no keyframe"), "{report}");
+
+    let mut models = world::models();
+    models.swap(0, 2);
+    let mut verifier = Verifier::new(world::settings(CAPACITY), models).unwrap();
+    entries(messages)
+        .into_iter()
+        .for_each(|entry| verifier.push(entry));
+    let report = verifier.finish();
+    assert_eq!((report.ticks_verified, report.ticks_unverified), (0, 60));
+    assert_eq!(report.refused_keyframes, report.keyframes, "{report}");
+    assert!(
+        report.to_string().contains("use the same models"),
+        "{report}"
+    );
+}
+
+#[test]
+fn excluded_topics_are_reported_and_not_counted_as_lost() {
+    let messages = recorded(8, 60).into_iter();
+    let kept = messages.filter(|message| message.kind() != Some(MessageKind::Diagnostics));
+    let report = verify(entries(kept.collect()));
+    assert!(report.is_clean(), "{report}");
+    assert_eq!(report.not_recorded, ["diagnostics"]);
+}
+
+/// Through the files of a split recording, bit for bit.
+#[test]
+fn split_files_are_verified_as_one_and_each_from_its_keyframe() {
+    let all = entries(recorded(9, 200));
+    let mut files = Vec::new();
+    let mut sequences = joulebus_capture_format::Sequences::default();
+    for part in all.chunks(all.len() / 3 + 1) {
+        let attachments = Attachments::default();
+        let settings = CaptureSettings::default();
+        let mut writer = Writer::resume(Vec::new(), settings, &attachments, sequences).unwrap();
+        for entry in part {
+            let times = Times {
+                log_ns: entry.log_time_ns,
+                publish_ns: entry.publish_time_ns,
+            };
+            writer.write("lab", times, &entry.message).unwrap();
+        }
+        let (_, next, bytes) = writer.finish().unwrap();
+        sequences = next;
+        files.push(bytes);
+    }
+    let read = |bytes: &[u8]| -> Vec<Entry> {
+        Reader::new(bytes)
+            .unwrap()
+            .map(|entry| entry.unwrap())
+            .collect()
+    };
+    let report = verify(files.iter().flat_map(|bytes| read(bytes)));
+    assert!(report.is_clean(), "{report}");
+    assert_eq!(report.ticks_verified, 200);
+    for bytes in &files {
+        let report = verify(read(bytes));
+        assert!(report.is_clean() && report.ticks_verified > 20, "{report}");
+    }
+}
+
+/// A question about robot 2, and what the worker answers as of a tick.
+fn asked(messages: &[Message], tick: u64, number: u64, v_mps: f32) -> Query {
+    let of = |kind| {
+        let is_it = |message: &&Message| message.kind() == Some(kind) && tick_of(message) == tick;
+        messages.iter().find(is_it).unwrap()
+    };
+    let Message::PlanStates(_, states) = of(MessageKind::PlanStates) else {
+        panic!("another kind")
+    };
+    let Message::Budgets(_, budgets) = of(MessageKind::Budgets) else {
+        panic!("another kind")
+    };
+    let question = Question {
+        plan: Plan::WhatIf {
+            robot: 2,
+            candidates: 3,
+            period_s: 1.0 / 30.0,
+            v_mps: vec![v_mps; 30],
+            omega_radps: vec![0.1; 30],
+        },
+        coverage: 0.9,
+        power: true,
+    };
+    let fleet = fnv1a("lab".bytes());
+    let (query, values) = question.encode(fleet).unwrap();
+    let mut answer = AnswerHeader {
+        schema: SCHEMA_VERSION,
+        worker_epoch: EPOCH,
+        tick,
+        period_ns: PERIOD_NS,
+        sent_state_ns: 70,
+        budget_epoch: EPOCH,
+        budget_tick: tick,
+        sent_budget_ns: 60,
+        now_ns: 90,
+        ..AnswerHeader::default()
+    };
+    let find = |robot| {
+        let state = states.iter().find(|row| row.robot == robot)?;
+        let budget = budgets.iter().find(|row| row.robot == robot);
+        Some(RobotRows::recorded(&answer, *state, budget.copied()))
+    };
+    let plans = PlanFleet::new(&world::settings(CAPACITY), &world::models());
+    let reply = question.answer(&plans, find, QUERY_STEPS);
+    let mut words = Vec::new();
+    match &reply {
+        Ok(reply) => reply.encode(&mut answer, &mut words),
+        Err(error) => Refused::from(error).encode(&mut answer, &mut words),
+    }
+    let record = QueryRecord {
+        begun_ns: 1,
+        number,
+        query,
+        answer,
+        ..QueryRecord::default()
+    };
+    Query::of_record((record, &values, &words))
+}
+
+#[test]
+fn answers_about_plans_are_computed_again_wherever_they_lie_and_a_flipped_bit_is_named() {
+    let messages = recorded(4, 90);
+    let queries = [asked(&messages, 65, 1, 0.1), asked(&messages, 66, 2, 0.1)];
+    let refused = asked(&messages, 66, 3, 99.0);
+    assert!(
+        queries
+            .iter()
+            .all(|query| query.rows.len() == 3 && query.power_w.len() == 30)
+    );
+    assert!(
+        refused.rows.is_empty() && refused.text.contains("99"),
+        "{refused:?}"
+    );
+    let with = |queries: &[Query], place: usize| {
+        let mut messages = messages.clone();
+        let queries = queries.iter().cloned().map(Message::Query);
+        messages.splice(place..place, queries);
+        verify(entries(messages))
+    };
+    let all = [queries[0].clone(), queries[1].clone(), refused.clone()];
+    // Before, beside and long after their ticks.
+    let beside = messages
+        .iter()
+        .position(|message| tick_of(message) == 66)
+        .unwrap();
+    for place in [0, beside, messages.len()] {
+        let report = with(&all, place);
+        assert!(report.is_clean(), "{place}: {report}");
+        assert_eq!((report.queries, report.queries_verified), (3, 3), "{place}");
+    }
+    type Spoil = fn(&mut Query);
+    let flips: [(&str, Spoil); 6] = [
+        ("query.mean_j", |query| {
+            let value = &mut query.rows[1].mean_j;
+            *value = f32::from_bits(value.to_bits() ^ 1);
+        }),
+        ("query.verdict", |query| query.rows[0].verdict ^= 1),
+        ("query.flags", |query| query.rows[2].flags ^= 1),
+        ("query.power_w", |query| query.power_w[7] += 1.0),
+        ("query.rows", |query| {
+            query.rows.pop();
+            *query = query.clone().counted();
+        }),
+        ("query.refusal", |query| {
+            query.record.answer.refusal = QueryRefusal::Question.code();
+            *query = query.clone().counted();
+        }),
+    ];
+    for (name, spoil) in flips {
+        let mut spoilt = queries[0].clone();
+        spoil(&mut spoilt);
+        let report = with(&[spoilt], beside);
+        let first = report
+            .first
+            .clone()
+            .unwrap_or_else(|| panic!("{name} was not found"));
+        assert_eq!((first.tick, &*first.field), (65, name), "{report}");
+    }
+    let mut changed = refused;
+    changed.text = changed.text.replace("99", "98");
+    assert_eq!(
+        &*with(&[changed], beside).first.unwrap().field,
+        "query.text"
+    );
+}
+
+#[test]
+fn answers_about_ticks_that_could_not_be_computed_are_counted() {
+    let messages = recorded(4, 90);
+    let query = asked(&messages, 65, 1, 0.1);
+    let with = |change: &dyn Fn(&mut Query)| {
+        let mut changed = query.clone();
+        change(&mut changed);
+        let all = messages.iter().cloned().chain([Message::Query(changed)]);
+        verify(entries(all.collect()))
+    };
+    // In tick 35 nobody read plan states, and tick 1,000 is not in the recording.
+    let lost = with(&|query| query.record.answer.tick = 35);
+    assert_eq!(
+        (lost.queries_unverified, lost.is_clean()),
+        (1, false),
+        "{lost}"
+    );
+    let outside = with(&|query| query.record.answer.tick = 1_000);
+    assert_eq!(
+        (outside.queries_outside, outside.is_clean()),
+        (1, true),
+        "{outside}"
+    );
+    let late = with(&|query| {
+        query.record.answer.refusal = QueryRefusal::Deadline.code();
+        *query = query.clone().counted();
+    });
+    assert_eq!((late.queries_by_time, late.is_clean()), (1, true), "{late}");
+}

@@ -1,0 +1,7 @@
+//! Verification of captures.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
+
+mod differences;
+mod speed;
+#[path = "../../../../fleet/tests/world/mod.rs"]
+mod world;
