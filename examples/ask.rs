@@ -5,7 +5,8 @@ use std::error::Error;
 use std::time::Duration;
 
 use joulebus_examples::PrivateFleet;
-use joulebus_plan::{Path, Planner, Point, rank};
+use joulebus_plan::{Path, Point, rank};
+use joulebus_planner::Planner;
 use joulebus_publisher::{Pace, Publisher, RobotState};
 
 const PLATFORMS: &str = r#"

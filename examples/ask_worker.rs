@@ -6,8 +6,9 @@ use std::time::Duration;
 
 use joulebus_config::Config;
 use joulebus_examples::PrivateFleet;
-use joulebus_plan::{Path, Plan, PlanClient, Point, Question};
+use joulebus_plan::{Path, Plan, Point, Question};
 use joulebus_plan_server::PlanServer;
+use joulebus_planner::PlanClient;
 use joulebus_publisher::{Pace, Publisher, RobotState};
 
 const PLATFORMS: &str = r#"

@@ -7,7 +7,7 @@ use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::net::UnixDatagram;
 
 use anyhow::Context;
-use joulebus_bus::clock;
+use joulebus_bus::{clock, schedule_thread};
 use joulebus_program::verbs::bench::BenchOptions;
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::{
@@ -58,7 +58,7 @@ const METHODS: [(&str, WaitMethod); 4] = [
 /// The system refuses a descriptor, a wait, or the requested scheduling.
 pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
     let length_ns = 1_000_000_000 / options.rate_hz;
-    threads::scheduling(options).apply_to_thread(0)?;
+    schedule_thread(&threads::scheduling(options), 0)?;
     let silent = UnixDatagram::unbound().context("a socket")?;
     let timer = timerfd_create(TimerfdClockId::Monotonic, TimerfdFlags::NONBLOCK)?;
     let mut late_us = METHODS.map(|_| Vec::new());

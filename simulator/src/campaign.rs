@@ -1,6 +1,5 @@
 //! Runs many seeds, on several threads.
 
-use std::cell::RefCell;
 use std::fmt;
 use std::sync::Mutex;
 use std::sync::PoisonError;
@@ -137,23 +136,6 @@ impl fmt::Display for Failed {
         }
         write!(out, "  again: {}", self.command)
     }
-}
-
-thread_local! {
-    /// Where the last panic of this thread happened.
-    static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
-}
-
-/// Panics of the simulated processes are findings: they are kept instead of printed.
-pub fn keep_panics() {
-    std::panic::set_hook(Box::new(|panic| {
-        PANIC.with_borrow_mut(|kept| *kept = panic.to_string());
-    }));
-}
-
-/// The last panic of this thread, with its place.
-pub(crate) fn last_panic() -> String {
-    PANIC.take()
 }
 
 /// Runs a campaign; `progress` is told the number of seeds that are done, once `stop` is set, a seed that runs is given up.

@@ -5,17 +5,17 @@ use std::path::Path;
 
 use joulebus_capture_format::Reader;
 use joulebus_capture_verify::Verifier;
+use joulebus_config::Config;
 use joulebus_predictor::Model;
 use joulebus_wire::{
     Budget, BudgetHeader, Forecast, ForecastHeader, SampleHeader, budget_flag, fnv1a, forecast_flag,
 };
 use simulated_bus::{self as bus, BudgetReader, Bus, ForecastReader};
-use simulated_config::Config;
 use simulated_consumer::End;
 use simulated_host::{self as host, disk, time};
 use simulated_recorder::{Options, Summary};
 
-use simulated_plan::Answered;
+use simulated_planner::Answered;
 
 use crate::process::{FALSE_ROBOT, Learned, Place, is_constant, is_possible, power_w};
 use crate::scenario::Setup;

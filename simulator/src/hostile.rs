@@ -1,12 +1,12 @@
 //! A process of the user that sends false frames on every service.
 
+use joulebus_config::Config;
 use joulebus_wire::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
     PlanStateHeader, QueryHeader, SCHEMA_VERSION, Sample, SampleHeader, StateHeader, TickHeader,
     WakeEvent, budget_flag, sample_flag,
 };
 use simulated_bus::Bus;
-use simulated_config::Config;
 use simulated_host::{self as host, time};
 
 use crate::process::FALSE_ROBOT;

@@ -13,6 +13,7 @@ mod check;
 mod grown;
 mod hostile;
 mod ledger;
+pub mod panics;
 mod process;
 pub mod scenario;
 pub mod shrink;

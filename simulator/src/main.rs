@@ -10,7 +10,8 @@ use clap::Parser as _;
 use joulebus_program::exit::{self, Outcome};
 use joulebus_program::output::{self, Output, OutputFormat};
 use joulebus_program::stop::Stop;
-use joulebus_simulator::campaign::{Campaign, keep_panics, play};
+use joulebus_simulator::campaign::{Campaign, play};
+use joulebus_simulator::panics::keep_panics;
 
 /// Simulates fleets: sources, worker, planners and recorder in one process on a simulated host, with
 /// faults between any two of their operations. Exits with 1 if an invariant did not hold; the report names the

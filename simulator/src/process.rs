@@ -4,16 +4,18 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use joulebus_capture_format::{Attachments, CaptureSettings, Preset};
+use joulebus_config::Config;
+use joulebus_plan::{Plan, Question, Reply};
 use joulebus_wire::{Forecast, ForecastHeader, Sample};
-use simulated_config::Config;
 use simulated_consumer::{BudgetFeed, DiagnosticFeed, End, Event, PlanStateFeed, Planner};
 use simulated_host::{self as host, time};
-use simulated_plan::{Answered, ClientError, Plan, PlanClient, QueryError, Question, Reply};
 use simulated_plan_server::{PlanServer, QueryReport};
+use simulated_planner::{Answered, ClientError, PlanClient, QueryError};
 use simulated_publisher::{Publisher, RobotState};
 use simulated_recorder::{Options, Recorder, Summary, Target, host_clock};
 use simulated_worker::Worker;
 
+use crate::panics::last_panic;
 use crate::scenario::Setup;
 
 /// A program that runs.
@@ -436,5 +438,5 @@ pub(crate) fn cause(panic: Box<dyn std::any::Any + Send>) -> Result<host::Killed
         Err(panic) => panic,
     };
     drop(panic);
-    Err(crate::campaign::last_panic())
+    Err(last_panic())
 }

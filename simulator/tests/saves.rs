@@ -2,7 +2,7 @@
 
 use std::sync::atomic::AtomicBool;
 
-use joulebus_simulator::campaign::keep_panics;
+use joulebus_simulator::panics::keep_panics;
 use joulebus_simulator::scenario::{Fault, Role, Scenario, Setup};
 use joulebus_simulator::world::run;
 

@@ -5,7 +5,8 @@ use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use joulebus_simulator::campaign::{Campaign, keep_panics, play};
+use joulebus_simulator::campaign::{Campaign, play};
+use joulebus_simulator::panics::keep_panics;
 use joulebus_simulator::scenario::Scenario;
 use joulebus_simulator::world::{Outcome, run};
 

@@ -8,7 +8,8 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use joulebus_bus::{Bus, FrameBuf, SampleReader, clock};
-use joulebus_config::{Config, ConnectError};
+use joulebus_config::Config;
+use joulebus_connect::{ConnectError, join};
 use joulebus_consumer::{
     BudgetFeed, DiagnosticFeed, End, Planner, QueryFeed, ReadError, WorkerState,
 };
@@ -230,7 +231,7 @@ struct Tap {
 impl Tap {
     fn open(config: &Config) -> Result<Self, OpenError> {
         let limits = config.limits();
-        let bus = config.join("tap")?;
+        let bus = join(config, "tap")?;
         Ok(Self {
             reader: bus.sample_reader(&limits)?,
             frame: FrameBuf::new(limits.capacity),

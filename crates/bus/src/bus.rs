@@ -66,7 +66,7 @@ impl Bus {
             .ok_or_else(|| JoinError::Name {
                 name: name.to_owned(),
             })?;
-        for warning in domain.prepare().unwrap_or_default() {
+        for warning in crate::prepare_domain(domain).unwrap_or_default() {
             tracing::warn!("{warning}");
         }
         let (member, mut joined) = Membership::join(domain)?;

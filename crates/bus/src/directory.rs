@@ -18,96 +18,94 @@ pub(crate) const RETRY_LIMIT: Duration = Duration::from_secs(5);
 pub(crate) const NODES: &str = "nodes";
 pub(crate) const SERVICES: &str = "services";
 
-impl Domain {
-    /// Creates the root directory, and the fleet's below it, with mode 0700 if they are missing.
-    /// Both must be private, and the fleet's must contain the marker that joulebus writes at its
-    /// creation: others are not changed. Called by [`crate::Bus::join`]; idempotent.
-    ///
-    /// # Errors
-    /// [`RootError`] if one cannot be created, is not a private directory of this user, or was not
-    /// created by joulebus.
-    pub fn prepare(&self) -> Result<Vec<DomainWarning>, RootError> {
-        self.prepare_root()?;
-        if is_missing(&self.directory()) {
-            Marked::fleet(self).create()?;
+/// Creates the root directory, and the fleet's below it, with mode 0700 if they are missing.
+/// Both must be private, and the fleet's must contain the marker that joulebus writes at its
+/// creation: others are not changed. Called by [`crate::Bus::join`]; idempotent.
+///
+/// # Errors
+/// [`RootError`] if one cannot be created, is not a private directory of this user, or was not
+/// created by joulebus.
+pub fn prepare_domain(domain: &Domain) -> Result<Vec<DomainWarning>, RootError> {
+    prepare_root(domain)?;
+    if is_missing(&domain.directory()) {
+        Marked::fleet(domain).create()?;
+    }
+    check(domain)?;
+    warnings(domain)
+}
+
+/// Removes other users' rights from those of the directories that joulebus created. Returns the
+/// changed ones with their previous modes.
+///
+/// # Errors
+/// [`RootError`] if a directory accessible to others was not created by joulebus.
+pub fn restrict_domain(domain: &Domain) -> Result<Vec<(PathBuf, u32)>, RootError> {
+    let root = match Marked::root(domain).restrict() {
+        // Created by its owner, who gets a message.
+        Err(RootError::Unmarked { .. }) => check_private(domain.root()).map(|()| None)?,
+        mode => mode?,
+    };
+    let root = root.map(|mode| (domain.root().to_owned(), mode));
+    let fleet = Marked::fleet(domain).restrict()?;
+    let fleet = fleet.map(|mode| (domain.directory(), mode));
+    Ok(root.into_iter().chain(fleet).collect())
+}
+
+/// Conditions that work with reduced performance.
+pub(crate) fn warnings(domain: &Domain) -> Result<Vec<DomainWarning>, RootError> {
+    let root = domain.root();
+    let filesystem = filesystem(root).map_err(|error| RootError::io(root, error))?;
+    Ok(if is_memory(filesystem) {
+        Vec::new()
+    } else {
+        vec![DomainWarning::NotInMemory {
+            root: root.to_owned(),
+            filesystem,
+        }]
+    })
+}
+
+/// Like [`prepare_domain`], for the root only.
+pub(crate) fn prepare_root(domain: &Domain) -> Result<(), RootError> {
+    let root = domain.root();
+    if is_missing(root) {
+        let parent = root.parent().unwrap_or(Path::new("/"));
+        if is_missing(parent) {
+            return Err(RootError::NoParent {
+                path: root.to_owned(),
+                parent: parent.to_owned(),
+            });
         }
-        self.check()?;
-        self.warnings()
+        Marked::root(domain).create()?;
     }
+    check_private(root)
+}
 
-    /// Removes other users' rights from those of the directories that joulebus created. Returns the
-    /// changed ones with their previous modes.
-    ///
-    /// # Errors
-    /// [`RootError`] if a directory accessible to others was not created by joulebus.
-    pub fn restrict(&self) -> Result<Vec<(PathBuf, u32)>, RootError> {
-        let root = match Marked::root(self).restrict() {
-            // Created by its owner, who gets a message.
-            Err(RootError::Unmarked { .. }) => check_private(self.root()).map(|()| None)?,
-            mode => mode?,
-        };
-        let root = root.map(|mode| (self.root().to_owned(), mode));
-        let fleet = Marked::fleet(self).restrict()?;
-        let fleet = fleet.map(|mode| (self.directory(), mode));
-        Ok(root.into_iter().chain(fleet).collect())
+/// Checks that the fleet's directory was created by joulebus for this fleet, and that nothing
+/// in it leads elsewhere. Has no side effects. Returns the boot in which it was created.
+pub(crate) fn check(domain: &Domain) -> Result<String, RootError> {
+    let boot = Marked::fleet(domain).check()?;
+    let directory = domain.directory();
+    let device = device(&directory)?;
+    if self::device(domain.root())? != device {
+        return Err(RootError::MountPoint { path: directory });
     }
-
-    /// Conditions that work with reduced performance.
-    pub(crate) fn warnings(&self) -> Result<Vec<DomainWarning>, RootError> {
-        let root = self.root();
-        let filesystem = filesystem(root).map_err(|error| RootError::io(root, error))?;
-        Ok(if is_memory(filesystem) {
-            Vec::new()
-        } else {
-            vec![DomainWarning::NotInMemory {
-                root: root.to_owned(),
-                filesystem,
-            }]
-        })
-    }
-
-    /// Like [`Self::prepare`], for the root only.
-    pub(crate) fn prepare_root(&self) -> Result<(), RootError> {
-        let root = self.root();
-        if is_missing(root) {
-            let parent = root.parent().unwrap_or(Path::new("/"));
-            if is_missing(parent) {
-                return Err(RootError::NoParent {
-                    path: root.to_owned(),
-                    parent: parent.to_owned(),
-                });
-            }
-            Marked::root(self).create()?;
+    for inner in [NODES, SERVICES] {
+        let path = directory.join(inner);
+        match check_own(&path) {
+            Ok(found) if found.dev() != device => return Err(RootError::MountPoint { path }),
+            Ok(_) => {}
+            Err(error) if error.vanished() => {}
+            Err(error) => return Err(error),
         }
-        check_private(root)
     }
+    Ok(boot)
+}
 
-    /// Checks that the fleet's directory was created by joulebus for this fleet, and that nothing
-    /// in it leads elsewhere. Has no side effects. Returns the boot in which it was created.
-    pub(crate) fn check(&self) -> Result<String, RootError> {
-        let boot = Marked::fleet(self).check()?;
-        let directory = self.directory();
-        let device = device(&directory)?;
-        if self::device(self.root())? != device {
-            return Err(RootError::MountPoint { path: directory });
-        }
-        for inner in [NODES, SERVICES] {
-            let path = directory.join(inner);
-            match check_own(&path) {
-                Ok(found) if found.dev() != device => return Err(RootError::MountPoint { path }),
-                Ok(_) => {}
-                Err(error) if error.vanished() => {}
-                Err(error) => return Err(error),
-            }
-        }
-        Ok(boot)
-    }
-
-    /// Removes the root directory if joulebus created it and it is empty. The caller uses nothing
-    /// in it.
-    pub(crate) fn remove_root(&self) {
-        Marked::root(self).remove();
-    }
+/// Removes the root directory if joulebus created it and it is empty. The caller uses nothing
+/// in it.
+pub(crate) fn remove_root(domain: &Domain) {
+    Marked::root(domain).remove();
 }
 
 fn is_missing(path: &Path) -> bool {

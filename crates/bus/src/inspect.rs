@@ -105,7 +105,7 @@ pub fn inspect(domain: &Domain) -> Result<Inspection, InspectError> {
 /// Why an existing directory cannot be used.
 fn directory_error(domain: &Domain) -> Option<RootError> {
     check_private(domain.root())
-        .and_then(|()| domain.check().map(drop))
+        .and_then(|()| crate::directory::check(domain).map(drop))
         .err()
         // The fleet's directory is created when a process joins.
         .filter(|error| !error.vanished())

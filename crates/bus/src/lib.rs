@@ -45,11 +45,9 @@
 mod bus;
 mod cleanup;
 mod directory;
-mod domain;
 mod iceoryx_config;
 mod inspect;
 mod ipc;
-mod limits;
 mod liveness;
 mod marker;
 mod membership;
@@ -64,10 +62,10 @@ pub use cleanup::removed::{RemovedFiles, removed_files};
 pub use cleanup::report::SweepReport;
 pub use cleanup::sweep::{SweepError, sweep};
 pub use cleanup::thread::Housekeeping;
-pub use domain::{Domain, DomainError, STANDBY_FILES};
+pub use directory::{prepare_domain, restrict_domain};
 pub use iceoryx_config::IceoryxConfigError;
 pub use inspect::{InspectError, Inspection, NodeInfo, RootInfo, inspect};
-pub use limits::{Limits, LimitsError};
+pub use joulebus_domain::{Domain, DomainError, Limits, LimitsError, STANDBY_FILES, Scheduling};
 pub use liveness::peer_watch::PeerWatch;
 pub use liveness::presence::FilesRemoved;
 pub use liveness::worker_lock::{WorkerLock, WorkerLockError, WorkerOwner};
@@ -77,7 +75,8 @@ pub use os::clock;
 pub use os::memory::touch_own_memory;
 pub use os::process_id;
 pub use os::scheduling::{
-    Rights, Scheduling, SchedulingError, page_faults, set_timer_slack, yield_to_the_worker,
+    Rights, SchedulingError, page_faults, schedule_process, schedule_thread, set_timer_slack,
+    try_scheduling, yield_to_the_worker,
 };
 pub use ports::{
     BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,

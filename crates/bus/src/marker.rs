@@ -10,11 +10,11 @@ use std::sync::{Mutex, PoisonError};
 use rustix::fs::{CWD, Mode, OFlags, RenameFlags, fchmod, openat, renameat_with};
 use rustix::io::Errno;
 
-use crate::domain::FLEET_MARKER;
 use crate::os::files::{draft_number, effective_uid, is_same};
 use crate::os::process::is_alive;
 use crate::private::{check_own, check_private};
 use crate::{Domain, RootError, clock};
+use joulebus_domain::FLEET_MARKER;
 
 const ROOT_MARKER: &str = ".joulebus";
 /// Prefix of every marker.

@@ -91,11 +91,11 @@ impl Membership {
             path: domain.members_file(),
             source,
         };
-        domain.prepare()?;
+        crate::prepare_domain(domain)?;
         let lock = MembersLock::open(domain).map_err(failed)?;
         if lock.try_exclusive().map_err(failed)? && lock.is_current(domain).map_err(failed)? {
             remove_all(domain, report)?;
-            if domain.check()? != this_boot() {
+            if crate::directory::check(domain)? != this_boot() {
                 // Of an earlier boot, on a disk: recreated, if it contains nothing else.
                 Marked::fleet(domain).remove();
             }
@@ -129,7 +129,7 @@ impl Drop for Membership {
 
 /// Removes the files of a process that could not join, if no member is alive.
 pub(crate) fn remove_unused(domain: &Domain) {
-    if domain.check().is_ok()
+    if crate::directory::check(domain).is_ok()
         && let Ok(lock) = MembersLock::open(domain)
         && lock.try_exclusive().unwrap_or(false)
         && lock.is_current(domain).unwrap_or(false)
@@ -137,7 +137,7 @@ pub(crate) fn remove_unused(domain: &Domain) {
     {
         lock.remove(domain);
     } else {
-        domain.remove_root();
+        crate::directory::remove_root(domain);
     }
 }
 

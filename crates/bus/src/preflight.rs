@@ -11,8 +11,8 @@ use joulebus_wire::{
 use rustix::process::{Resource, getrlimit};
 
 use crate::Limits;
-use crate::limits::{ACTIVE_QUERIES, Shape};
 use crate::os::memory::SHM_DIR;
+use joulebus_domain::{ACTIVE_QUERIES, Shape};
 
 /// Header and padding of a frame in iceoryx2, upper bound.
 const FRAME_OVERHEAD: usize = 128;

@@ -37,7 +37,7 @@ fn a_root_accessible_to_others_is_refused_with_its_mode() {
         let root = Root::new();
         fs::create_dir(&root.0).unwrap();
         fs::set_permissions(&root.0, fs::Permissions::from_mode(mode)).unwrap();
-        let error = root.domain().prepare().unwrap_err();
+        let error = joulebus_bus::prepare_domain(&root.domain()).unwrap_err();
         assert!(
             matches!(error, RootError::Mode { found, .. } if found == mode),
             "{error}"
@@ -57,7 +57,7 @@ fn a_root_of_another_user_is_refused_with_both_uids() {
     fs::create_dir(&root.0).unwrap();
     fs::set_permissions(&root.0, fs::Permissions::from_mode(0o700)).unwrap();
     chown(&root.0, Some(12_345), None).unwrap();
-    let error = root.domain().prepare().unwrap_err();
+    let error = joulebus_bus::prepare_domain(&root.domain()).unwrap_err();
     let told = matches!(
         error,
         RootError::Owner {
@@ -74,13 +74,13 @@ fn a_symbolic_link_and_a_file_are_refused() {
     let root = Root::new();
     symlink("/dev/shm", &root.0).unwrap();
     assert!(matches!(
-        root.domain().prepare(),
+        joulebus_bus::prepare_domain(&root.domain()),
         Err(RootError::Symlink { .. })
     ));
     fs::remove_file(&root.0).unwrap();
     fs::write(&root.0, "").unwrap();
     assert!(matches!(
-        root.domain().prepare(),
+        joulebus_bus::prepare_domain(&root.domain()),
         Err(RootError::NotADirectory { .. })
     ));
 }
@@ -92,7 +92,7 @@ fn a_fleet_below_a_private_root_must_be_private_too() {
     fs::set_permissions(&root.0, fs::Permissions::from_mode(0o700)).unwrap();
     symlink("/tmp", root.0.join("test")).unwrap();
     assert!(matches!(
-        root.domain().prepare(),
+        joulebus_bus::prepare_domain(&root.domain()),
         Err(RootError::Symlink { .. })
     ));
 }

@@ -3,7 +3,10 @@
 
 use std::thread;
 
-use joulebus_bus::{Rights, Scheduling, SchedulingError, page_faults};
+use joulebus_bus::{
+    Rights, Scheduling, SchedulingError, page_faults, schedule_process, schedule_thread,
+    try_scheduling,
+};
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use rustix::thread::set_capabilities;
 use rustix::thread::{CapabilitySet, CapabilitySets, capabilities, sched_getaffinity};
@@ -58,11 +61,11 @@ fn affinity_applies_to_the_requesting_thread() {
             thread::park();
             sched_getaffinity(None).unwrap().count()
         });
-        assert_eq!(asked.apply().unwrap().len(), 0);
+        assert_eq!(schedule_process(&asked).unwrap().len(), 0);
         let set = sched_getaffinity(None).unwrap();
         assert!(set.is_set(cpu) && set.count() == 1, "{set:?}");
         // Beyond the end of the list no CPU is requested.
-        asked.apply_to_thread(7).unwrap();
+        schedule_thread(&asked, 7).unwrap();
         before.thread().unpark();
         assert_eq!(before.join().unwrap() as usize, allowed.len());
     })
@@ -79,7 +82,7 @@ fn threads_of_a_real_time_thread_are_scheduled_normally() {
         ..Scheduling::default()
     };
     thread::spawn(move || {
-        if let Err(error) = asked.apply() {
+        if let Err(error) = schedule_process(&asked) {
             println!("skipped: {error}");
             return;
         }
@@ -101,7 +104,7 @@ fn a_refusal_states_the_limit_the_capability_and_the_key() {
             lock_memory: true,
             required: false,
         };
-        let refused = wanted.apply().unwrap();
+        let refused = schedule_process(&wanted).unwrap();
         let [memory, cpu, priority] = &refused[..] else {
             panic!("{refused:?}");
         };
@@ -128,13 +131,13 @@ fn a_refusal_states_the_limit_the_capability_and_the_key() {
                 "LimitRTPRIO=20",
             ],
         );
-        assert_eq!(wanted.try_out().unwrap().len(), 3);
+        assert_eq!(try_scheduling(&wanted).unwrap().len(), 3);
         let required = Scheduling {
             required: true,
             ..wanted
         };
         assert!(matches!(
-            required.apply(),
+            schedule_process(&required),
             Err(SchedulingError::Memory { .. })
         ));
         assert_eq!(policy(), (0, 0), "scheduling unchanged");

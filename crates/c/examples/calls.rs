@@ -8,7 +8,8 @@ use std::io::{self, Write as _};
 use std::time::{Duration, Instant};
 
 use joulebus_config::{Config, builtin_model};
-use joulebus_plan::{Answer, Candidates, Planner as Questions};
+use joulebus_plan::{Answer, Candidates};
+use joulebus_planner::Planner as Questions;
 use joulebus_predictor::{FEATURES, Features, INPUTS, Model, Network};
 use joulebus_publisher::{Publisher, RobotState};
 

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use joulebus_bus::Scheduling;
+use joulebus_domain::Scheduling;
 use joulebus_settings::{
     AlarmLimits, AlarmSettings, Battery, ChargeReading, FleetSettings, Intake, IntervalSettings,
     OpenCircuit, Platform, Policy,

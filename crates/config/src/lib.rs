@@ -49,22 +49,10 @@ pub use bundle::{Bundle, BundleError};
 pub use config::{Checkpoint, Config, Queries, Threads};
 pub use explain::{Explanation, UnknownKey, explain, explanations};
 pub use files::is_below;
-pub use joulebus_bus::{Domain, Limits, Scheduling};
+pub use joulebus_domain::{Domain, Limits, Scheduling};
 pub use joulebus_settings as settings;
 pub use key::{DefaultValue, File, Key, TextRule, ValueKind};
 pub use keys::KEYS;
 pub use model_source::ModelSource;
 pub use problem::{ConfigError, Problem};
-pub use shared_memory::ConnectError;
 pub use template::{Assignment, fleet_file, platform_file};
-
-/// The errors contained in [`ConnectError`], and in the errors of opening ports.
-pub mod error {
-    pub use joulebus_bus::{
-        CapacityError, DomainError, FilesRemoved, IceoryxConfigError, JoinError, LimitsError,
-        OpenError, ReceiveError, RootError, SendError, SweepError, WaitError,
-    };
-    pub use joulebus_settings::SettingsError;
-
-    pub use crate::{BundleError, ConfigError, ConnectError, Problem};
-}

@@ -1,8 +1,8 @@
-//! Location and size of the fleet's shared memory, for the bus.
+//! Location and size of the fleet's shared memory.
 
-use joulebus_bus::{Bus, Domain, DomainError, JoinError, Limits, OpenError};
+use joulebus_domain::{Domain, DomainError, Limits};
 
-use crate::{Config, ConfigError};
+use crate::Config;
 
 /// Minimum and maximum number of forecast frames buffered for a reader. A planner reads the newest,
 /// plus a few to distinguish a gap from a late read; a recorder reads all, and may be late by half
@@ -21,14 +21,6 @@ impl Config {
         Domain::new(self.fleet(), self.root(), self.prefix())
     }
 
-    /// Joins the fleet as `name`, 1 to 128 bytes.
-    ///
-    /// # Errors
-    /// [`ConnectError`] with the cause and the remedy.
-    pub fn join(&self, name: &str) -> Result<Bus, ConnectError> {
-        Ok(Bus::join(&self.domain()?, name)?)
-    }
-
     /// The limits that all processes of the fleet must share.
     #[must_use]
     pub fn limits(&self) -> Limits {
@@ -42,22 +34,4 @@ impl Config {
             forecast_frames: (FORECAST_ROWS / capacity.max(1)).clamp(least, most),
         }
     }
-}
-
-/// Errors of joining the fleet of a config, or of opening one of its ports.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ConnectError {
-    /// The config could not be read, or is refused.
-    #[error(transparent)]
-    Config(#[from] ConfigError),
-    /// The config names an invalid domain.
-    #[error(transparent)]
-    Domain(#[from] DomainError),
-    /// The fleet could not be joined.
-    #[error(transparent)]
-    Join(#[from] JoinError),
-    /// A port could not be opened.
-    #[error(transparent)]
-    Open(#[from] OpenError),
 }

@@ -5,7 +5,8 @@ use std::fmt;
 use std::time::Duration;
 
 use joulebus_bus::{Bus, DiagnosticReader, clock};
-use joulebus_config::{Config, ConnectError};
+use joulebus_config::Config;
+use joulebus_connect::{ConnectError, join};
 use joulebus_wire::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, SCHEMA_VERSION};
 
 use crate::newest::{ReadError, check_schema};
@@ -209,7 +210,7 @@ impl AlarmFeed {
     /// [`ConnectError`] with the cause and the remedy.
     pub fn with_config(config: &Config, name: &str) -> Result<Self, ConnectError> {
         let limits = config.limits();
-        let bus = config.join(name)?;
+        let bus = join(config, name)?;
         let reader = bus.diagnostic_reader(&limits)?;
         Ok(Self {
             reader,

@@ -3,7 +3,8 @@
 use std::fmt;
 
 use joulebus_bus::clock;
-use joulebus_config::{Config, ConnectError};
+use joulebus_config::Config;
+use joulebus_connect::ConnectError;
 use joulebus_wire::Level;
 
 use crate::{AlarmChange, AlarmFeed, AlarmHistory, Change, Event, Planner, ReadError};

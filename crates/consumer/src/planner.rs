@@ -8,7 +8,8 @@ use std::time::Duration;
 use joulebus_bus::{
     Bus, ForecastReader, Limits, OpenError, PeerWatch, Poller, WaitError, Waiter, Woken, clock,
 };
-use joulebus_config::{Config, ConnectError};
+use joulebus_config::Config;
+use joulebus_connect::{ConnectError, join};
 use joulebus_wire::{
     BudgetHeader, DiagnosticHeader, Forecast, ForecastHeader, PlanStateHeader, QueriesHeader,
 };
@@ -149,7 +150,7 @@ impl Planner {
         waiting: impl FnOnce(&Bus, &Limits) -> Result<Waiting, OpenError>,
     ) -> Result<Self, ConnectError> {
         let limits = config.limits();
-        let bus = config.join(name)?;
+        let bus = join(config, name)?;
         let waiting = waiting(&bus, &limits)?;
         let reader = bus.forecast_reader(&limits)?;
         Ok(Self {

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use joulebus_bus::{SendError, WorkerLock, clock};
 use joulebus_config::Config;
+use joulebus_connect::join;
 use joulebus_wire::WakeEvent;
 
 use crate::config::{Follow, Settings};
@@ -38,7 +39,7 @@ pub(crate) fn run(
     stop: &AtomicBool,
     ready: impl FnOnce(),
 ) -> anyhow::Result<Vec<TakenRecord>> {
-    let mut bus = config.join("link")?;
+    let mut bus = join(config, "link")?;
     bus.needs_lock(lock);
     let mut inbox = Inbox::new(longest_bytes(config.limits().capacity));
     let shards = open(config, settings, follow, network, &mut inbox)?;

@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use bytemuck::{bytes_of, cast_slice};
 use joulebus_bus::{FrameBuf, ReceiveError, SampleReader, WorkerLock, clock};
 use joulebus_config::Config;
+use joulebus_connect::join;
 use joulebus_wire::{Sample, SampleHeader};
 
 use crate::config::Settings;
@@ -32,7 +33,7 @@ pub(crate) fn run(
     ready: impl FnOnce(),
 ) -> anyhow::Result<(Vec<GivenRecord>, Refusals)> {
     let limits = config.limits();
-    let mut bus = config.join("link")?;
+    let mut bus = join(config, "link")?;
     bus.needs_lock(lock);
     let (kind, fleet) = (Kind::Samples, settings.fleet(config));
     let mut giving = Giving::open(network, kind, Some(to.to_vec()), fleet)?;

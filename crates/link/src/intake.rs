@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use joulebus_bus::{SampleWriter, SendError, clock, process_id};
 use joulebus_config::Config;
+use joulebus_connect::join;
 use joulebus_wire::{Sample, SampleHeader, fnv1a};
 
 use crate::config::{Settings, Take};
@@ -35,7 +36,7 @@ pub(crate) fn run(
     ready: impl FnOnce(),
 ) -> anyhow::Result<Vec<TakenRecord>> {
     let limits = config.limits();
-    let bus = config.join("link")?;
+    let bus = join(config, "link")?;
     let mut writer = bus.sample_writer(&limits, limits.capacity)?;
     let mut inbox = Inbox::new(longest_bytes(limits.capacity));
     let (mut hosts, mut told) = (BTreeMap::new(), BTreeSet::new());

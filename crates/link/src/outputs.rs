@@ -9,6 +9,7 @@ use std::time::Duration;
 use bytemuck::{bytes_of, cast_slice};
 use joulebus_bus::{Bus, TickReader, clock, process_id};
 use joulebus_config::Config;
+use joulebus_connect::join;
 use joulebus_consumer::{
     BudgetFeed, DiagnosticFeed, Event, Feed, PlanStateFeed, Planner, ReadError, WorkerState,
 };
@@ -254,7 +255,7 @@ impl<'a> Feeds<'a> {
     fn ticks(&mut self, giving: &mut Giving) {
         let config = self.config;
         self.ticks.keep(giving.wants(Carried::Ticks), || {
-            let bus = config.join("link-journal")?;
+            let bus = join(config, "link-journal")?;
             let reader = bus.tick_reader(&config.limits())?;
             Ok::<_, anyhow::Error>((reader, bus))
         });

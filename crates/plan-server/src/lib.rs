@@ -1,6 +1,6 @@
 //! Answers questions about plans, in a thread beside the tick of `joulebus run`.
 //!
-//! For processes that do not compute for themselves: [`joulebus_plan::PlanClient`] asks, and this
+//! For processes that do not compute for themselves: [`joulebus_planner::PlanClient`] asks, and this
 //! thread answers with the code of `joulebus-plan`, from the plan states and budgets that the worker
 //! writes into shared memory; the tick does nothing for it beyond writing them. It has its own nice value,
 //! takes questions of all clients before it answers any, serves the process that has used least of

@@ -13,8 +13,9 @@ use std::time::{Duration, Instant};
 
 use joulebus_bus::{Bus, clock};
 use joulebus_config::Config;
-use joulebus_plan::{Plan, PlanClient, Question};
+use joulebus_plan::{Plan, Question};
 use joulebus_plan_server::PlanServer;
+use joulebus_planner::PlanClient;
 use joulebus_predictor_worker::Worker;
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader};
 use on_drop::OnDrop;

@@ -4,9 +4,9 @@ use std::fs;
 use std::path::{Path as FilePath, PathBuf};
 use std::process::Command;
 
-use joulebus_config::builtin_model;
+use joulebus_config::{Config, builtin_model};
 use joulebus_energy::{Commands, EnergyModel, EnergyState};
-use joulebus_plan::{Config, Fleet, Follower, Path, PathError, Point, Pose};
+use joulebus_plan::{Fleet, Follower, Path, PathError, Point, Pose};
 use joulebus_predictor::{Model, Network, Persistence, ResidualStats};
 use proptest::prelude::*;
 

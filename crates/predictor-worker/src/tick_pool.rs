@@ -7,7 +7,7 @@
 use std::cell::Cell;
 use std::sync::Mutex;
 
-use joulebus_bus::{Scheduling, clock};
+use joulebus_bus::{Scheduling, clock, schedule_thread};
 use joulebus_fleet::{Accounts, Batch, Outputs, Shard, Stage};
 use joulebus_wire::Forecast;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
@@ -53,7 +53,7 @@ fn pool(threads: usize, scheduling: Scheduling) -> Result<ThreadPool, ThreadPool
         .use_current_thread()
         .thread_name(|place| format!("joulebus-tick-{place}"))
         .start_handler(move |place| {
-            if let Err(refused) = scheduling.apply_to_thread(place) {
+            if let Err(refused) = schedule_thread(&scheduling, place) {
                 tracing::warn!("{refused}");
             }
         })

@@ -8,7 +8,7 @@ use hdrhistogram::Histogram;
 use joulebus_bus::{
     Background, Bus, CapacityError, DomainError, FilesRemoved, JoinError, Ports, SampleReader,
     SchedulingError, WaitError, Waiter, WorkerLock, WorkerLockError, check_capacity, clock,
-    process_id, set_timer_slack, touch_own_memory,
+    process_id, schedule_process, set_timer_slack, touch_own_memory,
 };
 use joulebus_config::{Config, Threads};
 use joulebus_fleet::{Fleet, Next, Schedule, TickIntake};
@@ -204,7 +204,7 @@ impl Worker {
         let checkpointer =
             checkpointer::start(&domain, config, before, Arc::clone(&failures), orders)?;
         // After the threads that must not have it are started, because threads inherit it.
-        for refused in config.scheduling().apply()? {
+        for refused in schedule_process(config.scheduling())? {
             tracing::warn!("{refused}");
         }
         let Threads { count, from } = config.threads();

@@ -2,8 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use joulebus_bus::Domain;
-use joulebus_config::{Config, ConfigError, Demo};
+use joulebus_config::{Config, ConfigError, Demo, Domain};
 
 use crate::output::say;
 

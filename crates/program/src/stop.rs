@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use anyhow::Context as _;
-use joulebus_bus::clock;
+use rustix::time::{ClockId, clock_gettime};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
 
 /// Maximum delay of the exit by a sleep.
@@ -47,7 +47,7 @@ impl Stop {
     /// continue.
     pub fn sleep_until(&self, deadline_ns: u64) -> bool {
         while !self.is_asked() {
-            let left = Duration::from_nanos(deadline_ns.saturating_sub(clock::monotonic_ns()));
+            let left = Duration::from_nanos(deadline_ns.saturating_sub(monotonic_ns()));
             if left.is_zero() {
                 return true;
             }
@@ -55,6 +55,12 @@ impl Stop {
         }
         false
     }
+}
+
+/// CLOCK_MONOTONIC, ns.
+fn monotonic_ns() -> u64 {
+    let now = clock_gettime(ClockId::Monotonic);
+    (now.tv_sec as u64) * 1_000_000_000 + now.tv_nsec as u64
 }
 
 /// Makes a write beyond the file size limit (`ulimit -f`) an error, as on a full disk, instead of

@@ -48,7 +48,8 @@ mod publisher;
 mod state;
 
 pub use joulebus_bus::{SendError, clock};
-pub use joulebus_config::{Config, ConnectError, error};
+pub use joulebus_config::Config;
+pub use joulebus_connect::{ConnectError, error};
 pub use joulebus_wire as wire;
 pub use pace::{Grid, Pace, Slot};
 pub use publisher::{PublishError, Publisher, Sent};

@@ -4,7 +4,8 @@ use std::fmt;
 use std::path::Path;
 
 use joulebus_bus::{Bus, SampleWriter, SendError, clock, process_id};
-use joulebus_config::{Config, ConnectError};
+use joulebus_config::Config;
+use joulebus_connect::{ConnectError, join};
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, fnv1a};
 
 use crate::RobotState;
@@ -60,7 +61,7 @@ impl Publisher {
     /// [`ConnectError`].
     pub fn with_config(config: &Config, source_name: &str) -> Result<Self, ConnectError> {
         let limits = config.limits();
-        let bus = config.join(source_name)?;
+        let bus = join(config, source_name)?;
         let writer = bus.sample_writer(&limits, limits.capacity)?;
         let header = SampleHeader {
             schema: SCHEMA_VERSION,

@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use joulebus_plan::{
-    Config, Fleet, MAX_STEPS, Path, Plan, Planner, Point, Question, QuestionError, RobotRows, Row,
-    Verdict, ViewError, Work,
+    Fleet, MAX_STEPS, Path, Plan, Point, Question, QuestionError, RobotRows, Row, Verdict, Work,
 };
+use joulebus_planner::{Config, Planner, ViewError};
 use pyo3::exceptions::{PyKeyError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;

@@ -1,36 +1,11 @@
 //! A process in the domain.
 
 use std::cell::Cell;
-use std::path::{Path, PathBuf};
 
 use joulebus_simulated_host as host;
 
-use crate::{CapacityError, DomainError, FilesRemoved, JoinError, WorkerLock};
-
-/// The location of a fleet's shared memory.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Domain {
-    fleet: String,
-    root: PathBuf,
-}
-
-impl Domain {
-    /// A domain, checked as the real one.
-    ///
-    /// # Errors
-    /// As of `joulebus-bus`.
-    pub fn new(fleet: &str, root: &Path, prefix: &str) -> Result<Self, DomainError> {
-        joulebus_bus::Domain::new(fleet, root, prefix)?;
-        Ok(Self {
-            fleet: fleet.to_owned(),
-            root: root.to_owned(),
-        })
-    }
-
-    pub(crate) fn worker_file(&self) -> PathBuf {
-        self.root.join(format!("{}.worker", self.fleet))
-    }
-}
+use crate::left::check_left;
+use crate::{Domain, FilesRemoved, JoinError, WorkerLock};
 
 thread_local! {
     /// Increases whenever the files of all members are removed.
@@ -83,22 +58,4 @@ impl Bus {
     pub fn needs_lock(&mut self, lock: &WorkerLock) {
         let _ = lock.path();
     }
-}
-
-/// Whether another object of shared memory can be made.
-pub(crate) fn check_left() -> Result<(), CapacityError> {
-    if host::memory_is_full() {
-        return Err(CapacityError::Memory {
-            needed: 1 << 16,
-            free: 0,
-        });
-    }
-    if !host::has_descriptors(host::current()) {
-        return Err(CapacityError::Descriptors {
-            needed: 80,
-            used: 64,
-            limit: 64,
-        });
-    }
-    Ok(())
 }

@@ -1,14 +1,14 @@
 //! `joulebus-bus` in the memory of one simulation: the same names, for the same sources.
 //!
-//! What decides whose frames are taken (`worker_ports.rs`), and the sizes of the services (`limits.rs`), are
-//! the sources of `crates/bus`. Ports here are queues; what iceoryx2 does is replaced, and only that.
+//! What decides whose frames are taken (`worker_ports.rs`), is
+//! the source of `crates/bus`. Ports here are queues; what iceoryx2 does is replaced, and only that.
 #![forbid(unsafe_code)]
 
 mod background;
+mod begin;
 mod bus;
-#[expect(dead_code, reason = "memory and descriptors are not counted here")]
-#[path = "../../../crates/bus/src/limits.rs"]
-mod limits;
+pub mod clock;
+mod left;
 mod liveness;
 mod ports;
 mod query;
@@ -16,13 +16,14 @@ mod queues;
 mod wait;
 
 pub use background::{Background, Steps};
-pub use bus::{Bus, Domain, remove_files};
+pub use begin::{begin, remove_process, size};
+pub use bus::{Bus, remove_files};
 pub use joulebus_bus::{
-    CapacityError, DomainError, FilesRemoved, IceoryxConfigError, JoinError, OpenError, Panicked,
-    QueryError, ReceiveError, RootError, STANDBY_FILES, Scheduling, SchedulingError, SendError,
-    SweepError, WaitError, Woken, WorkerLockError,
+    CapacityError, FilesRemoved, IceoryxConfigError, JoinError, OpenError, Panicked, QueryError,
+    ReceiveError, RootError, SchedulingError, SendError, SweepError, WaitError, Woken,
+    WorkerLockError, schedule_process, schedule_thread,
 };
-pub use limits::{Limits, LimitsError};
+pub use joulebus_domain::{Domain, DomainError, Limits, LimitsError, STANDBY_FILES, Scheduling};
 pub use liveness::peer_watch::PeerWatch;
 pub use liveness::worker_lock::WorkerLock;
 pub use ports::{
@@ -32,48 +33,7 @@ pub use ports::{
     TickReader, TickWriter, Writer, taken_frames,
 };
 pub use query::{OpenQuery, QueryClient, QueryServer};
-pub use queues::{begin, remove_process, size};
 pub use wait::{Poller, Waiter, Waker};
-
-/// The clocks of the simulated host.
-pub mod clock {
-    use joulebus_simulated_host::{operation, time};
-
-    /// Time of the monotonic clock, ns.
-    #[must_use]
-    pub fn monotonic_ns() -> u64 {
-        operation();
-        time::monotonic_ns()
-    }
-
-    /// The same, since no simulated host is suspended; not an operation, so that what workers with a permit need changes nothing for
-    /// those without.
-    #[must_use]
-    pub fn boot_ns() -> u64 {
-        time::monotonic_ns()
-    }
-
-    /// Wall-clock time, Unix ns.
-    #[must_use]
-    pub fn unix_ns() -> u64 {
-        operation();
-        time::unix_ns()
-    }
-
-    /// Processor time: all time is.
-    #[must_use]
-    pub fn thread_cpu_ns() -> u64 {
-        monotonic_ns()
-    }
-
-    /// The id of this boot.
-    ///
-    /// # Errors
-    /// None.
-    pub fn boot_id() -> std::io::Result<String> {
-        Ok(format!("boot-{}", time::boots()))
-    }
-}
 
 /// The id of the process that runs.
 #[must_use]
@@ -112,5 +72,5 @@ pub struct Ports {
 /// It is.
 pub fn check_capacity(_limits: &Limits, _ports: Ports) -> Result<(), CapacityError> {
     joulebus_simulated_host::operation();
-    bus::check_left()
+    left::check_left()
 }

@@ -12,11 +12,11 @@ use joulebus_wire::{
     TakenFrame, TickHeader, WakeEvent,
 };
 
-use crate::limits::Shape;
 use crate::liveness::worker_ports::WorkerPorts;
 use crate::query::{QueryClient, QueryServer};
 use crate::queues::{Connection, Listed, Queue, Sent, port_id, with};
 use crate::{Bus, Limits, OpenError, Poller, ReceiveError, SendError, Waiter, Waker};
+use joulebus_domain::Shape;
 
 /// As of the real reader.
 const MOST_PASSED_OVER: u32 = 4_096;
@@ -74,7 +74,7 @@ pub struct Writer<H: Payload, T: Payload> {
 impl<H: Payload, T: Payload> Writer<H, T> {
     fn open(bus: &Bus, service: Service, shape: Shape, max_len: usize) -> Result<Self, OpenError> {
         host::operation();
-        crate::bus::check_left()?;
+        crate::left::check_left()?;
         bus.check()?;
         let port = port_id(bus.pid);
         with(service, |state| {
@@ -285,7 +285,7 @@ pub struct Reader<H: Payload, T: Payload> {
 impl<H: Payload, T: Payload> Reader<H, T> {
     fn open(bus: &Bus, service: Service, shape: Shape) -> Result<Self, OpenError> {
         host::operation();
-        crate::bus::check_left()?;
+        crate::left::check_left()?;
         bus.check()?;
         let queue = outside(|| {
             Rc::new(RefCell::new(Queue {

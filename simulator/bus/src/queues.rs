@@ -68,16 +68,13 @@ pub(crate) fn with<T>(service: Service, work: impl FnOnce(&mut State) -> T) -> T
     outside(|| STATES.with_borrow_mut(|states| work(&mut states[service as usize])))
 }
 
-/// Begins with empty shared memory, after a start of the machine.
-pub fn begin() {
+/// Begins with empty queues.
+pub(crate) fn begin() {
     STATES.with_borrow_mut(|states| *states = Default::default());
-    crate::liveness::worker_lock::begin();
-    crate::query::begin();
 }
 
-/// Removes the ports of a process that was killed, as the cleanup does.
-pub fn remove_process(pid: u32) {
-    crate::query::remove_process(pid);
+/// Removes the ports of a process.
+pub(crate) fn remove_process(pid: u32) {
     let removed = STATES.with_borrow_mut(|states| {
         let mut removed = Vec::new();
         for state in states {
@@ -94,13 +91,11 @@ pub fn remove_process(pid: u32) {
     drop(removed);
 }
 
-/// Number of open ports of all services.
-#[must_use]
-pub fn size() -> usize {
+/// Number of open ports.
+pub(crate) fn size() -> usize {
     STATES.with_borrow(|states| {
         let ports = |state: &State| state.readers.len() + state.writers.len() + state.waiting.len();
-        let ports: usize = states.iter().map(ports).sum();
-        ports + crate::query::size()
+        states.iter().map(ports).sum()
     })
 }
 

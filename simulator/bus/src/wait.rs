@@ -23,7 +23,7 @@ pub struct Waker {
 impl Waker {
     pub(crate) fn open(bus: &Bus, service: Service) -> Result<Self, OpenError> {
         host::operation();
-        crate::bus::check_left()?;
+        crate::left::check_left()?;
         bus.check()?;
         let bus = bus.clone();
         Ok(Self { service, bus })
@@ -91,7 +91,7 @@ pub struct Waiter {
 impl Waiter {
     pub(crate) fn open(bus: &Bus, service: Service) -> Result<Self, OpenError> {
         host::operation();
-        crate::bus::check_left()?;
+        crate::left::check_left()?;
         bus.check()?;
         let waiting = Rc::new(Waiting {
             number: host::number(),

@@ -8,8 +8,9 @@ use std::collections::BTreeMap;
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
+use crate::current::current;
 use crate::memory::outside;
-use crate::{below, current, has_descriptors, is_dead, once_in, operation};
+use crate::processes::{below, disk_access, has_descriptors, is_dead, once_in, operation};
 
 /// What fails.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -99,7 +100,7 @@ fn not_found() -> io::Error {
 
 /// An access by a process, which may fail.
 fn access(opens: bool) -> io::Result<Fault> {
-    crate::access();
+    disk_access();
     if is_dead() {
         return Err(io::Error::other("the process is dead"));
     }

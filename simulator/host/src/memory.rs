@@ -5,7 +5,7 @@
 
 use std::cell::Cell;
 
-use crate::current;
+use crate::current::{FIRST_PID, current};
 
 /// Accounts: one per pid, for pids of a small range, and the first one for all else.
 const ACCOUNTS: usize = 64;
@@ -28,7 +28,7 @@ impl Account {
     }
 
     const fn of(pid: u32) -> Self {
-        let first = crate::FIRST_PID;
+        let first = FIRST_PID;
         match pid.checked_sub(first) {
             Some(place) if place + 1 < ACCOUNTS as u32 => Self(place as u8 + 1),
             _ => Self(0),

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::imports::{circles, imports};
-use super::{crates, names};
+use super::{crates, members, members_below, root};
 
 /// Crates in which a submodule may import from an enclosing module that calls it; in all others not
 /// even these may import each other.
@@ -11,12 +11,14 @@ const LENIENT: [&str; 2] = ["benches", "cli"];
 
 #[test]
 fn files_have_no_import_cycles() {
-    let root = crates().parent().unwrap().to_owned();
-    let members = names().into_iter().map(|name| (crates().join(&name), name));
-    let benches = (root.join("benches"), "benches".to_owned());
     let mut described = String::new();
-    for (directory, name) in members.chain([benches]) {
-        let (src, lenient) = (directory.join("src"), LENIENT.contains(&name.as_str()));
+    let others = ["benches", "simulator"].map(|folder| members_below(&root().join(folder)));
+    for member in members().into_iter().chain(others.into_iter().flatten()) {
+        let name = member.name;
+        let (src, lenient) = (
+            member.directory.join("src"),
+            LENIENT.contains(&name.as_str()),
+        );
         assert!(
             !lenient || !circles(&imports(&src, true)).is_empty(),
             "{name} has no such import: remove it from the list"

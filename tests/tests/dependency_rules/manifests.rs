@@ -1,81 +1,55 @@
-//! Allowed dependencies between crates.
+//! Allowed dependencies between crates: ARCHITECTURE.md has them, in a drawing and in two tables.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::path::PathBuf;
 
-use super::{crates, names};
+use super::{Member, members, members_below, root};
 
-/// The crates in the diagram of ARCHITECTURE.md, line by line from the top.
+/// For each package, what it depends on.
+type Graph = BTreeMap<String, BTreeSet<String>>;
+
+fn page() -> String {
+    fs::read_to_string(root().join("ARCHITECTURE.md")).unwrap()
+}
+
+/// The crates, and the benchmarks.
+fn described() -> Vec<Member> {
+    let mut members = members();
+    members.extend(members_below(&root().join("benches")));
+    members
+}
+
+/// The crates in the drawing, line by line from the top.
 fn drawing() -> Vec<Vec<String>> {
-    let page = fs::read_to_string(crates().parent().unwrap().join("ARCHITECTURE.md")).unwrap();
+    let page = page();
     let (_, after) = page.split_once("## Crate layout\n\n```\n").unwrap();
-    let known = names();
+    let known: BTreeSet<String> = described().into_iter().map(|it| it.name).collect();
     let crates_of = |line: &str| -> Vec<String> {
         let words = line.split_whitespace().map(str::to_owned);
-        words
-            .filter(|word| word == "benches" || known.contains(word))
-            .collect()
+        words.filter(|word| known.contains(word)).collect()
     };
     let (drawing, _) = after.split_once("\n```").unwrap();
     drawing.lines().map(crates_of).collect()
 }
 
-#[test]
-fn a_crate_depends_only_on_lower_lines_of_the_diagram() {
-    let drawing = drawing();
-    let line = |name: &str| {
-        let found = drawing
-            .iter()
-            .position(|line| line.iter().any(|other| other == name));
-        found.unwrap_or_else(|| panic!("the diagram in ARCHITECTURE.md lacks {name}"))
-    };
-    line("benches");
-    for (package, dependencies) in direct_dependencies() {
-        let name = package.strip_prefix("joulebus-").unwrap();
-        let above = line(name);
-        for dependency in dependencies {
-            assert!(dependency != "joulebus", "{name} depends on the program");
-            if let Some(below) = dependency.strip_prefix("joulebus-") {
-                assert!(line(below) > above, "{name} depends on {below}");
-            }
-        }
-    }
-}
-
-#[test]
-fn the_program_crate_has_few_dependencies() {
-    let graph = direct_dependencies();
-    let ours = graph["joulebus-program"]
-        .iter()
-        .filter(|name| name.starts_with("joulebus"));
-    for name in ours {
-        let light = ["bus", "config", "files", "predictor", "settings"]
-            .map(|name| format!("joulebus-{name}"));
-        assert!(light.contains(name), "program depends on {name}");
-    }
-}
-
-/// Workspace packages and their direct dependencies without dev-dependencies, by the names of their
-/// tables.
-fn direct_dependencies() -> BTreeMap<String, Vec<String>> {
-    let manifests = names().into_iter().map(|name| {
-        let manifest = fs::read_to_string(crates().join(&name).join("Cargo.toml")).unwrap();
-        let (_, after) = manifest.split_once("\n[dependencies]\n").unwrap();
-        let table = after.split("\n[").next().unwrap();
-        let dependencies = table.lines().filter_map(|line| {
-            let end = line.find(['.', ' ', '='])?;
-            Some(line[..end].to_owned()).filter(|name| !name.starts_with('#'))
-        });
-        (format!("joulebus-{name}"), dependencies.collect())
+/// The rows of the table whose first column has the head `first`: the first and the last column.
+fn table(first: &str) -> Vec<(String, String)> {
+    let page = page();
+    let (_, after) = page.split_once(&format!("\n| {first} |")).unwrap();
+    let rows = after.lines().skip(2);
+    let rows = rows.take_while(|line| line.starts_with('|')).map(|line| {
+        let columns: Vec<&str> = line.trim_matches('|').split('|').map(str::trim).collect();
+        let name = columns[0].trim_matches('`').to_owned();
+        (name, columns.last().unwrap().to_string())
     });
-    manifests.collect()
+    rows.collect()
 }
 
-/// The packages of `Cargo.lock` and their dependencies.
-fn locked_dependencies() -> BTreeMap<String, Vec<String>> {
-    let lock = fs::read_to_string(crates().parent().unwrap().join("Cargo.lock")).unwrap();
-    let mut locked: BTreeMap<String, Vec<String>> = BTreeMap::new();
+/// The packages of `Cargo.lock`, those of the workspace without dev-dependencies, which the lock file
+/// does not distinguish. A crate's name is that in ARCHITECTURE.md.
+fn graph() -> Graph {
+    let lock = fs::read_to_string(root().join("Cargo.lock")).unwrap();
+    let mut graph = Graph::new();
     for package in lock.split("[[package]]").skip(1) {
         let quoted: Vec<&str> = package.split('"').skip(1).step_by(2).collect();
         let list = package.split_once("dependencies = [");
@@ -83,88 +57,117 @@ fn locked_dependencies() -> BTreeMap<String, Vec<String>> {
         let names = list.split('"').skip(1).step_by(2);
         // If the lock file has two versions of a package, the name is followed by the version.
         let names = names.filter_map(|name| Some(name.split(' ').next()?.to_owned()));
-        locked
-            .entry(quoted[0].to_owned())
-            .or_default()
-            .extend(names);
+        graph.entry(quoted[0].to_owned()).or_default().extend(names);
     }
-    locked
+    for Member { name, manifest, .. } in described() {
+        let (_, after) = manifest
+            .split_once("\n[dependencies]\n")
+            .unwrap_or_default();
+        let table = after.split("\n[").next().unwrap();
+        let dependencies = table.lines().filter_map(|line| {
+            let end = line.find(['.', ' ', '='])?;
+            let name = &line[..end];
+            let ours = name.strip_prefix("joulebus-").unwrap_or(name);
+            Some(ours.to_owned()).filter(|name| !name.starts_with('#'))
+        });
+        graph.insert(name, dependencies.collect());
+    }
+    graph
 }
 
-/// What a package depends on, directly or not, itself included.
-fn reached(graph: &BTreeMap<String, Vec<String>>, package: &str) -> BTreeSet<String> {
+/// What a package depends on, directly or not.
+fn reached(graph: &Graph, package: &str) -> BTreeSet<String> {
     let mut reached = BTreeSet::new();
-    let mut open = vec![package.to_owned()];
+    let mut open: Vec<&String> = graph[package].iter().collect();
     while let Some(name) = open.pop() {
         if reached.insert(name.clone()) {
-            open.extend(graph[&name].iter().cloned());
+            open.extend(graph.get(name).into_iter().flatten());
         }
     }
     reached
 }
 
 #[test]
-fn the_sdk_depends_on_no_kernel_no_tick_and_no_thread_pool() {
-    let mut graph = locked_dependencies();
-    // The lock file does not distinguish dev-dependencies, so the manifests replace it for the
-    // workspace.
-    graph.extend(direct_dependencies());
-    for sdk in ["joulebus-publisher", "joulebus-consumer"] {
-        let reached = reached(&graph, sdk);
-        assert!(reached.contains("iceoryx2"), "{reached:?}");
-        for heavy in ["joulebus-predictor", "joulebus-fleet", "rayon"] {
-            assert!(!reached.contains(heavy), "{sdk} reaches {heavy}");
-        }
-    }
-}
-
-#[test]
-fn planners_that_compute_reach_no_tick_and_no_thread_pool() {
-    let mut graph = locked_dependencies();
-    graph.extend(direct_dependencies());
-    let reached = reached(&graph, "joulebus-plan");
-    assert!(reached.contains("joulebus-energy"), "{reached:?}");
-    for heavy in ["joulebus-fleet", "joulebus-predictor-worker", "rayon"] {
-        assert!(!reached.contains(heavy), "plan reaches {heavy}");
-    }
-}
-
-#[test]
-fn nothing_depends_on_the_benchmarks() {
-    let root = crates().parent().unwrap().to_owned();
-    let dependencies = |manifest: PathBuf| {
-        let manifest = fs::read_to_string(manifest).unwrap();
-        let normal = manifest.split("[dev-dependencies]").next().unwrap();
-        normal.to_owned()
+fn a_crate_reaches_only_lower_lines_of_the_diagram() {
+    let (drawing, graph) = (drawing(), graph());
+    let line = |name: &str| {
+        let found = drawing
+            .iter()
+            .position(|line| line.iter().any(|other| other == name));
+        found.unwrap_or_else(|| panic!("the diagram in ARCHITECTURE.md lacks {name}"))
     };
-    for name in names() {
-        let dependencies = dependencies(crates().join(&name).join("Cargo.toml"));
+    let members = described();
+    for Member { name, .. } in &members {
+        let (above, reached) = (line(name), reached(&graph, name));
+        for below in members.iter().filter(|it| reached.contains(&it.name)) {
+            assert!(line(&below.name) > above, "{name} reaches {}", below.name);
+        }
         assert!(
-            !dependencies.contains("joulebus-bench"),
-            "{name} depends on the benchmarks"
+            !reached.contains("joulebus") && !reached.contains("bench"),
+            "{name} reaches the program or the benchmarks"
         );
     }
-    let benches = dependencies(root.join("benches/Cargo.toml"));
-    for above in [
-        "\njoulebus.workspace",
-        "joulebus-dataset",
-        "joulebus-sim",
-        "joulebus-train",
-        "joulebus-eval",
-        "joulebus-model-files",
-        "joulebus-report",
-    ] {
-        assert!(!benches.contains(above), "benches depends on {above}");
+}
+
+/// The column "must not know" of the table of crates, by the words of the second table.
+#[test]
+fn a_crate_does_not_reach_what_it_must_not_know() {
+    let (graph, members) = (graph(), described());
+    let words = table("who must not know");
+    let mut used = BTreeSet::new();
+    for (name, unknown) in table("crate") {
+        if !members.iter().any(|it| it.name == name) {
+            continue;
+        }
+        let reached = reached(&graph, &name);
+        for (word, targets) in &words {
+            if !unknown.split(", ").any(|part| part == word) {
+                continue;
+            }
+            used.insert(word);
+            for target in targets.split(", ").map(|name| name.trim_matches('`')) {
+                if target == "any crate" {
+                    let ours = members.iter().find(|it| reached.contains(&it.name));
+                    assert!(ours.is_none(), "{name} reaches {}", ours.unwrap().name);
+                    continue;
+                }
+                assert!(graph.contains_key(target), "there is no {target}");
+                assert!(
+                    !reached.contains(target),
+                    "{name} must not know {word}, and reaches {target}"
+                );
+            }
+        }
+    }
+    assert_eq!(
+        used.len(),
+        words.len(),
+        "of {words:?} only {used:?} are used"
+    );
+    // What is not forbidden is found: the closures are not empty.
+    for (name, target) in [("publisher", "iceoryx2"), ("plan", "energy")] {
+        assert!(reached(&graph, name).contains(target), "{name}");
+    }
+}
+
+#[test]
+fn the_program_crate_has_few_dependencies() {
+    let members: BTreeSet<String> = described().into_iter().map(|it| it.name).collect();
+    for name in &graph()["program"] {
+        let light = ["config", "files", "predictor", "settings"].contains(&name.as_str());
+        assert!(
+            light || !members.contains(name),
+            "program depends on {name}"
+        );
     }
 }
 
 #[test]
 fn the_architecture_describes_all_crates() {
-    let page = crates().parent().unwrap().join("ARCHITECTURE.md");
-    let page = fs::read_to_string(page).unwrap();
-    for name in names() {
+    let rows = table("crate");
+    for Member { name, .. } in described() {
         assert!(
-            page.contains(&format!("| `{name}` |")),
+            rows.iter().any(|(row, _)| *row == name),
             "ARCHITECTURE.md does not mention {name}"
         );
     }

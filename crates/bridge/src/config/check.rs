@@ -3,7 +3,7 @@
 use std::fmt::Display;
 use std::path::PathBuf;
 
-use joulebus_config::error::Problem;
+use joulebus_config::Problem;
 use toml::Spanned;
 
 /// Times that a key may state, s.

@@ -10,7 +10,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use joulebus_config::Config;
-use joulebus_config::error::ConfigError;
+use joulebus_config::ConfigError;
 use toml::Value;
 
 use crate::config::check::Check;

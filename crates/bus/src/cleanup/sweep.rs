@@ -37,10 +37,10 @@ fn try_sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
     let mut report = SweepReport::default();
     if fs::symlink_metadata(domain.directory()).is_err() && objects(domain)?.is_empty() {
         WorkerLock::remove_stale(domain);
-        domain.remove_root();
+        crate::directory::remove_root(domain);
         return Ok(report);
     }
-    domain.prepare()?;
+    crate::prepare_domain(domain)?;
     let lock = MembersLock::open(domain)?;
     if lock.try_exclusive()? {
         remove_all(domain, &mut report)?;
@@ -59,7 +59,7 @@ fn try_sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
 /// A process may use iceoryx2 in this domain without being a member (its command-line tool, the
 /// Python package): while such a node lives, only dead nodes are removed.
 pub(crate) fn remove_all(domain: &Domain, report: &mut SweepReport) -> Result<(), SweepError> {
-    domain.check()?;
+    crate::directory::check(domain)?;
     let config = iceoryx_config::wanted(domain)?;
     report.incomplete += remove_incomplete(domain)?;
     if is_any_node_alive(&config) {

@@ -58,7 +58,7 @@ impl MembersLock {
         if self.is_current(domain).unwrap_or(false) {
             Marked::fleet(domain).remove();
             WorkerLock::remove_stale(domain);
-            domain.remove_root();
+            crate::directory::remove_root(domain);
         }
     }
 }

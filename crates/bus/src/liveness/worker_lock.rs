@@ -46,7 +46,7 @@ impl WorkerLock {
                 if !matches!(error, WorkerLockError::AlreadyRunning { .. }) {
                     // Created before the failure.
                     Self::remove_stale(domain);
-                    domain.remove_root();
+                    crate::directory::remove_root(domain);
                 }
                 return Err(error.or_shortage());
             }
@@ -105,7 +105,7 @@ impl WorkerLock {
     }
 
     fn try_acquire(domain: &Domain) -> Result<Option<Self>, WorkerLockError> {
-        domain.prepare_root()?;
+        crate::directory::prepare_root(domain)?;
         let path = domain.worker_file();
         let failed = |source| WorkerLockError::Io {
             path: path.clone(),
@@ -176,7 +176,7 @@ impl Drop for WorkerLock {
         }
         // Who has it open learns that this was no death: `LockWatch`.
         let _ = self.file.set_len(0);
-        self.domain.remove_root();
+        crate::directory::remove_root(&self.domain);
     }
 }
 

@@ -10,7 +10,7 @@ use rustix::io::Errno;
 use rustix::mm::{Advice, madvise};
 
 /// Directory of POSIX shared memory on Linux.
-pub(crate) const SHM_DIR: &str = "/dev/shm";
+pub(crate) use joulebus_domain::SHM_DIR;
 /// Maximum size of a mapping populated while ticks run, bytes: takes a few milliseconds.
 const MOST_AT_ONCE: usize = 64 << 20;
 

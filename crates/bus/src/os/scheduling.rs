@@ -6,96 +6,76 @@ use std::fs;
 use std::io;
 use std::num::NonZeroU64;
 
+use joulebus_domain::Scheduling;
 use rustix::mm::{MlockAllFlags, mlockall};
 use rustix::process::{Resource, getrlimit, setpriority_process};
 use rustix::thread::{CapabilitySet, CpuSet, capabilities, sched_getaffinity, sched_setaffinity};
 
-/// Requested scheduling of the tick's threads. The default requests nothing.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Scheduling {
-    /// CPUs, one per thread, that of the tick's own thread first. Empty: no affinity.
-    pub cpus: Vec<usize>,
-    /// Real-time priority (`SCHED_FIFO`), 1 to 99; 0: normal scheduling.
-    pub priority: u8,
-    /// Whether to lock all memory of the process (`mlockall`).
-    pub lock_memory: bool,
-    /// Whether a refused request prevents the start; otherwise it is a warning.
-    pub required: bool,
+/// Applies all that is asked to the calling thread, which is the tick's own, and to the process.
+/// Threads started earlier are not affected. Returns the refused requests, if none is required.
+///
+/// # Errors
+/// The first refused request, if it is required.
+pub fn schedule_process(asked: &Scheduling) -> Result<Vec<SchedulingError>, SchedulingError> {
+    let memory = if asked.lock_memory {
+        lock_memory()
+    } else {
+        Ok(())
+    };
+    let mut refused: Vec<SchedulingError> = [memory]
+        .into_iter()
+        .chain(requests(asked, 0))
+        .filter_map(Result::err)
+        .collect();
+    if asked.required && !refused.is_empty() {
+        return Err(refused.swap_remove(0));
+    }
+    Ok(refused)
 }
 
-impl Scheduling {
-    /// True if nothing is requested.
-    #[must_use]
-    pub fn is_nothing(&self) -> bool {
-        self.cpus.is_empty() && self.priority == 0 && !self.lock_memory
-    }
+/// Applies the CPU and the priority that are asked to the calling thread, number `place` of the tick's threads, 0
+/// being the tick's own. No CPU is requested beyond the end of [`Scheduling::cpus`].
+///
+/// # Errors
+/// The first refused request; the CPU is requested first.
+pub fn schedule_thread(asked: &Scheduling, place: usize) -> Result<(), SchedulingError> {
+    let [cpu, priority] = requests(asked, place);
+    cpu.and(priority)
+}
 
-    /// Applies all requests to the calling thread, which is the tick's own, and to the process.
-    /// Threads started earlier are not affected. Returns the refused requests, if none is required.
-    ///
-    /// # Errors
-    /// The first refused request, if it is required.
-    pub fn apply(&self) -> Result<Vec<SchedulingError>, SchedulingError> {
-        let memory = if self.lock_memory {
-            lock_memory()
-        } else {
-            Ok(())
+/// Requests that would be refused now: CPUs and priority are tested on short-lived threads,
+/// memory is judged by the privileges. Has no effect on the caller.
+///
+/// # Errors
+/// A thread could not be started.
+pub fn try_scheduling(asked: &Scheduling) -> io::Result<Vec<SchedulingError>> {
+    let mut refused = Vec::new();
+    if asked.lock_memory && !Rights::of_this_process().allow_locking() {
+        refused.extend(lock_memory().err());
+    }
+    for place in 0..asked.cpus.len().max(1) {
+        let tried = std::thread::scope(|scope| {
+            std::thread::Builder::new()
+                .spawn_scoped(scope, || requests(asked, place))
+                .map(std::thread::ScopedJoinHandle::join)
+        })?;
+        let Ok([cpu, priority]) = tried else {
+            return Err(io::Error::other("the test thread panicked"));
         };
-        let mut refused: Vec<SchedulingError> = [memory]
-            .into_iter()
-            .chain(self.requests(0))
-            .filter_map(Result::err)
-            .collect();
-        if self.required && !refused.is_empty() {
-            return Err(refused.swap_remove(0));
-        }
-        Ok(refused)
+        refused.extend(cpu.err());
+        // The result is the same for all threads.
+        refused.extend(priority.err().filter(|_| place == 0));
     }
+    Ok(refused)
+}
 
-    /// Applies CPU and priority to the calling thread, number `place` of the tick's threads, 0
-    /// being the tick's own. No CPU is requested beyond the end of [`Scheduling::cpus`].
-    ///
-    /// # Errors
-    /// The first refused request; the CPU is requested first.
-    pub fn apply_to_thread(&self, place: usize) -> Result<(), SchedulingError> {
-        let [cpu, priority] = self.requests(place);
-        cpu.and(priority)
-    }
-
-    /// Requests that would be refused now: CPUs and priority are tested on short-lived threads,
-    /// memory is judged by the privileges. Has no effect on the caller.
-    ///
-    /// # Errors
-    /// A thread could not be started.
-    pub fn try_out(&self) -> io::Result<Vec<SchedulingError>> {
-        let mut refused = Vec::new();
-        if self.lock_memory && !Rights::of_this_process().allow_locking() {
-            refused.extend(lock_memory().err());
-        }
-        for place in 0..self.cpus.len().max(1) {
-            let tried = std::thread::scope(|scope| {
-                std::thread::Builder::new()
-                    .spawn_scoped(scope, || self.requests(place))
-                    .map(std::thread::ScopedJoinHandle::join)
-            })?;
-            let Ok([cpu, priority]) = tried else {
-                return Err(io::Error::other("the test thread panicked"));
-            };
-            refused.extend(cpu.err());
-            // The result is the same for all threads.
-            refused.extend(priority.err().filter(|_| place == 0));
-        }
-        Ok(refused)
-    }
-
-    fn requests(&self, place: usize) -> [Result<(), SchedulingError>; 2] {
-        let cpu = self.cpus.get(place).map_or(Ok(()), |cpu| stay_on(*cpu));
-        let priority = match self.priority {
-            0 => Ok(()),
-            priority => take_priority(priority),
-        };
-        [cpu, priority]
-    }
+fn requests(asked: &Scheduling, place: usize) -> [Result<(), SchedulingError>; 2] {
+    let cpu = asked.cpus.get(place).map_or(Ok(()), |cpu| stay_on(*cpu));
+    let priority = match asked.priority {
+        0 => Ok(()),
+        priority => take_priority(priority),
+    };
+    [cpu, priority]
 }
 
 /// Privileges of this process.

@@ -496,7 +496,7 @@ pub enum QueryError {
     /// The worker does not answer questions.
     #[error(
         "the worker does not answer questions: it is just starting, or its config says `queries.answer = \
-         \"off\"`; ask in this process instead (`joulebus_plan::Planner`, `joulebus ask --through memory`)"
+         \"off\"`; ask in this process instead (`joulebus_planner::Planner`, `joulebus ask --through memory`)"
     )]
     NotServed,
     /// The worker has not taken an earlier question that was given up.

@@ -15,11 +15,11 @@ use super::degradation::Failures;
 use super::repair::Repair;
 use super::service::{self, OpenError};
 use crate::ipc::Ipc;
-use crate::limits::Shape;
 use crate::liveness::kept::Kept;
 use crate::liveness::worker_ports::WorkerPorts;
 use crate::membership::Membership;
 use crate::{Bus, FilesRemoved, Limits, clock};
+use joulebus_domain::Shape;
 
 /// Maximum number of frames of other processes than the worker that one call skips.
 const MOST_PASSED_OVER: u32 = 4_096;

@@ -23,11 +23,11 @@ use crate::cleanup::dead_nodes::remove_dead_nodes;
 use crate::cleanup::incomplete::{Abandoned, remove_incomplete};
 use crate::cleanup::objects::named;
 use crate::ipc::Ipc;
-use crate::limits::{ACTIVE_QUERIES, Shape};
 use crate::liveness::presence::Need;
 use crate::preflight::{PORT_BYTES, check_left};
 use crate::reserved::take_shortage;
 use crate::{Bus, CapacityError, FilesRemoved, Limits, SweepReport, clock};
+use joulebus_domain::{ACTIVE_QUERIES, Shape};
 
 /// The attribute of a service with its limits.
 const LIMITS_KEY: &[u8] = b"joulebus.limits";

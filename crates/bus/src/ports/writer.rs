@@ -19,12 +19,12 @@ use super::repair::Repair;
 use super::service::{self, OpenError};
 use super::wait::WaitError;
 use crate::ipc::Ipc;
-use crate::limits::Shape;
 use crate::liveness::kept::Kept;
 use crate::membership::Membership;
 use crate::os::memory;
 use crate::preflight::{check_free, segment_bytes};
 use crate::{Bus, FilesRemoved, Limits, clock};
+use joulebus_domain::Shape;
 
 /// A port and its service.
 type Port<H, T> = (Publisher<Ipc, [T], H>, PortFactory<Ipc, [T], H>);

@@ -3,7 +3,7 @@
 use std::ffi::c_char;
 use std::time::Duration;
 
-use joulebus_plan::{ClientError, Config, PlanClient};
+use joulebus_planner::{ClientError, Config, PlanClient};
 
 use crate::abi::types::{joulebus_answers, joulebus_client, joulebus_error, joulebus_question};
 use crate::failure::{Failure, entry};

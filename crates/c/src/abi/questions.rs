@@ -4,9 +4,9 @@ use std::ffi::c_char;
 use std::time::Duration;
 
 use joulebus_plan::{
-    Answer, Candidates, Caveats, Config, MAX_STEPS, Planner, QuestionError, Row, Unknown, Verdict,
-    ViewError, Work,
+    Answer, Candidates, Caveats, MAX_STEPS, QuestionError, Row, Unknown, Verdict, Work,
 };
+use joulebus_planner::{Config, Planner, ViewError};
 use joulebus_wire::AnswerRow;
 
 use crate::abi::planner::read_failed;

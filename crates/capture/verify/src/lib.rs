@@ -3,7 +3,10 @@
 //!
 //! The worker's journal states which frames of samples each tick took at which time, and a keyframe
 //! the fleet's state before; from there the tick is a pure function. So a recording that begins in
-//! the middle, or has a gap, is verified from its next keyXX;
+//! the middle, or has a gap, is verified from its next keyframe on.
+#![forbid(unsafe_code)]
+
+mod assemble;
 mod compare;
 mod queries;
 mod report;

@@ -5,7 +5,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use joulebus_bus::{Background, Steps};
-use joulebus_config::{Config, ConnectError};
+use joulebus_config::Config;
+use joulebus_connect::ConnectError;
 use joulebus_consumer::{AlarmChange, AlarmFeed, Change, FleetAlarm};
 use joulebus_program::logging::ALARMS;
 use joulebus_wire::Level;

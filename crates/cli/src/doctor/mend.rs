@@ -1,13 +1,11 @@
 //! Repairs of `--fix`: directory modes, and files of dead processes.
 
 use anyhow::Context as _;
-use joulebus_bus::{Domain, sweep};
+use joulebus_bus::{Domain, restrict_domain, sweep};
 
 /// Mends, and says what was done. Directories that joulebus did not make are left as they are.
 pub(super) fn mend(domain: &Domain) -> anyhow::Result<Vec<String>> {
-    let closed = domain
-        .restrict()
-        .context("cannot take other users' rights away")?;
+    let closed = restrict_domain(domain).context("cannot take other users' rights away")?;
     let closed = closed.into_iter();
     let mut mended: Vec<String> = closed
         .map(|(path, mode)| format!("{}: mode {mode:04o} changed to 0700", path.display()))

@@ -1,6 +1,6 @@
 //! Scheduling rights of the worker, compared with the config.
 
-use joulebus_bus::{Rights, Scheduling};
+use joulebus_bus::{Rights, Scheduling, try_scheduling};
 
 use super::{Check, Status};
 
@@ -8,7 +8,7 @@ use super::{Check, Status};
 pub(super) fn scheduling(asked: &Scheduling) -> Check {
     let name = "scheduling";
     let found = format!("{}; {}", request(asked), rights(&Rights::of_this_process()));
-    let refused = match asked.try_out() {
+    let refused = match try_scheduling(asked) {
         Ok(refused) => refused,
         Err(error) => {
             let remedy = "raise the limit of processes (`ulimit -u`)";

@@ -278,7 +278,7 @@ fn doctor_finds_and_removes_stale_files() {
     fs::write(&unfinished, "").unwrap();
     // A killed member leaves the directories that it made.
     let config = joulebus_config::Config::load(fleet.config()).unwrap();
-    config.domain().unwrap().prepare().unwrap();
+    joulebus_bus::prepare_domain(&config.domain().unwrap()).unwrap();
     fs::set_permissions(fleet.root(), fs::Permissions::from_mode(0o755)).unwrap();
     // Younger ones may be under construction.
     std::thread::sleep(Duration::from_millis(400));

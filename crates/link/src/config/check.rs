@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use joulebus_config::error::Problem;
+use joulebus_config::Problem;
 
 /// A file that is being checked.
 pub(super) struct Check<'a> {

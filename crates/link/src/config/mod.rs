@@ -11,7 +11,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use joulebus_config::Config;
-use joulebus_config::error::ConfigError;
+use joulebus_config::ConfigError;
 use joulebus_wire::fnv1a;
 use toml::Value;
 

@@ -3,8 +3,9 @@
 
 use std::path::Path;
 
+use joulebus_config::Config;
 use joulebus_energy::{CommandModel, EnergyModel, EnergySample, EnergyState};
-use joulebus_plan::{Config, Fleet, Frames, Platform, Robot};
+use joulebus_plan::{Fleet, Frames, Platform, Robot};
 use joulebus_wire::{
     Budget, BudgetHeader, PlanState, PlanStateHeader, Quality, SCHEMA_VERSION, budget_flag,
     plan_state_flag,

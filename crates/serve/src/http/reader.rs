@@ -11,7 +11,8 @@ use std::time::Duration;
 
 use joulebus_board::{Board, OpenError, Platforms, Reading};
 use joulebus_bus::{clock, yield_to_the_worker};
-use joulebus_config::{Config, ConnectError};
+use joulebus_config::Config;
+use joulebus_connect::ConnectError;
 use joulebus_consumer::{AlarmFeed, ReadError};
 use joulebus_plan::RobotRows;
 use tokio::sync::{oneshot, watch};

@@ -42,13 +42,13 @@ impl WorkerLock {
     /// Another process holds it, or shared memory is full.
     pub fn acquire(domain: &Domain) -> Result<Self, WorkerLockError> {
         host::operation();
-        crate::bus::check_left()?;
+        crate::left::check_left()?;
         let path = domain.worker_file();
         if let Some((owner, true)) = FILE.get() {
             let source = io::Error::other(format!("process {} holds it", owner.pid));
             return Err(WorkerLockError::Io { path, source });
         }
-        let pid = crate::process_id();
+        let pid = host::current();
         let owner = Owner {
             pid,
             since_unix_ns: clock::unix_ns(),

@@ -4,10 +4,9 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use joulebus_config::Config;
-use joulebus_plan::{
-    ClientError, Path, Plan, PlanClient, Planner, Point, QueryError, Question, Reply, RobotRows,
-    Verdict, Work,
-};
+use joulebus_connect::join;
+use joulebus_plan::{Path, Plan, Point, Question, Reply, RobotRows, Verdict, Work};
+use joulebus_planner::{ClientError, PlanClient, Planner, QueryError};
 use joulebus_tests::AskerLine;
 use joulebus_wire::{QUERY_STEPS, QueryHeader, QueryRefusal, fnv1a, query_flag};
 
@@ -239,7 +238,7 @@ fn same(one: &Reply, other: &Reply) -> bool {
 
 /// Sends questions that must be refused, and prints the reasons, each beside what is expected.
 pub(crate) fn hostile(config: &Config) -> Done {
-    let bus = config.join("hostile")?;
+    let bus = join(config, "hostile")?;
     let mut client = bus.query_client(&config.limits())?;
     let fleet = fnv1a(config.fleet().bytes());
     for (expected, header, values) in refused(fleet) {

@@ -4,20 +4,21 @@ use std::path::{Path, PathBuf};
 
 use joulebus_wire::fnv1a;
 
-use crate::os::files::effective_uid;
-use crate::os::memory::SHM_DIR;
+/// Directory of the objects in shared memory.
+pub const SHM_DIR: &str = "/dev/shm";
 
 /// `sun_path` of a Unix socket has 108 bytes including the terminating zero.
 const MAX_SOCKET_PATH_BYTES: usize = 107;
 /// A 128-bit port id in decimal, `.event`, and the slashes around the fleet.
 const SOCKET_NAME_BYTES: usize = 39 + 6 + 2;
 /// The members' lock is the marker of a fleet's directory.
-pub(crate) const FLEET_MARKER: &str = "members.lock";
+pub const FLEET_MARKER: &str = "members.lock";
 /// Names in the fleet's directory of what its worker and the link of its host leave each other; the last member removes
 /// these files, and drafts of them, which end in `.new`.
 pub const STANDBY_FILES: [&str; 4] = ["permit", "keyframe", "replica", "request"];
 const MAX_FLEET_BYTES: usize = 32;
 const MAX_PREFIX_BYTES: usize = 8;
+
 /// The location of one fleet's shared memory: the same in every process of the fleet.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Domain {
@@ -84,7 +85,10 @@ impl Domain {
     /// The default root: `/dev/shm/joulebus-<uid>`.
     #[must_use]
     pub fn default_root() -> PathBuf {
-        PathBuf::from(format!("{SHM_DIR}/joulebus-{}", effective_uid()))
+        PathBuf::from(format!(
+            "{SHM_DIR}/joulebus-{}",
+            rustix::process::geteuid().as_raw()
+        ))
     }
 
     /// Name of the fleet.
@@ -117,15 +121,21 @@ impl Domain {
         self.root.join(&self.fleet)
     }
 
-    pub(crate) fn members_file(&self) -> PathBuf {
+    /// The lock that every member holds shared.
+    #[must_use]
+    pub fn members_file(&self) -> PathBuf {
         self.directory().join(FLEET_MARKER)
     }
 
-    pub(crate) fn config_file(&self) -> PathBuf {
+    /// The configuration of iceoryx2.
+    #[must_use]
+    pub fn config_file(&self) -> PathBuf {
         self.directory().join("iceoryx2.toml")
     }
 
-    pub(crate) fn worker_file(&self) -> PathBuf {
+    /// The lock of the worker.
+    #[must_use]
+    pub fn worker_file(&self) -> PathBuf {
         self.root.join(format!("worker-{}.lock", self.fleet))
     }
 }

@@ -4,17 +4,14 @@ use std::fmt;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use joulebus_config::{Config, ConnectError};
+use joulebus_config::Config;
+use joulebus_connect::ConnectError;
 use joulebus_consumer::{
     BudgetFeed, Budgets, Event, OpenError, PlanStateFeed, PlanStates, ReadError, clock,
 };
 use joulebus_models::{ModelsError, load_models};
+use joulebus_plan::{Differs, Fleet, Robot, RobotRows};
 use joulebus_wire::AnswerHeader;
-
-use crate::error::Differs;
-use crate::fleet::Fleet;
-use crate::platform::RobotRows;
-use crate::robot::Robot;
 
 /// Reads what plans start from, and answers questions about them. Belongs to one thread, as every
 /// reader of shared memory; the [`Robot`]s that it gives do not.

@@ -6,12 +6,11 @@ use std::time::Duration;
 
 pub use joulebus_bus::QueryError;
 use joulebus_bus::{Bus, QueryClient, clock};
-use joulebus_config::{Config, ConnectError};
+use joulebus_config::Config;
+use joulebus_connect::{ConnectError, join};
 use joulebus_consumer::OpenError;
+use joulebus_plan::{Question, Refused, Reply};
 use joulebus_wire::{AnswerHeader, QueryHeader, fnv1a};
-
-use crate::error::Refused;
-use crate::question::{Question, Reply};
 
 /// Asks the thread of `joulebus run` that answers questions about plans. Loads no models, and needs no
 /// more memory than a question and an answer. Belongs to one thread.
@@ -80,7 +79,7 @@ impl PlanClient {
     /// # Errors
     /// [`OpenClientError`].
     pub fn with_config(config: &Config, name: &str) -> Result<Self, OpenClientError> {
-        let bus = config.join(name)?;
+        let bus = join(config, name)?;
         Ok(Self {
             client: bus.query_client(&config.limits())?,
             fleet: fnv1a(config.fleet().bytes()),

@@ -36,7 +36,7 @@ impl Default for Limits {
 /// may start earlier.
 const SPARE: usize = 2;
 /// Questions of a client that can be in transfer.
-pub(crate) const ACTIVE_QUERIES: usize = 1;
+pub const ACTIVE_QUERIES: usize = 1;
 /// Most clients that ask the worker.
 const MOST_QUERY_CLIENTS: usize = 16;
 /// Frames of records of questions queued for a recorder.
@@ -92,7 +92,8 @@ impl Limits {
     }
 
     /// Text stored in each service for comparison by other processes.
-    pub(crate) fn describe(&self) -> String {
+    #[must_use]
+    pub fn describe(&self) -> String {
         format!(
             "capacity={} max_sources={} max_planners={} sample_frames={} forecast_frames={}",
             self.capacity,
@@ -103,7 +104,9 @@ impl Limits {
         )
     }
 
-    pub(crate) const fn nodes(&self) -> usize {
+    /// Processes that can be members at once.
+    #[must_use]
+    pub const fn nodes(&self) -> usize {
         2 * (self.max_sources + self.max_planners + SPARE)
     }
 
@@ -119,7 +122,9 @@ impl Limits {
         }
     }
 
-    pub(crate) const fn samples(&self) -> Shape {
+    /// The service of samples.
+    #[must_use]
+    pub const fn samples(&self) -> Shape {
         Shape {
             publishers: self.max_sources + SPARE,
             // The worker, and recorders.
@@ -130,7 +135,9 @@ impl Limits {
         }
     }
 
-    pub(crate) const fn forecasts(&self) -> Shape {
+    /// The service of forecasts.
+    #[must_use]
+    pub const fn forecasts(&self) -> Shape {
         let shape = self.diagnostics();
         Shape {
             borrowed: shape.borrowed + KEPT,
@@ -138,7 +145,9 @@ impl Limits {
         }
     }
 
-    pub(crate) const fn diagnostics(&self) -> Shape {
+    /// The service of diagnostics.
+    #[must_use]
+    pub const fn diagnostics(&self) -> Shape {
         Shape {
             publishers: 1 + SPARE,
             subscribers: self.max_planners + OF_WORKER + SPARE,
@@ -149,7 +158,9 @@ impl Limits {
         }
     }
 
-    pub(crate) const fn budgets(&self) -> Shape {
+    /// The service of budgets.
+    #[must_use]
+    pub const fn budgets(&self) -> Shape {
         Shape {
             // Planners need the newest frame at once; recorders read all.
             history: 1,
@@ -158,12 +169,14 @@ impl Limits {
     }
 
     /// As budgets: planners need the newest at once, recorders read all.
-    pub(crate) const fn plan_states(&self) -> Shape {
+    #[must_use]
+    pub const fn plan_states(&self) -> Shape {
         self.budgets()
     }
 
     /// Keyframes, in pieces: a reader empties the queue at every tick.
-    pub(crate) const fn state(&self) -> Shape {
+    #[must_use]
+    pub const fn state(&self) -> Shape {
         Shape {
             publishers: 1 + SPARE,
             subscribers: RECORDERS + SPARE,
@@ -173,7 +186,9 @@ impl Limits {
         }
     }
 
-    pub(crate) const fn ticks(&self) -> Shape {
+    /// The service of the ticks' journal.
+    #[must_use]
+    pub const fn ticks(&self) -> Shape {
         Shape {
             publishers: 1 + SPARE,
             subscribers: RECORDERS + SPARE,
@@ -184,7 +199,8 @@ impl Limits {
     }
 
     /// Records of questions: a reader that comes later needs the newest counts.
-    pub(crate) const fn queries(&self) -> Shape {
+    #[must_use]
+    pub const fn queries(&self) -> Shape {
         Shape {
             publishers: 1 + SPARE,
             subscribers: RECORDERS + SPARE,
@@ -195,7 +211,8 @@ impl Limits {
     }
 
     /// Clients that can ask the worker at once.
-    pub(crate) const fn query_clients(&self) -> usize {
+    #[must_use]
+    pub const fn query_clients(&self) -> usize {
         let wanted = self.max_planners + SPARE;
         if wanted < MOST_QUERY_CLIENTS {
             wanted
@@ -212,11 +229,14 @@ impl Limits {
 
     /// Listeners and notifiers of the event that wakes clients; of that which wakes the worker the other
     /// way round.
-    pub(crate) const fn query_events(&self) -> (usize, usize) {
+    #[must_use]
+    pub const fn query_events(&self) -> (usize, usize) {
         (self.query_clients(), 1 + SPARE)
     }
 
-    pub(crate) fn state_piece_bytes(&self) -> usize {
+    /// Bytes of a piece of a keyframe.
+    #[must_use]
+    pub fn state_piece_bytes(&self) -> usize {
         let (least, most) = STATE_PIECE_BYTES;
         self.capacity
             .saturating_mul(STATE_BYTES_PER_ROBOT)
@@ -224,29 +244,37 @@ impl Limits {
     }
 
     /// Listeners and notifiers of the sources' event.
-    pub(crate) const fn arrivals(&self) -> (usize, usize) {
+    #[must_use]
+    pub const fn arrivals(&self) -> (usize, usize) {
         (1 + SPARE, self.max_sources + SPARE)
     }
 
     /// Listeners and notifiers of the worker's event.
-    pub(crate) const fn wake(&self) -> (usize, usize) {
+    #[must_use]
+    pub const fn wake(&self) -> (usize, usize) {
         (self.max_planners + ANSWERING + SPARE, 1 + SPARE)
     }
 }
 
 /// The size of one publish-subscribe service.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Shape {
-    pub(crate) publishers: usize,
-    pub(crate) subscribers: usize,
-    pub(crate) buffer: usize,
-    pub(crate) borrowed: usize,
-    pub(crate) history: usize,
+pub struct Shape {
+    /// Ports that write.
+    pub publishers: usize,
+    /// Ports that read.
+    pub subscribers: usize,
+    /// Frames queued for a port that reads.
+    pub buffer: usize,
+    /// Frames that a port can hold at once.
+    pub borrowed: usize,
+    /// Frames that a port which comes later receives.
+    pub history: usize,
 }
 
 impl Shape {
     /// Frames for which one publisher allocates memory, as iceoryx2 counts them with one loan.
-    pub(crate) const fn frames(&self) -> usize {
+    #[must_use]
+    pub const fn frames(&self) -> usize {
         self.subscribers * (self.buffer + self.borrowed) + self.history + 1
     }
 }

@@ -1,0 +1,45 @@
+//! Joining the fleet of a config. The config itself is plain values, and knows no shared memory.
+#![forbid(unsafe_code)]
+
+use joulebus_bus::{Bus, JoinError, OpenError};
+use joulebus_config::{Config, ConfigError};
+use joulebus_domain::DomainError;
+
+/// Joins the fleet of `config` as `name`, 1 to 128 bytes.
+///
+/// # Errors
+/// [`ConnectError`] with the cause and the remedy.
+pub fn join(config: &Config, name: &str) -> Result<Bus, ConnectError> {
+    Ok(Bus::join(&config.domain()?, name)?)
+}
+
+/// Errors of joining the fleet of a config, or of opening one of its ports.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConnectError {
+    /// The config could not be read, or is refused.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The config names an invalid domain.
+    #[error(transparent)]
+    Domain(#[from] DomainError),
+    /// The fleet could not be joined.
+    #[error(transparent)]
+    Join(#[from] JoinError),
+    /// A port could not be opened.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+}
+
+/// The errors contained in [`ConnectError`], and in the errors of opening ports.
+pub mod error {
+    pub use joulebus_bus::{
+        CapacityError, FilesRemoved, IceoryxConfigError, JoinError, OpenError, ReceiveError,
+        RootError, SendError, SweepError, WaitError,
+    };
+    pub use joulebus_config::{BundleError, ConfigError, Problem};
+    pub use joulebus_domain::{DomainError, LimitsError};
+    pub use joulebus_settings::SettingsError;
+
+    pub use crate::ConnectError;
+}

@@ -1,0 +1,36 @@
+//! SDK of a planner that asks before it moves: what a plan costs, whether the robot makes it, which
+//! robot does it for the least, when it must turn back (`joulebus-plan`).
+//!
+//! ```no_run
+//! use std::time::Duration;
+//!
+//! use joulebus_plan::{Path, Point, Verdict};
+//! use joulebus_planner::Planner;
+//!
+//! fn main() -> Result<(), Box<dyn std::error::Error>> {
+//!     let mut planner = Planner::connect("configs/fleet.toml")?;
+//!     let view = planner.wait(Duration::from_secs(1))?;
+//!     let robot = view.robot(7).ok_or("robot 7 is not in the fleet")?;
+//!     let there = Path::new(&[Point::new(0.0, 0.0), Point::new(2.0, 1.0)], 0.2);
+//!     let trip = robot.can_finish(&there, Some(Point::new(0.0, 0.0)), 0.9)?;
+//!     if trip.answer.verdict == Verdict::Yes {
+//!         println!("go, and turn back within {:?} s", trip.turn_back_s);
+//!     }
+//!     Ok(())
+//! }
+//! ```
+//!
+//! [`Planner`] computes in this process, from what the worker writes into shared memory: no request,
+//! no queue, no load on the worker beyond writing. A process that cannot compute asks a thread of the
+//! worker instead: [`PlanClient`]. A question is the same value for both.
+#![forbid(unsafe_code)]
+
+mod client;
+mod planner;
+
+pub use client::{Answered, ClientError, OpenClientError, PlanClient, QueryError};
+pub use joulebus_config::Config;
+pub use joulebus_connect::ConnectError;
+pub use joulebus_consumer::{OpenError, ReadError, WorkerState};
+pub use joulebus_models::ModelsError;
+pub use planner::{OpenPlannerError, Planner, View, ViewError};

@@ -1,0 +1,38 @@
+//! The clocks of the simulated host.
+
+use joulebus_simulated_host::{operation, time};
+
+/// Time of the monotonic clock, ns.
+#[must_use]
+pub fn monotonic_ns() -> u64 {
+    operation();
+    time::monotonic_ns()
+}
+
+/// The same, since no simulated host is suspended; not an operation, so that what workers with a permit need changes nothing for
+/// those without.
+#[must_use]
+pub fn boot_ns() -> u64 {
+    time::monotonic_ns()
+}
+
+/// Wall-clock time, Unix ns.
+#[must_use]
+pub fn unix_ns() -> u64 {
+    operation();
+    time::unix_ns()
+}
+
+/// Processor time: all time is.
+#[must_use]
+pub fn thread_cpu_ns() -> u64 {
+    monotonic_ns()
+}
+
+/// The id of this boot.
+///
+/// # Errors
+/// None.
+pub fn boot_id() -> std::io::Result<String> {
+    Ok(format!("boot-{}", time::boots()))
+}

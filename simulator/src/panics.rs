@@ -1,0 +1,20 @@
+//! Panics of the simulated processes.
+
+use std::cell::RefCell;
+
+thread_local! {
+    /// Where the last panic of this thread happened.
+    static PANIC: RefCell<String> = const { RefCell::new(String::new()) };
+}
+
+/// Panics of the simulated processes are findings: they are kept instead of printed.
+pub fn keep_panics() {
+    std::panic::set_hook(Box::new(|panic| {
+        PANIC.with_borrow_mut(|kept| *kept = panic.to_string());
+    }));
+}
+
+/// The last panic of this thread, with its place.
+pub(crate) fn last_panic() -> String {
+    PANIC.take()
+}

@@ -1,0 +1,31 @@
+//! What a simulation came to.
+
+use crate::check::Failure;
+use crate::grown::Grown;
+
+/// What a simulation came to.
+#[derive(Debug, Default, Clone, PartialEq, Eq)]
+pub struct Outcome {
+    /// Simulated time, ns.
+    pub simulated_ns: u64,
+    /// Ticks of all workers.
+    pub ticks: u64,
+    /// Faults that happened.
+    pub faults: u64,
+    /// Processes started.
+    pub processes: u64,
+    /// Captures read and computed again, and their ticks.
+    pub captures: u64,
+    /// Ticks computed again.
+    pub verified_ticks: u64,
+    /// Questions that clients were answered.
+    pub questions: u64,
+    /// Answers compared with those of an undisturbed run.
+    pub answers: u64,
+    /// By how much processes have grown at most.
+    pub grown: Grown,
+    /// The first invariant that did not hold.
+    pub failure: Option<Failure>,
+    /// It was stopped before its end: it says nothing.
+    pub is_stopped: bool,
+}
