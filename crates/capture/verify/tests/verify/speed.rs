@@ -1,6 +1,6 @@
 //! Speed of verifying a capture of 100 robots: a figure, no guarantee.
 //!
-//! `cargo test --release -p joulebus-capture --test verify_speed -- --ignored --nocapture`
+//! `cargo test --release -p joulebus-capture-verify speed -- --ignored --nocapture`
 
 use std::sync::mpsc::sync_channel;
 use std::time::Instant;
