@@ -11,7 +11,7 @@ use joulebus_capture_format::WriteError;
 /// truncated. So a capture contains no partial chunk, nor a complete chunk of a failed flush: what
 /// is counted as written is what can be read.
 #[derive(Debug)]
-pub struct CaptureFile {
+pub(crate) struct CaptureFile {
     path: PathBuf,
     file: File,
     bytes: u64,
