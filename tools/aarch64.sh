@@ -58,7 +58,7 @@ step() {
 
 # One set of packages, so that nothing is compiled twice.
 cross=(cargo test --locked --target "$target")
-for crate in predictor fleet capture train; do
+for crate in predictor fleet capture-verify train; do
     cross+=(-p "joulebus-$crate")
 done
 tests=(--test kernels --test rollouts --test files --test oracle)

@@ -65,7 +65,7 @@ impl Colour {
 
     /// Red, green and blue on a dark background.
     #[must_use]
-    pub(crate) const fn dark(self) -> [u8; 3] {
+    pub const fn dark(self) -> [u8; 3] {
         match self {
             Self::Ink => [0xE6, 0xE9, 0xED],
             Self::Grey => [0x9A, 0xA4, 0xAF],

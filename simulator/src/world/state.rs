@@ -1,6 +1,5 @@
 //! The processes of a simulation, and what is known of them.
 
-use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
 use joulebus_config::Config;
