@@ -1,21 +1,14 @@
 //! Guarantees between members of a domain, tested with processes.
 
-mod harness;
-
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use harness::{Place, must};
 use joulebus_bus::{Ports, check_capacity, inspect, sweep};
 use joulebus_test_processes::{Member, eventually};
 
-/// Not a test: the entry point of members started by the tests.
-#[test]
-fn member() {
-    harness::run_member();
-}
+use crate::harness::{Place, limits, must};
 
 /// A member run by another program, such as `strace`.
 fn member_under(place: &Place, program: &str, arguments: &[&str]) -> Member {
@@ -510,7 +503,7 @@ fn the_preflight_check_covers_the_shared_memory_used() {
         workers: 1,
         planners: 3,
     };
-    let needed = check_capacity(&harness::limits(), ports)
+    let needed = check_capacity(&limits(), ports)
         .unwrap()
         .needed_bytes;
     let roles = [
