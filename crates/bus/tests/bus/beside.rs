@@ -119,7 +119,9 @@ fn a_process_sets_its_own_global_configuration_after_it_has_joined_and_cleaned_u
     member.stop();
     worker.kill();
     for node in nodes(&place).difference(&before) {
-        let details = fs::read_dir(node).unwrap().map(|entry| entry.unwrap().path());
+        let details = fs::read_dir(node)
+            .unwrap()
+            .map(|entry| entry.unwrap().path());
         let mut details = details.filter(|path| path.extension().unwrap() == "details");
         fs::remove_file(details.next().unwrap()).unwrap();
     }

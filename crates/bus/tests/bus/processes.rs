@@ -503,9 +503,7 @@ fn the_preflight_check_covers_the_shared_memory_used() {
         workers: 1,
         planners: 3,
     };
-    let needed = check_capacity(&limits(), ports)
-        .unwrap()
-        .needed_bytes;
+    let needed = check_capacity(&limits(), ports).unwrap().needed_bytes;
     let roles = [
         "source", "source", "worker", "planner", "planner", "planner",
     ];
