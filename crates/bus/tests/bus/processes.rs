@@ -535,6 +535,7 @@ fn nodes_that_start_while_others_clean_up_are_ready_and_nobody_ends() {
             }
         }
     }
+    println!("stopped at {stopped} calls");
     assert!(stopped >= 5, "{stopped}");
     source.finish();
     place.assert_nothing_left();
