@@ -7,7 +7,7 @@ use iceoryx2_log::{Log, LogLevel};
 /// Sends the messages of iceoryx2 to `tracing`, with the target `iceoryx2`, from now on. For
 /// programs: a library leaves the logger to the program around it. Returns false if iceoryx2 has a
 /// logger already, by an earlier call or because it has logged something: the first one stays.
-pub fn log_iceoryx2_to_tracing() -> bool {
+pub fn trace_iceoryx2() -> bool {
     iceoryx2_log::set_logger(&ToTracing)
 }
 

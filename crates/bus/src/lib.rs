@@ -53,7 +53,7 @@ pub use cleanup::sweep::{SweepError, sweep};
 pub use cleanup::thread::Housekeeping;
 pub use domain::{Domain, DomainError, STANDBY_FILES};
 pub use iceoryx_config::IceoryxConfigError;
-pub use iceoryx_log::log_iceoryx2_to_tracing;
+pub use iceoryx_log::trace_iceoryx2;
 pub use inspect::{InspectError, Inspection, NodeInfo, RootInfo, inspect};
 pub use limits::{Limits, LimitsError};
 pub use liveness::peer_watch::PeerWatch;

@@ -34,7 +34,7 @@ pub fn start(verbose: u8, format: LogFormat) {
     });
     let levels = asked.unwrap_or_else(|| by_verbosity(verbose));
     let levels = levels.with_target(SAID, LevelFilter::INFO);
-    joulebus_bus::log_iceoryx2_to_tracing();
+    joulebus_bus::trace_iceoryx2();
     let registry = tracing_subscriber::registry().with(levels);
     let layer = fmt::layer()
         .with_writer(io::stderr)

@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{FilePath, LogLevel, SemanticString, set_log_level};
-use joulebus_bus::log_iceoryx2_to_tracing;
+use joulebus_bus::trace_iceoryx2;
 use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id, Record};
 use tracing::{Event, Metadata, Subscriber};
@@ -47,7 +47,7 @@ impl Subscriber for Events {
 pub(crate) fn log() -> Result<String, Box<dyn Error>> {
     let events = Events::default();
     tracing::subscriber::set_global_default(events.clone())?;
-    if !log_iceoryx2_to_tracing() || log_iceoryx2_to_tracing() {
+    if !trace_iceoryx2() || trace_iceoryx2() {
         return Err("the first logger stays".into());
     }
     set_log_level(LogLevel::Debug);
