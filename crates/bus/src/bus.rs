@@ -123,8 +123,9 @@ impl Bus {
     }
 }
 
-/// Creates the node. About once in 300 starts next to a process killed at its own start, while
-/// members clean up, iceoryx2 answers `InternalError`: that passes.
+/// Creates the node. The node counter may be an object of length zero that a killed process left
+/// (#1771, #364): members remove it 250 ms after it was made or a little later, and iceoryx2 waits
+/// 300 ms for it. Not for #1650, of which [`Reserved`](crate::reserved::Reserved) knows nothing.
 fn create_node(domain: &Domain, config: &Config, name: &NodeName) -> Result<Node<Ipc>, JoinError> {
     let begin = Instant::now();
     loop {
