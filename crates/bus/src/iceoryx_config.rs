@@ -1,4 +1,4 @@
-//! iceoryx2's configuration: written for each domain, loaded as the global one, and verified.
+//! iceoryx2's configuration of a domain: given to every node, and written for other programs.
 
 use std::io::Write;
 use std::os::unix::fs::OpenOptionsExt;
@@ -7,7 +7,7 @@ use std::time::Duration;
 use std::{fs, io};
 
 use iceoryx2::config::Config;
-use iceoryx2::prelude::{FileName, FilePath, Path as BusPath, SemanticString};
+use iceoryx2::prelude::{FileName, Path as BusPath, SemanticString};
 use rustix::fs::OFlags;
 
 use crate::Domain;
@@ -17,56 +17,34 @@ use crate::os::files::draft_number;
 const CREATION_TIMEOUT_MS: u64 = 300;
 
 /// The iceoryx2 configuration of `domain`.
-pub(crate) fn wanted(domain: &Domain) -> Result<Config, IceoryxConfigError> {
+///
+/// iceoryx2's global configuration is left to the program that this library is linked into: it is
+/// neither set nor read, because reading it initialises it for good. iceoryx2 itself reads it where
+/// it cleans up a dead node whose details are missing, so nothing cleans up but
+/// [`remove_dead_nodes`](crate::cleanup::dead_nodes::remove_dead_nodes).
+pub(crate) fn config_for(domain: &Domain) -> Result<Config, IceoryxConfigError> {
     let refused = |what: &'static str| IceoryxConfigError::Refused {
         what,
         domain: Box::new(domain.clone()),
     };
     let mut config = Config::default();
-    config.global.prefix =
-        FileName::new(domain.shm_prefix().as_bytes()).map_err(|_| refused("prefix"))?;
+    let global = &mut config.global;
+    global.prefix = FileName::new(domain.shm_prefix().as_bytes()).map_err(|_| refused("prefix"))?;
     let directory = domain.directory();
     let root =
         BusPath::new(directory.as_os_str().as_encoded_bytes()).map_err(|_| refused("root path"))?;
-    config.global.set_root_path(&root);
-    config.global.creation_timeout = Duration::from_millis(CREATION_TIMEOUT_MS);
+    global.set_root_path(&root);
+    global.creation_timeout = Duration::from_millis(CREATION_TIMEOUT_MS);
+    global.node.cleanup_dead_nodes_on_creation = false;
+    global.node.cleanup_dead_nodes_on_destruction = false;
+    global.service.cleanup_dead_nodes_on_open = false;
     Ok(config)
 }
 
-/// Writes the domain's file and makes it the global configuration of this process.
-///
-/// It must be the global one: if the details of a dead node are missing, iceoryx2 cleans up by the
-/// global configuration, and would search in the wrong place.
-pub(crate) fn load(domain: &Domain) -> Result<&'static Config, IceoryxConfigError> {
-    let wanted = wanted(domain)?;
+/// Writes the domain's configuration as a file, for iceoryx2's own programs and packages.
+pub(crate) fn write_file(domain: &Domain) -> Result<(), IceoryxConfigError> {
     let path = domain.config_file();
-    write(&path, &text(domain)).map_err(|source| IceoryxConfigError::Write {
-        path: path.clone(),
-        source,
-    })?;
-    let file = FilePath::new(path.as_os_str().as_encoded_bytes()).map_err(|_| {
-        IceoryxConfigError::Refused {
-            what: "path of the configuration file",
-            domain: Box::new(domain.clone()),
-        }
-    })?;
-    let loaded = Config::setup_global_config_from_file(&file).map_err(|reason| {
-        IceoryxConfigError::Load {
-            path,
-            reason: reason.to_string(),
-        }
-    })?;
-    // Unknown keys are silently ignored and an earlier configuration stays in force: compare.
-    if *loaded == wanted {
-        Ok(loaded)
-    } else {
-        Err(IceoryxConfigError::AnotherDomain {
-            wanted: domain.shm_prefix().to_owned(),
-            wanted_root: domain.directory(),
-            found: loaded.global.prefix.to_string(),
-            found_root: loaded.global.root_path().to_string(),
-        })
-    }
+    write(&path, &text(domain)).map_err(|source| IceoryxConfigError::Write { path, source })
 }
 
 fn text(domain: &Domain) -> String {
@@ -74,7 +52,10 @@ fn text(domain: &Domain) -> String {
     format!(
         "# Written by joulebus; the same for every process of the fleet {fleet:?}.\n\
          [global]\nprefix = \"{prefix}\"\nroot-path = \"{root}\"\n\
-         [global.creation-timeout]\nsecs = 0\nnanos = {nanos}\n",
+         [global.creation-timeout]\nsecs = 0\nnanos = {nanos}\n\
+         [global.node]\ncleanup-dead-nodes-on-creation = false\n\
+         cleanup-dead-nodes-on-destruction = false\n\
+         [global.service]\ncleanup-dead-nodes-on-open = false\n",
         nanos = CREATION_TIMEOUT_MS * 1_000_000,
         fleet = domain.fleet(),
         prefix = domain.shm_prefix(),
@@ -129,34 +110,26 @@ pub enum IceoryxConfigError {
         /// The error of the system.
         source: io::Error,
     },
-    /// iceoryx2 could not read its file.
-    #[error("iceoryx2 cannot load {path:?}: {reason}")]
-    Load {
-        /// The file.
-        path: PathBuf,
-        /// The error of iceoryx2.
-        reason: String,
-    },
-    /// This process is already in another domain.
-    #[error(
-        "this process already uses iceoryx2 with prefix {found:?} and root {found_root:?}, wanted \
-         are {wanted:?} and {wanted_root:?}: one process, one domain"
-    )]
-    AnotherDomain {
-        /// The prefix wanted.
-        wanted: String,
-        /// The root wanted.
-        wanted_root: PathBuf,
-        /// The prefix in use.
-        found: String,
-        /// The root in use.
-        found_root: String,
-    },
 }
 
 #[cfg(test)]
 mod tests {
+    use iceoryx2::prelude::FilePath;
+
     use super::*;
+
+    #[test]
+    fn other_programs_read_the_same_configuration_from_the_file() {
+        let root = std::env::temp_dir().join(format!("joulebus-config-{}", std::process::id()));
+        let domain = Domain::new("lab", &root, "jbcfg_").unwrap();
+        fs::create_dir_all(domain.directory()).unwrap();
+        write_file(&domain).unwrap();
+        let path = domain.config_file();
+        let path = FilePath::new(path.as_os_str().as_encoded_bytes()).unwrap();
+        let read = Config::from_file(&path).unwrap();
+        assert_eq!(read, config_for(&domain).unwrap());
+        fs::remove_dir_all(&root).unwrap();
+    }
 
     #[test]
     fn threads_that_write_the_file_at_the_same_time_do_not_disturb_each_other() {

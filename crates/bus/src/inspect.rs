@@ -130,7 +130,7 @@ fn root_info(domain: &Domain) -> Result<Option<RootInfo>, InspectError> {
 }
 
 fn nodes(domain: &Domain) -> Result<Vec<NodeInfo>, InspectError> {
-    let config = iceoryx_config::wanted(domain)?;
+    let config = iceoryx_config::config_for(domain)?;
     let mut found = Vec::new();
     Node::<Ipc>::list(&config, |node| {
         let (details, alive) = match &node {

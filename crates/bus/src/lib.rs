@@ -23,29 +23,16 @@
 //! did not make, by its marker and names, it neither changes nor removes. A member whose own files are
 //! removed gets [`FilesRemoved`] from every port.
 //!
-//! Behaviour of iceoryx2 0.10.0 that this crate compensates for, each with a test:
-//! - Opening a shared-memory object of length zero blocks indefinitely, not only while joining: a process
-//!   killed between creating and sizing a connection also blocks living members in their next send
-//!   or receive. The cleanup threads remove such files once no process has them open.
-//! - A creator killed before it has finished leaves a service that fails with `HangsInCreation` for
-//!   ever, or a node that counts as starting and is never removed; an incomplete tag keeps a dead node
-//!   from being removed. A process that creates or uses an object has its file open, so what is
-//!   incomplete, old, and open in no process is removed.
-//! - Dead nodes are locked one by one, not the services that they share: two processes that remove two of them can remove
-//!   a service that a third has just created anew. Processes of a domain take turns.
-//! - A connection that could not be established is not retried until the list of ports changes. If
-//!   its port is still listed three seconds later, a reader recreates its own port, and a writer lets
-//!   a reader join for a moment, which changes the list.
-//! - Objects are sized, and their pages are allocated at the first access, which raises SIGBUS in a
-//!   full `/dev/shm`: ours are allocated completely when they are created.
-//! - The object that counts nodes (`…global_mgmt`) is readable and writable by every user of the
-//!   host if another iceoryx2 program created it: [`Bus::join`] restricts it to its owner.
+//! A process may join several domains, and may use iceoryx2 for itself: the global configuration and
+//! the logger of iceoryx2 are left to it. `docs/decisions/iceoryx2.md` lists the defects of iceoryx2
+//! that this crate works around, each with a test.
 #![deny(unsafe_code)]
 
 mod bus;
 mod cleanup;
 mod directory;
 mod iceoryx_config;
+mod iceoryx_log;
 mod inspect;
 mod ipc;
 mod liveness;
@@ -64,6 +51,7 @@ pub use cleanup::sweep::{SweepError, sweep};
 pub use cleanup::thread::Housekeeping;
 pub use directory::{prepare_domain, restrict_domain};
 pub use iceoryx_config::IceoryxConfigError;
+pub use iceoryx_log::trace_iceoryx2;
 pub use inspect::{InspectError, Inspection, NodeInfo, RootInfo, inspect};
 pub use joulebus_domain::{Domain, DomainError, Limits, LimitsError, STANDBY_FILES, Scheduling};
 pub use liveness::peer_watch::PeerWatch;

@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use iceoryx2::config::Config;
+
 use crate::cleanup::objects::objects;
 use crate::cleanup::sweep::remove_all;
 use crate::cleanup::thread::CleanupThread;
@@ -22,6 +24,7 @@ const RETRY_EVERY: Duration = Duration::from_millis(2);
 #[derive(Debug)]
 pub(crate) struct Membership {
     pub(crate) domain: Domain,
+    pub(crate) config: Config,
     pub(crate) cleanup: CleanupThread,
     /// Files needed while this process is a member.
     pub(crate) presence: Arc<Presence>,
@@ -30,8 +33,8 @@ pub(crate) struct Membership {
 }
 
 impl Membership {
-    /// Takes the lock, cleans up if no process is alive, configures iceoryx2 and starts the cleanup
-    /// thread.
+    /// Takes the lock, cleans up if no process is alive, writes iceoryx2's configuration and starts
+    /// the cleanup thread.
     pub(crate) fn join(domain: &Domain) -> Result<(Self, SweepReport), JoinError> {
         let mut report = SweepReport::default();
         let lock = Self::lock(domain, &mut report)?;
@@ -44,14 +47,16 @@ impl Membership {
                 });
             }
         }
-        let config = iceoryx_config::load(domain)?;
+        let config = iceoryx_config::config_for(domain)?;
+        iceoryx_config::write_file(domain)?;
         let presence = Arc::new(Presence::default());
         let marker = presence.need([domain.members_file()]);
-        let cleanup = CleanupThread::start(domain, config, Arc::clone(&presence))
+        let cleanup = CleanupThread::start(domain, &config, Arc::clone(&presence))
             .map_err(JoinError::CleanupThread)?;
         Ok((
             Self {
                 domain: domain.clone(),
+                config,
                 cleanup,
                 presence,
                 _marker: marker,

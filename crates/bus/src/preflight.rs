@@ -122,7 +122,7 @@ pub(crate) fn shared_memory() -> Result<(u64, u64), CapacityError> {
 }
 
 /// Checks that a node, service or port would have the file descriptors and `needed` bytes of shared memory: the
-/// errors of iceoryx2 do not state that one of them is lacking.
+/// errors of iceoryx2 do not state that one of them is lacking (#624).
 pub(crate) fn check_left(needed: usize) -> Result<(), CapacityError> {
     check_free(needed)?;
     let limit = descriptors_limit();

@@ -1,7 +1,7 @@
 //! Shared memory whose pages are allocated before the first write.
 //!
 //! iceoryx2 sizes an object, and its pages are allocated at the first write. In a full file system
-//! that write, or even a read, raises SIGBUS in the process that executes it. Here all pages are
+//! that write, or even a read, raises SIGBUS in the process that executes it (#624). Here all pages are
 //! allocated before the first access, so lack of memory is an error in the creating process. Layout
 //! and names are those of iceoryx2 0.10.0: its own programs and packages of other languages open
 //! these objects, and vice versa.
@@ -98,8 +98,8 @@ impl<T: Shareable> fmt::Debug for Builder<'_, T> {
 }
 
 impl<T: Shareable> Builder<'_, T> {
-    /// iceoryx2 waits forever for an object without a length, and holds it open: no other process
-    /// could remove it then.
+    /// iceoryx2 waits forever for an object without a length, and holds it open (#1771, #364): no
+    /// other process could remove it then.
     fn open_existing(&self, access: AccessMode) -> Result<Reserved<T>, DynamicStorageOpenError> {
         let file = self.config.path_for(&self.name).file_name().to_string();
         let (path, begin) = (std::path::Path::new(SHM_DIR).join(file), Instant::now());

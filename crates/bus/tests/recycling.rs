@@ -1,5 +1,5 @@
 //! Planners and sources join and leave during a worker's life, and leave nothing behind: no descriptor,
-//! no object in shared memory, no file. `JOULEBUS_LIVES=50000` for a long run.
+//! no object in shared memory, no file. `JOULEBUS_LIVES=50000` for a long run. Alone in its process, whose descriptors it counts.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;

@@ -49,8 +49,9 @@
 //! [`ReadError`] later; after the latter the planner remains usable. [`error`] has the errors that
 //! they contain.
 //!
-//! **Leaving**: drop the planner. Everything here belongs to the thread that connected it, and so
-//! do all planners of one process to one fleet.
+//! **Leaving**: drop the planner. Everything here belongs to the thread that connected it. A process
+//! may have planners of several fleets, and may use iceoryx2 for itself: its global configuration
+//! and its logger are left alone.
 #![forbid(unsafe_code)]
 
 mod alarms;

@@ -40,7 +40,8 @@
 //! **Leaving**: drop the publisher. A running worker still receives the frames sent before, unless
 //! the source connected after the worker last woke up: a program that publishes for less than a few
 //! milliseconds should stay a moment longer. A [`Publisher`] belongs to the thread that connected
-//! it, and so do all publishers of one process to one fleet.
+//! it. A process may have publishers of several fleets, and may use iceoryx2 for itself: its global
+//! configuration and its logger are left alone.
 #![forbid(unsafe_code)]
 
 mod pace;

@@ -1,5 +1,4 @@
-//! The test binary restarted as a member of a fleet: a process can join only one fleet, and only
-//! once.
+//! The test binary restarted as a member of a fleet, which can be stopped and killed.
 
 use std::process::Command;
 use std::time::Duration;

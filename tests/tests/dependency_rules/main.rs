@@ -6,6 +6,7 @@ mod imports;
 mod manifests;
 mod unsafe_code;
 mod words;
+mod workarounds;
 
 use std::fs;
 use std::path::{Path, PathBuf};

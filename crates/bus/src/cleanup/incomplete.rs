@@ -1,7 +1,7 @@
 //! Objects, services and nodes whose creator was killed before they were complete.
 //!
 //! iceoryx2 removes complete nodes of dead processes only, and it cannot distinguish an incomplete
-//! object from one that is being created. The kernel can: a process that creates or uses an object
+//! object from one that is being created (#1771, #364). The kernel can: a process that creates or uses an object
 //! has its file open.
 
 use std::collections::{BTreeMap, HashSet};
@@ -133,7 +133,7 @@ impl Candidates {
         } = self;
         objects.retain(Object::is_old);
         descriptions.retain(Object::is_old);
-        nodes.retain(|node| node.files.iter().all(Object::is_old));
+        nodes.retain(NodeFiles::is_old);
         if objects.is_empty() && descriptions.is_empty() && nodes.is_empty() {
             return 0;
         }
@@ -169,6 +169,8 @@ impl Abandoned {
     /// creator was killed before its shared memory existed, or its last user before removing the description; one that
     /// is just removing both, memory first, needs a moment. One whose shared memory was removed is removed even if a
     /// process has it open: no other process can use it. To be called again and again; returns the number removed.
+    ///
+    /// iceoryx2's `force_remove_service` (#1584) leaves it to its caller that no process uses the service.
     pub(crate) fn remove(&mut self, domain: &Domain, name: &str) -> u64 {
         let mut services = services(domain);
         services.retain(|service| {
@@ -247,13 +249,18 @@ fn own_files(domain: &Domain, directory: &Path) -> Vec<Object> {
 /// A node on disk: the directory of its details and the files of its monitor.
 #[derive(Default)]
 struct NodeFiles {
-    directory: Option<PathBuf>,
+    directory: Option<Object>,
     files: Vec<Object>,
     /// Monitor, complete context and owner lock: iceoryx2 handles nodes that have all three.
     parts: u32,
 }
 
 impl NodeFiles {
+    /// The directory counts: it is made first, and is empty for a moment.
+    fn is_old(&self) -> bool {
+        self.files.iter().chain(&self.directory).all(Object::is_old)
+    }
+
     fn remove(self) -> bool {
         let files = self
             .files
@@ -261,7 +268,7 @@ impl NodeFiles {
             .all(|file| fs::remove_file(&file.path).is_ok());
         let directory = self
             .directory
-            .is_none_or(|path| fs::remove_dir(path).is_ok());
+            .is_none_or(|directory| fs::remove_dir(directory.path).is_ok());
         files && directory
     }
 }
@@ -276,7 +283,7 @@ fn incomplete_nodes(domain: &Domain) -> Vec<NodeFiles> {
         if is_of_node(&path) {
             let node = nodes.entry(name.to_owned()).or_default();
             node.files.extend(own_files(domain, &path));
-            node.directory = Some(path);
+            node.directory = Object::directory(path);
             continue;
         }
         let Some(object) = Object::new(path.clone()) else {
@@ -382,6 +389,19 @@ mod tests {
         sleep(Duration::from_millis(300));
         let removed = (0..=MOST_PASSED_OVER).map(|_| search.remove(&domain).unwrap());
         assert_eq!(removed.sum::<u64>(), 1);
+        fs::remove_dir_all(domain.root()).unwrap();
+    }
+
+    #[test]
+    fn the_directory_of_a_node_that_is_just_being_made_is_kept() {
+        let domain = domain("empty");
+        let node = domain.directory().join(NODES).join("8");
+        fs::create_dir(&node).unwrap();
+        assert_eq!(remove_incomplete(&domain).unwrap(), 0);
+        assert!(node.exists());
+        sleep(Duration::from_millis(300));
+        assert_eq!(remove_incomplete(&domain).unwrap(), 1);
+        assert!(!node.exists());
         fs::remove_dir_all(domain.root()).unwrap();
     }
 }

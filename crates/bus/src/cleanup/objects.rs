@@ -16,7 +16,7 @@ const OLD: Duration = Duration::from_millis(250);
 /// An object and a node's context get this permission once complete.
 pub(super) const OWNER_READ: u32 = 0o400;
 
-/// A file of a domain.
+/// A file of a domain, or a node's directory.
 #[derive(Debug, Clone)]
 pub(crate) struct Object {
     pub(crate) path: PathBuf,
@@ -33,14 +33,23 @@ pub(super) type Identity = (u64, u64);
 impl Object {
     pub(super) fn new(path: PathBuf) -> Option<Self> {
         let metadata = fs::symlink_metadata(&path).ok()?;
-        metadata.is_file().then(|| Self {
+        metadata.is_file().then(|| Self::found(path, &metadata))
+    }
+
+    pub(super) fn directory(path: PathBuf) -> Option<Self> {
+        let metadata = fs::symlink_metadata(&path).ok()?;
+        metadata.is_dir().then(|| Self::found(path, &metadata))
+    }
+
+    fn found(path: PathBuf, metadata: &fs::Metadata) -> Self {
+        Self {
             path,
             bytes: metadata.size(),
             owner: metadata.uid(),
             mode: metadata.mode() & 0o7777,
             modified: metadata.modified().ok(),
             identity: (metadata.dev(), metadata.ino()),
-        })
+        }
     }
 
     /// Also of a file from the future: the clock has been set back since it was made.

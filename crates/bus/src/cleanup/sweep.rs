@@ -46,9 +46,9 @@ fn try_sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
         remove_all(domain, &mut report)?;
         lock.remove(domain);
     } else {
-        let config = iceoryx_config::load(domain)?;
+        let config = iceoryx_config::config_for(domain)?;
         report.incomplete = remove_incomplete(domain)?;
-        remove_dead_nodes(domain, config, &mut report);
+        remove_dead_nodes(domain, &config, &mut report);
     }
     Ok(report)
 }
@@ -60,10 +60,10 @@ fn try_sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
 /// Python package): while such a node lives, only dead nodes are removed.
 pub(crate) fn remove_all(domain: &Domain, report: &mut SweepReport) -> Result<(), SweepError> {
     crate::directory::check(domain)?;
-    let config = iceoryx_config::wanted(domain)?;
+    let config = iceoryx_config::config_for(domain)?;
     report.incomplete += remove_incomplete(domain)?;
     if is_any_node_alive(&config) {
-        remove_dead_nodes(domain, iceoryx_config::load(domain)?, report);
+        remove_dead_nodes(domain, &config, report);
         return Ok(());
     }
     report.cold = true;
@@ -146,9 +146,7 @@ impl SweepError {
     fn vanished(&self) -> bool {
         let source = match self {
             Self::Root(error) => return error.vanished(),
-            Self::Config(IceoryxConfigError::Write { source, .. })
-            | Self::Lock(source)
-            | Self::Remove { source, .. } => source,
+            Self::Lock(source) | Self::Remove { source, .. } => source,
             Self::Config(_) => return false,
         };
         source.kind() == io::ErrorKind::NotFound

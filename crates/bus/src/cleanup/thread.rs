@@ -27,7 +27,7 @@ const DEAD_NODES_EVERY: u64 = 4;
 pub struct Housekeeping {
     /// Nodes of dead processes removed.
     pub dead_nodes: u64,
-    /// Failed attempts to remove dead nodes; another member may have been faster.
+    /// Failed attempts to remove dead nodes.
     pub failed_nodes: u64,
     /// Incomplete objects, services and nodes removed.
     pub incomplete: u64,
@@ -51,16 +51,17 @@ pub(crate) struct CleanupThread {
 impl CleanupThread {
     pub(crate) fn start(
         domain: &Domain,
-        config: &'static Config,
+        config: &Config,
         presence: Arc<Presence>,
     ) -> io::Result<Self> {
         let shared = Arc::new(Shared::default());
-        let (domain, inside) = (domain.clone(), Arc::clone(&shared));
+        let (domain, config) = (domain.clone(), config.clone());
+        let inside = Arc::clone(&shared);
         let directory = open_directory(&domain.directory())?;
         let thread = std::thread::Builder::new()
             .name("joulebus-clean".to_owned())
             .spawn(move || {
-                if let Some(error) = inside.run(&domain, config, &presence) {
+                if let Some(error) = inside.run(&domain, &config, &presence) {
                     // The files at the domain's paths now belong to another fleet or program.
                     tracing::error!("{error}");
                     Marked::fleet(&domain).restore(&directory);

@@ -17,7 +17,7 @@ const TRY_EVERY: Duration = Duration::from_millis(2);
 /// The exclusive right to remove nodes and services, among the processes of a domain; the kernel gives it back when
 /// its holder ends.
 ///
-/// iceoryx2 0.10 locks each dead node, not the services that dead nodes share. One process may read the
+/// iceoryx2 0.10 locks each dead node, not the services that dead nodes share (#1578, #897, #21). One process may read the
 /// description of a service, then another removes the last of its nodes with the service, a third creates the service
 /// anew, and the first, which does not find the old service's list of ports, removes the new description: by name.
 #[derive(Debug)]

@@ -1,4 +1,4 @@
-//! Failed connections to other ports.
+//! Failed connections to other ports (#129).
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};

@@ -1,7 +1,7 @@
 //! Decides when failed connections of a port are retried.
 //!
 //! iceoryx2 tries to connect to a port once, and again whenever the service's list of ports has
-//! changed. Most failures are those of a port that is being removed because its process died: it leaves
+//! changed (#129). Most failures are those of a port that is being removed because its process died: it leaves
 //! the list next, and nothing needs to be done. Retried here are connections to ports that are
 //! still listed three seconds later, because file descriptors or memory were short.
 

@@ -141,7 +141,7 @@ pub(super) fn open_queries(bus: &Bus, limits: &Limits) -> Result<QueryFactory, O
 }
 
 /// Opens a service. Errors caused by a process killed while it created or left the service are
-/// transient: cleaning up and retrying resolves them.
+/// transient: cleaning up and retrying resolves them. iceoryx2 retries some of them (#1578).
 fn retry<S, E: Debug>(
     bus: &Bus,
     name: &ServiceName,
@@ -160,7 +160,7 @@ fn retry<S, E: Debug>(
             return Err(error);
         }
         let mut report = SweepReport::default();
-        remove_dead_nodes(bus.domain(), bus.node.config(), &mut report);
+        remove_dead_nodes(bus.domain(), &bus.member.config, &mut report);
         report.incomplete = remove_incomplete(bus.domain()).unwrap_or(0)
             + abandoned.remove(bus.domain(), name.as_str());
         tracing::info!(
@@ -190,8 +190,7 @@ pub(super) fn create<P, E>(
             result => return result,
         }
         let mut report = SweepReport::default();
-        remove_dead_nodes(bus.domain(), bus.node.config(), &mut report);
-        let is_any_dead = report.dead_nodes + report.failed_nodes > 0;
+        let is_any_dead = remove_dead_nodes(bus.domain(), &bus.member.config, &mut report);
         if !is_any_dead || clock::monotonic_ns() > limit_ns {
             // Another member may have removed them meanwhile.
             return port();
@@ -322,7 +321,7 @@ fn refused(
 ) -> OpenError {
     if differs
         && let Ok(name) = name(bus, service)
-        && let Ok(Some(details)) = Ipc::details(&name, bus.node.config(), pattern)
+        && let Ok(Some(details)) = Ipc::details(&name, &bus.member.config, pattern)
         && let Ok(key) = AttributeKey::new(LIMITS_KEY)
         && let Some(found) = details.static_details.attributes().key_value(&key, 0)
     {

@@ -1,4 +1,4 @@
-//! When the worker's port for questions has to be opened again.
+//! When the worker's port for questions has to be opened again: not the defect of #1797.
 
 /// Clients that may have left before the port is worn: far below the 128 that iceoryx2 allows.
 const MOST_LEFT: usize = 16;

@@ -73,7 +73,7 @@ const TOP: &str = "/**
  * same handle.
  *
  * Processes. In a child made by fork, handles of the parent are refused (JOULEBUS_ERROR_PROCESS) and the parent's
- * memory is not disturbed; open others there. All handles of a process are of one fleet's domain.
+ * memory is not disturbed; open others there. Handles of a process may be of several fleets.
  *
  * Handles are numbers in the shape of pointers: one that is closed, NULL or none is refused, and closing twice is an
  * error and nothing else. What is open when its thread ends stays open until the process ends; other members of the

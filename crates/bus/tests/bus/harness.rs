@@ -1,9 +1,4 @@
 //! Processes for tests: the test binary restarts itself as members that execute commands.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
-#![allow(
-    unreachable_pub,
-    reason = "a module of test binaries, which export nothing"
-)]
 
 use std::fs;
 use std::os::fd::AsRawFd;
@@ -23,16 +18,18 @@ use joulebus_wire::{
 };
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
+use crate::beside::Host;
+
 const CHILD: &str = "JOULEBUS_TEST_CHILD";
 static PLACES: AtomicU32 = AtomicU32::new(0);
 
 /// The domain of one test; removed when dropped.
-pub struct Place {
-    pub domain: Domain,
+pub(crate) struct Place {
+    pub(crate) domain: Domain,
 }
 
 impl Place {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let number = PLACES.fetch_add(1, Ordering::Relaxed);
         let root = format!("/dev/shm/joulebus-test-{}-{number}", std::process::id());
         let domain = Domain::new("test", Path::new(&root), "jbt_").unwrap();
@@ -40,7 +37,7 @@ impl Place {
     }
 
     /// Objects in shared memory with the domain's prefix.
-    pub fn objects(&self) -> Vec<PathBuf> {
+    pub(crate) fn objects(&self) -> Vec<PathBuf> {
         fs::read_dir("/dev/shm")
             .unwrap()
             .flatten()
@@ -52,7 +49,7 @@ impl Place {
             .collect()
     }
 
-    pub fn assert_nothing_left(&self) {
+    pub(crate) fn assert_nothing_left(&self) {
         assert_eq!(self.objects(), Vec::<PathBuf>::new());
         assert!(
             !self.domain.root().exists(),
@@ -61,12 +58,12 @@ impl Place {
         );
     }
 
-    pub fn member(&self) -> Member {
+    pub(crate) fn member(&self) -> Member {
         Member::spawn("member", self.as_member(Member::command()))
     }
 
     /// A member that has joined and opened the ports of `role`.
-    pub fn joined(&self, role: &str) -> Member {
+    pub(crate) fn joined(&self, role: &str) -> Member {
         let mut member = self.member();
         must(&mut member, "join");
         must(&mut member, role);
@@ -74,7 +71,7 @@ impl Place {
     }
 
     /// Makes `command` start a member of this domain.
-    pub fn as_member(&self, mut command: Command) -> Command {
+    pub(crate) fn as_member(&self, mut command: Command) -> Command {
         command.env(CHILD, self.domain.root());
         command
     }
@@ -98,7 +95,7 @@ fn tree(path: &Path) -> Vec<PathBuf> {
 }
 
 /// Sends a command that must succeed; returns the answer.
-pub fn must(member: &mut Member, command: &str) -> String {
+pub(crate) fn must(member: &mut Member, command: &str) -> String {
     let answer = member.ask(command);
     match answer.strip_prefix("ok ") {
         Some(answer) => answer.to_owned(),
@@ -106,7 +103,7 @@ pub fn must(member: &mut Member, command: &str) -> String {
     }
 }
 
-pub fn limits() -> Limits {
+pub(crate) fn limits() -> Limits {
     Limits {
         capacity: 64,
         max_sources: 3,
@@ -139,7 +136,7 @@ fn join_in_threads(domain: &Domain, times: u64) -> Answer {
 }
 
 /// Executes the parent's commands if this process was started as a member.
-pub fn run_member() {
+pub(crate) fn run_member() {
     let Some(root) = std::env::var_os(CHILD) else {
         return;
     };
@@ -175,6 +172,7 @@ struct Ports {
     peer: Option<PeerWatch>,
     worker_lock: Option<WorkerLock>,
     bus: Option<Bus>,
+    host: Option<Host>,
     domain: Domain,
     limits: Limits,
     frame: FrameBuf,
@@ -201,6 +199,7 @@ impl Ports {
             peer: None,
             worker_lock: None,
             bus: None,
+            host: None,
             domain,
             limits: limits(),
             frame: FrameBuf::new(limits().capacity),
@@ -259,9 +258,24 @@ impl Ports {
                 .to_string()),
             // Most further files that this process may open.
             "files" => limit_files(number),
+            "log" => crate::logging::log(),
+            "host" => {
+                self.host = Some(Host::start(&self.domain)?);
+                Ok(String::new())
+            }
+            "publish" => {
+                self.host.as_ref().ok_or("no host")?.publish(number)?;
+                Ok(String::new())
+            }
+            "received" => {
+                let received = self.host.as_ref().ok_or("no host")?.received()?;
+                Ok(format!("{received:?}"))
+            }
             "housekeeping" => Ok(format!("{:?}", self.bus()?.housekeeping())),
             "leave" => {
+                let host = self.host.take();
                 *self = Self::new(self.domain.clone());
+                self.host = host;
                 Ok(String::new())
             }
             _ => Err(format!("no such command {line:?}").into()),

@@ -1,21 +1,15 @@
 //! Guarantees between members of a domain, tested with processes.
 
-mod harness;
-
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use harness::{Place, must};
-use joulebus_bus::{Ports, check_capacity, inspect, sweep};
+use joulebus_bus::{NodeInfo, Ports, check_capacity, inspect, sweep};
 use joulebus_test_processes::{Member, eventually};
+use rustix::process::{Pid, Signal, kill_process};
 
-/// Not a test: the entry point of members started by the tests.
-#[test]
-fn member() {
-    harness::run_member();
-}
+use crate::harness::{Place, limits, must};
 
 /// A member run by another program, such as `strace`.
 fn member_under(place: &Place, program: &str, arguments: &[&str]) -> Member {
@@ -233,7 +227,7 @@ fn members_clean_up_after_dead_members() {
     place.joined("worker").kill();
     // Notified by the member that cleans up, within about a second.
     assert!(must(&mut planner, "wait").contains("died: true"));
-    let dead = |node: &joulebus_bus::NodeInfo| node.alive != Some(true);
+    let dead = |node: &NodeInfo| node.alive != Some(true);
     eventually("no dead node", || {
         !inspect(&place.domain).unwrap().nodes.iter().any(dead)
     });
@@ -418,14 +412,21 @@ fn killed_at_every_call_of_a_start_and_the_next_one_is_ready() {
     }
 }
 
-/// Kills a worker at the first, second, … of each of `calls`, until its start succeeds, with a
-/// source alive. Returns the number of kills; `None` if tracing is not possible.
-fn killed_at_every(calls: &[&str]) -> Option<u32> {
+fn can_trace() -> bool {
     let works = Command::new("strace")
         .args(["-qq", "-e", "trace=none", "true"])
         .output();
-    if !works.is_ok_and(|output| output.status.success()) {
+    let works = works.is_ok_and(|output| output.status.success());
+    if !works {
         println!("skipped: needs strace with the right to trace");
+    }
+    works
+}
+
+/// Kills a worker at the first, second, … of each of `calls`, until its start succeeds, with a
+/// source alive. Returns the number of kills; `None` if tracing is not possible.
+fn killed_at_every(calls: &[&str]) -> Option<u32> {
+    if !can_trace() {
         return None;
     }
     let place = Place::new();
@@ -462,6 +463,82 @@ fn killed_at_every(calls: &[&str]) -> Option<u32> {
     source.finish();
     place.assert_nothing_left();
     Some(killed)
+}
+
+/// State and parent of a process, by the list of them.
+fn state_of(process: i32) -> Option<(char, u32)> {
+    let text = fs::read_to_string(format!("/proc/{process}/stat")).ok()?;
+    let (_, rest) = text.rsplit_once(") ")?;
+    let mut fields = rest.split(' ');
+    Some((fields.next()?.chars().next()?, fields.next()?.parse().ok()?))
+}
+
+/// The process that `strace` runs; at first one by which it tries out what it can trace.
+fn child_of(tracer: u32) -> Option<Pid> {
+    let entries = fs::read_dir("/proc").unwrap().flatten();
+    let mut all = entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
+    let is_child = |process: &i32| state_of(*process).is_some_and(|(_, parent)| parent == tracer);
+    all.find(is_child).and_then(Pid::from_raw)
+}
+
+fn is_stopped(process: Pid) -> bool {
+    state_of(process.as_raw_pid()).is_some_and(|(state, _)| matches!(state, 't' | 'T'))
+}
+
+/// #1880 of iceoryx2: a node that starts while others clean up must not be taken for a dead one.
+#[test]
+fn nodes_that_start_while_others_clean_up_are_ready_and_nobody_ends() {
+    if !can_trace() {
+        return;
+    }
+    let place = Place::new();
+    let source = place.joined("source");
+    let mut stopped = 0;
+    // What makes a node visible: its files' permissions, and the lock that says that it is alive.
+    for call in ["fchmod", "fcntl"] {
+        for number in 1.. {
+            let trace = format!("trace={call}");
+            let inject = format!("inject={call}:signal=SIGSTOP:when={number}");
+            let options = ["-f", "-qq", "-e", &trace, "-e", &inject, "-o", "/dev/null"];
+            let mut starting = member_under(&place, "strace", &options);
+            starting.send_line("join");
+            let mut answer = None;
+            eventually("it is stopped, or has joined", || {
+                answer = starting.try_next_line(Duration::from_millis(1));
+                answer.is_some() || child_of(starting.pid()).is_some_and(is_stopped)
+            });
+            let was_stopped = answer.is_none();
+            if was_stopped {
+                stopped += 1;
+                assert!(!sweep(&place.domain).unwrap().cold, "{call} {number}");
+            }
+            eventually("it has joined", || {
+                // Also where it was stopped for a moment only, by the tracer.
+                if let Some(child) = child_of(starting.pid()) {
+                    let _ = kill_process(child, Signal::CONT);
+                }
+                let next = || starting.try_next_line(Duration::from_millis(5));
+                answer = answer.take().or_else(next);
+                answer.is_some()
+            });
+            let traced = child_of(starting.pid()).unwrap();
+            assert!(answer.unwrap().starts_with("ok"), "{call} {number}");
+            let nodes = inspect(&place.domain).unwrap().nodes;
+            let is_it = |node: &NodeInfo| node.pid == Some(traced.as_raw_pid().cast_unsigned());
+            let it = nodes.iter().find(|node| is_it(node)).unwrap();
+            assert_eq!(it.alive, Some(true), "{call} {number}");
+            // What it leaves is cleaned up beside the next one's start.
+            kill_process(traced, Signal::KILL).unwrap();
+            starting.wait();
+            if !was_stopped {
+                break;
+            }
+        }
+    }
+    println!("stopped at {stopped} calls");
+    assert!(stopped >= 5, "{stopped}");
+    source.finish();
+    place.assert_nothing_left();
 }
 
 #[test]
@@ -510,9 +587,7 @@ fn the_preflight_check_covers_the_shared_memory_used() {
         workers: 1,
         planners: 3,
     };
-    let needed = check_capacity(&harness::limits(), ports)
-        .unwrap()
-        .needed_bytes;
+    let needed = check_capacity(&limits(), ports).unwrap().needed_bytes;
     let roles = [
         "source", "source", "worker", "planner", "planner", "planner",
     ];

@@ -1,18 +1,11 @@
 //! Connections and starts that fail for lack of file descriptors, beside others that must not notice.
 
-mod harness;
-
 use std::time::Duration;
 
-use harness::{Place, must};
 use joulebus_bus::inspect;
 use joulebus_test_processes::{Member, eventually};
 
-/// Not a test: the entry point of members started by the tests.
-#[test]
-fn member() {
-    harness::run_member();
-}
+use crate::harness::{Place, must};
 
 /// Sends a frame, which the worker must receive. Returns whether it reported failed connections.
 fn is_degraded(source: &mut Member, worker: &mut Member, number: u64) -> bool {

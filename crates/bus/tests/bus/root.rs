@@ -1,5 +1,4 @@
 //! Roots that are not private and fleets that do not fit are refused.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
 use std::os::unix::fs::{PermissionsExt, chown, symlink};

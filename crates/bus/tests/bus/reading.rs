@@ -1,5 +1,4 @@
 //! Reading all queued frames.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::path::Path;
 
