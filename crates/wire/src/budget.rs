@@ -1,90 +1,89 @@
 //! Energy drawn and energy left, per robot.
 
-use bytemuck::{Pod, Zeroable};
+use crate::layout::{ZeroCopySend, bits, rows};
 
-use crate::layout::ZeroCopySend;
-
-/// Bits of [`Budget::flags`].
-pub mod budget_flag {
-    /// The platform's config describes a battery: energy left, usable and state of charge are known,
-    /// with their bounds.
-    pub const BATTERY: u32 = 1 << 0;
-    /// Time to empty is known.
-    pub const TIME_TO_EMPTY: u32 = 1 << 1;
-    /// The ledger holds at least one sample.
-    pub const LEDGER: u32 = 1 << 2;
-    /// The robot has been on its charger since the ledger began.
-    pub const CHARGED: u32 = 1 << 3;
-    /// The state of charge contains a measured one.
-    pub const MEASURED: u32 = 1 << 4;
-    /// A measured state of charge says that less is left than was counted, and is not believed yet: the battery may be
-    /// another one, and the bounds need not hold.
-    pub const CONTRADICTED: u32 = 1 << 5;
+bits! {
+    /// Bits of [`Budget::flags`].
+    pub mod budget_flag {
+        /// The platform's config describes a battery: energy left, usable and state of charge are known,
+        /// with their bounds.
+        pub const BATTERY: u32 = 1 << 0;
+        /// Time to empty is known.
+        pub const TIME_TO_EMPTY: u32 = 1 << 1;
+        /// The ledger holds at least one sample.
+        pub const LEDGER: u32 = 1 << 2;
+        /// The robot has been on its charger since the ledger began.
+        pub const CHARGED: u32 = 1 << 3;
+        /// The state of charge contains a measured one.
+        pub const MEASURED: u32 = 1 << 4;
+        /// A measured state of charge says that less is left than was counted, and is not believed yet: the battery may be
+        /// another one, and the bounds need not hold.
+        pub const CONTRADICTED: u32 = 1 << 5;
+    }
 }
 
-/// One robot's budget. 128 bytes.
-///
-/// The ledger part (`drawn_uj`, `drawn_remainder`, `metered_ns`, `unmetered_ns`, `stamp_ns`) is
-/// exact: `metered_ns + unmetered_ns` is the time from the first sample to `stamp_ns`. The
-/// energy left is counted from it and fused with measured states of charge. The truth lies between
-/// the bounds (`_lo`, `_hi`) with 95 % where the errors are as the platform's config says; they
-/// widen with unmetered time by all that the robot could have drawn.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable, ZeroCopySend)]
-#[type_name("joulebus.Budget.v2")]
-pub struct Budget {
-    /// Id of the robot.
-    pub robot: u32,
-    /// [`budget_flag`] bits.
-    pub flags: u32,
-    /// [`ChargeState`] code.
-    pub charge_state: u32,
-    /// Times that another battery was noticed: a measured state of charge that contradicted the
-    /// counted one and lasted, or a sample that says so.
-    pub battery_changes: u32,
-    /// Energy drawn over the metered time, µJ.
-    pub drawn_uj: i64,
-    /// Remainder of the integral below one µJ, in µW·ns · 2: carried, so that no energy is rounded
-    /// away.
-    pub drawn_remainder: i64,
-    /// Forecast energy over the same metered time, µJ.
-    pub forecast_uj: i64,
-    /// Time covered by readings, ns.
-    pub metered_ns: u64,
-    /// Time not covered by readings, ns.
-    pub unmetered_ns: u64,
-    /// Stamp of the newest sample in the ledger, monotonic ns.
-    pub stamp_ns: u64,
-    /// Valid until, monotonic ns: `stamp_ns` plus the platform's `stale_after`.
-    pub valid_until_ns: u64,
-    /// Mean power over the last minutes (exponentially weighted), W.
-    pub mean_power_w: f32,
-    /// Energy left in the battery, best estimate, J.
-    pub left_j: f32,
-    /// Usable energy above the reserve, best estimate, J.
-    pub usable_j: f32,
-    /// Lower bound of `usable_j`: unmetered time is charged at the platform's maximum power, J.
-    pub usable_lo_j: f32,
-    /// State of charge, 0 to 1.
-    pub soc: f32,
-    /// State of charge, lower bound.
-    pub soc_lo: f32,
-    /// Time until the reserve is reached at the mean power, s.
-    pub time_to_empty_s: f32,
-    /// The same, conservative bound, s.
-    pub time_to_empty_lo_s: f32,
-    /// The same, at the lower end of the power, s.
-    pub time_to_empty_hi_s: f32,
-    /// State of charge, upper bound.
-    pub soc_hi: f32,
-    /// Standard deviation of `soc`, without the range of unmetered time.
-    pub soc_sd: f32,
-    /// Estimated error of the measured state of charge: measured minus true.
-    pub sensor_bias: f32,
-    /// Standard deviation of `sensor_bias`.
-    pub sensor_bias_sd: f32,
-    /// Covariance of `soc` and `sensor_bias`.
-    pub sensor_covariance: f32,
+rows! {
+    /// One robot's budget. 128 bytes.
+    ///
+    /// The ledger part (`drawn_uj`, `drawn_remainder`, `metered_ns`, `unmetered_ns`, `stamp_ns`) is
+    /// exact: `metered_ns + unmetered_ns` is the time from the first sample to `stamp_ns`. The
+    /// energy left is counted from it and fused with measured states of charge. The truth lies between
+    /// the bounds (`_lo`, `_hi`) with 95 % where the errors are as the platform's config says; they
+    /// widen with unmetered time by all that the robot could have drawn.
+    pub struct Budget: "joulebus.Budget.v2", 128 {
+        /// Id of the robot.
+        pub robot: u32,
+        /// [`budget_flag`] bits.
+        pub flags: u32,
+        /// [`ChargeState`] code.
+        pub charge_state: u32,
+        /// Times that another battery was noticed: a measured state of charge that contradicted the
+        /// counted one and lasted, or a sample that says so.
+        pub battery_changes: u32,
+        /// Energy drawn over the metered time, µJ.
+        pub drawn_uj: i64,
+        /// Remainder of the integral below one µJ, in µW·ns · 2: carried, so that no energy is rounded
+        /// away.
+        pub drawn_remainder: i64,
+        /// Forecast energy over the same metered time, µJ.
+        pub forecast_uj: i64,
+        /// Time covered by readings, ns.
+        pub metered_ns: u64,
+        /// Time not covered by readings, ns.
+        pub unmetered_ns: u64,
+        /// Stamp of the newest sample in the ledger, monotonic ns.
+        pub stamp_ns: u64,
+        /// Valid until, monotonic ns: `stamp_ns` plus the platform's `stale_after`.
+        pub valid_until_ns: u64,
+        /// Mean power over the last minutes (exponentially weighted), W.
+        pub mean_power_w: f32,
+        /// Energy left in the battery, best estimate, J.
+        pub left_j: f32,
+        /// Usable energy above the reserve, best estimate, J.
+        pub usable_j: f32,
+        /// Lower bound of `usable_j`: unmetered time is charged at the platform's maximum power, J.
+        pub usable_lo_j: f32,
+        /// State of charge, 0 to 1.
+        pub soc: f32,
+        /// State of charge, lower bound.
+        pub soc_lo: f32,
+        /// Time until the reserve is reached at the mean power, s.
+        pub time_to_empty_s: f32,
+        /// The same, conservative bound, s.
+        pub time_to_empty_lo_s: f32,
+        /// The same, at the lower end of the power, s.
+        pub time_to_empty_hi_s: f32,
+        /// State of charge, upper bound.
+        pub soc_hi: f32,
+        /// Standard deviation of `soc`, without the range of unmetered time.
+        pub soc_sd: f32,
+        /// Estimated error of the measured state of charge: measured minus true.
+        pub sensor_bias: f32,
+        /// Standard deviation of `sensor_bias`.
+        pub sensor_bias_sd: f32,
+        /// Covariance of `soc` and `sensor_bias`.
+        pub sensor_covariance: f32,
+    }
 }
 
 impl Budget {
@@ -101,23 +100,23 @@ impl Budget {
     }
 }
 
-/// Header of a frame of budgets.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
-#[type_name("joulebus.BudgetHeader.v1")]
-pub struct BudgetHeader {
-    /// [`crate::SCHEMA_VERSION`].
-    pub schema: u32,
-    /// Process id of the worker.
-    pub pid: u32,
-    /// As in [`crate::ForecastHeader::worker_epoch`].
-    pub worker_epoch: u64,
-    /// As in [`crate::ForecastHeader::tick`].
-    pub tick: u64,
-    /// When the frame was sent, monotonic ns.
-    pub sent_ns: u64,
-    /// When the frame was sent, Unix ns: relates stamps to the wall clock over a reboot.
-    pub sent_unix_ns: u64,
+rows! {
+    /// Header of a frame of budgets.
+    #[derive(Eq)]
+    pub struct BudgetHeader: "joulebus.BudgetHeader.v1", 40 {
+        /// [`crate::SCHEMA_VERSION`].
+        pub schema: u32,
+        /// Process id of the worker.
+        pub pid: u32,
+        /// As in [`crate::ForecastHeader::worker_epoch`].
+        pub worker_epoch: u64,
+        /// As in [`crate::ForecastHeader::tick`].
+        pub tick: u64,
+        /// When the frame was sent, monotonic ns.
+        pub sent_ns: u64,
+        /// When the frame was sent, Unix ns: relates stamps to the wall clock over a reboot.
+        pub sent_unix_ns: u64,
+    }
 }
 
 /// Whether the battery is filling.

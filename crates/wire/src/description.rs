@@ -1,13 +1,11 @@
 //! The layouts as data, from which those of other languages are made: the C header, NumPy's types and the
 //! table in `docs/layout.md`.
 
-use std::mem::offset_of;
-
 use crate::{
     Alarm, AnswerHeader, AnswerRow, Budget, BudgetHeader, ChargeState, Diagnostic,
     DiagnosticHeader, DropCounts, DropReason, Forecast, ForecastHeader, InvalidReason, Level,
     PlanState, PlanStateHeader, QUERY_CANDIDATES, QUERY_ROBOTS, QUERY_STEPS, QUERY_VALUES, Quality,
-    QueryHeader, QueryKind, QueryRefusal, Refusal, SCHEMA_VERSION, Sample, SampleHeader,
+    QueryHeader, QueryKind, QueryRefusal, Refusal, Row, SCHEMA_VERSION, Sample, SampleHeader,
     answer_flag, budget_flag, diagnostic_flag, forecast_flag, plan_state_flag, query_flag,
     sample_flag,
 };
@@ -37,6 +35,8 @@ pub enum FieldType {
 pub struct FieldLayout {
     /// Its name.
     pub name: &'static str,
+    /// Its comment, in Markdown: a line of the source is a line.
+    pub doc: &'static str,
     /// Its type; that of the elements, if it is an array.
     pub of: FieldType,
     /// Elements; `None` if it is no array.
@@ -48,12 +48,14 @@ pub struct FieldLayout {
 }
 
 /// A struct in shared memory. There is no padding.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct StructLayout {
     /// Its name.
     pub name: &'static str,
+    /// Its comment, in Markdown: a line of the source is a line.
+    pub doc: &'static str,
     /// Its fields, in the order of memory.
-    pub fields: Vec<FieldLayout>,
+    pub fields: &'static [FieldLayout],
     /// Its bytes.
     pub size: usize,
     /// Its alignment, bytes.
@@ -65,14 +67,28 @@ pub struct StructLayout {
 pub struct Constants {
     /// What they are of, in capitals: `SAMPLE`, `ALARM`.
     pub of: &'static str,
-    /// The module of this crate, if they are bits.
-    pub module: Option<&'static str>,
-    /// Names in capitals, and values.
-    pub values: Vec<(String, u64)>,
+    /// Whether they are bits: each has a comment.
+    pub bits: bool,
+    /// Each of them.
+    pub values: Vec<Constant>,
 }
 
-trait Described {
+/// A bit of a field, or a code.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Constant {
+    /// Its name, in capitals.
+    pub name: String,
+    /// Its value.
+    pub value: u64,
+    /// Its comment, as [`StructLayout::doc`]; empty for codes.
+    pub doc: &'static str,
+}
+
+/// The type of a field of a row.
+pub(crate) trait Described {
+    /// Its own; that of its elements, if it is an array.
     const OF: FieldType;
+    /// Elements; `None` if it is no array.
     const ELEMENTS: Option<usize> = None;
 }
 
@@ -87,8 +103,6 @@ described!(
     i64 => FieldType::I64,
     f32 => FieldType::F32,
     f64 => FieldType::F64,
-    Refusal => FieldType::Struct("Refusal"),
-    DropCounts => FieldType::Struct("DropCounts"),
 );
 
 impl<T: Described, const N: usize> Described for [T; N] {
@@ -96,9 +110,16 @@ impl<T: Described, const N: usize> Described for [T; N] {
     const ELEMENTS: Option<usize> = Some(N);
 }
 
-const fn field<P, T: Described>(name: &'static str, offset: usize, _: fn(&P) -> &T) -> FieldLayout {
+/// A field, whose type follows from how it is reached.
+pub(crate) const fn field<P, T: Described>(
+    name: &'static str,
+    doc: &'static str,
+    offset: usize,
+    _: fn(&P) -> &T,
+) -> FieldLayout {
     FieldLayout {
         name,
+        doc,
         of: T::OF,
         elements: T::ELEMENTS,
         offset,
@@ -106,115 +127,66 @@ const fn field<P, T: Described>(name: &'static str, offset: usize, _: fn(&P) -> 
     }
 }
 
-macro_rules! layout {
-    ($of:ident: $($field:ident),* $(,)?) => {{
-        // Names all fields: a new one does not compile until it is listed.
-        let $of { $($field: _),* } = $of::default();
-        StructLayout {
-            name: stringify!($of),
-            fields: vec![$(field(stringify!($field), offset_of!($of, $field), |of: &$of| &of.$field)),*],
-            size: size_of::<$of>(),
-            align: align_of::<$of>(),
-        }
-    }};
-}
-
-macro_rules! bits {
-    ($of:literal, $module:ident: $($name:ident),* $(,)?) => {
-        Constants {
-            of: $of,
-            module: Some(stringify!($module)),
-            values: vec![$((stringify!($name).to_owned(), u64::from($module::$name))),*],
-        }
-    };
-}
-
 /// What a controller, a planner or a program that asks reads and writes, a struct before those that contain it.
 #[must_use]
 pub fn layouts() -> Vec<StructLayout> {
-    let mut all = vec![
-        layout!(Refusal: robot, reason, pid, count),
-        layout!(DropCounts: counts),
-    ];
-    all.extend(frames());
-    all.extend(questions());
-    all
-}
-
-fn frames() -> [StructLayout; 10] {
-    [
-        layout!(Sample: robot, flags, seq, stamp_ns, measured_ns, v_mps, omega_radps, power_w,
-            voltage_v, current_a, soc, return_j, reserved),
-        layout!(SampleHeader: schema, pid, source_id, source_epoch, frame_seq, samples_before,
-            intended_ns, sent_ns, sent_unix_ns),
-        layout!(Forecast: robot, flags, quality, quality_detail, reading_w, power_w, lo_w, hi_w,
-            generation, sample_seq, stamp_ns, target_ns, reading_age_ns, source_epoch),
-        layout!(ForecastHeader: schema, pid, worker_epoch, tick, period_ns, model_hash, capacity,
-            frames_taken, first_intended_ns, first_sent_ns, first_taken_ns, compute_start_ns,
-            compute_end_ns, sent_ns, sent_unix_ns, ticks_skipped, ticks_late, samples_accepted,
-            samples_dropped),
-        layout!(Diagnostic: robot, flags, level, alarm, alarms, residual_w, residual_z, bias_w,
-            cusum_up, cusum_down, noise_ratio, coverage, coverage_recent, scored, mae_w, r2,
-            persistence_mae_w, persistence_r2, skill, sample_seq, stamp_ns, source_epoch, refused,
-            network_w, mean_w, change_w, weight_last, weight_network, weight_stack,
-            held_weight_last, held_weight_stack, gain_last, gain_network, gain_mean, level_w),
-        layout!(DiagnosticHeader: schema, pid, worker_epoch, tick, refused),
-        layout!(Budget: robot, flags, charge_state, battery_changes, drawn_uj, drawn_remainder,
-            forecast_uj, metered_ns, unmetered_ns, stamp_ns, valid_until_ns, mean_power_w, left_j,
-            usable_j, usable_lo_j, soc, soc_lo, time_to_empty_s, time_to_empty_lo_s,
-            time_to_empty_hi_s, soc_hi, soc_sd, sensor_bias, sensor_bias_sd, sensor_covariance),
-        layout!(BudgetHeader: schema, pid, worker_epoch, tick, sent_ns, sent_unix_ns),
-        layout!(PlanState: robot, flags, quality, quality_detail, platform, open_steps, age_steps,
-            interval_steps, generation, stamp_ns, v_mps, omega_radps, lag1_w, lag2_w, lag3_w,
-            lag4_w, lag5_w, network_w, mean_w, change_w, weight_last, weight_network,
-            weight_stack, held_weight_stack, gain_last, gain_network, gain_mean, level_w,
-            size_due_w, below_due, above_due, size_held_w, below_held, above_held, energy_j,
-            command_j, time_s, error_factor, command_trust),
-        layout!(PlanStateHeader: schema, pid, worker_epoch, tick, period_ns, settings_hash,
-            model_hash, models, compute_start_ns, sent_ns, sent_unix_ns),
-    ]
-}
-
-fn questions() -> [StructLayout; 3] {
-    [
-        layout!(QueryHeader: schema, kind, fleet, number, asked_ns, deadline_ns, listener_lo,
-            listener_hi, flags, robots, candidates, steps, coverage, period_s, duration_s,
-            reserved, return_x_m, return_y_m, heading_rad),
-        layout!(AnswerHeader: schema, pid, number, worker_epoch, tick, period_ns, sent_state_ns,
-            budget_epoch, budget_tick, sent_budget_ns, now_ns, taken_ns, sent_ns, refusal, rows,
-            powers, text_bytes),
-        layout!(AnswerRow: robot, flags, verdict, unknown, unknown_detail, limiting_leg, age_ns,
-            duration_s, mean_j, lo_j, hi_j, left_j, left_lo_j, probability, margin_j, turn_back_s,
-            outside_training),
+    vec![
+        Refusal::LAYOUT,
+        DropCounts::LAYOUT,
+        Sample::LAYOUT,
+        SampleHeader::LAYOUT,
+        Forecast::LAYOUT,
+        ForecastHeader::LAYOUT,
+        Diagnostic::LAYOUT,
+        DiagnosticHeader::LAYOUT,
+        Budget::LAYOUT,
+        BudgetHeader::LAYOUT,
+        PlanState::LAYOUT,
+        PlanStateHeader::LAYOUT,
+        QueryHeader::LAYOUT,
+        AnswerHeader::LAYOUT,
+        AnswerRow::LAYOUT,
     ]
 }
 
 /// Bits and codes of the fields of [`layouts`].
 #[must_use]
 pub fn constants() -> Vec<Constants> {
-    let mut all = vec![
-        bits!("SAMPLE", sample_flag: V, OMEGA, POWER, VOLTAGE, CURRENT, HELD, CHARGING, DISCONTINUITY,
-            SOC, FULL, SWAPPED, RETURN, ALL),
-        bits!("FORECAST", forecast_flag: POWER, INTERVAL, READING, SAMPLE),
-        bits!("DIAGNOSTIC", diagnostic_flag: RESIDUAL, SCORES, LEARNED),
-        bits!("BUDGET", budget_flag: BATTERY, TIME_TO_EMPTY, LEDGER, CHARGED, MEASURED, CONTRADICTED),
-        bits!("PLAN_STATE", plan_state_flag: SAMPLE, LAGS, COMMAND, READING_AGE, LEARNED,
-            OUTSIDE_TRAINING),
-        bits!("QUERY", query_flag: RETURN, HEADING, POWER, ALL),
-        bits!("ANSWER", answer_flag: ENERGY, LEFT, PROBABILITY, MARGIN, LIMITING_LEG, TURN_BACK,
-            BEYOND_HORIZON, NO_READING, OUTSIDE_TRAINING),
+    let bits = [
+        ("SAMPLE", sample_flag::TABLE),
+        ("FORECAST", forecast_flag::TABLE),
+        ("DIAGNOSTIC", diagnostic_flag::TABLE),
+        ("BUDGET", budget_flag::TABLE),
+        ("PLAN_STATE", plan_state_flag::TABLE),
+        ("QUERY", query_flag::TABLE),
+        ("ANSWER", answer_flag::TABLE),
     ];
-    all.extend(codes());
-    all
+    let bits = bits.into_iter().map(|(of, table)| Constants {
+        of,
+        bits: true,
+        values: table
+            .iter()
+            .map(|&(name, value, doc)| Constant {
+                name: name.to_owned(),
+                value,
+                doc,
+            })
+            .collect(),
+    });
+    bits.chain(codes()).collect()
 }
 
 fn codes() -> Vec<Constants> {
     let of = |of, values: Vec<(&str, u64)>| Constants {
         of,
-        module: None,
+        bits: false,
         values: values
             .into_iter()
-            .map(|(name, value)| (in_capitals(name), value))
+            .map(|(name, value)| Constant {
+                name: in_capitals(name),
+                value,
+                doc: "",
+            })
             .collect(),
     };
     let quality = |quality: Quality| u64::from(quality.encode().0);
@@ -312,42 +284,12 @@ mod tests {
     fn fields_follow_each_other_without_gaps() {
         for layout in layouts() {
             let mut end = 0;
-            for field in &layout.fields {
+            for field in layout.fields {
                 assert_eq!(field.offset, end, "{} {}", layout.name, field.name);
                 end += field.size;
             }
             assert_eq!(end, layout.size, "{}", layout.name);
         }
-    }
-
-    /// The bits of a module, by its source: a new one must be listed.
-    #[test]
-    fn all_bits_are_listed() {
-        let sources = [
-            include_str!("sample.rs"),
-            include_str!("forecast.rs"),
-            include_str!("diagnostic.rs"),
-            include_str!("budget.rs"),
-            include_str!("plan_state.rs"),
-            include_str!("query.rs"),
-        ]
-        .concat();
-        let mut modules = 0;
-        for of in constants() {
-            let Some(module) = of.module else { continue };
-            let begin = format!("pub mod {module} {{");
-            let (_, after) = sources.split_once(&begin).expect("it is in a file above");
-            let text = after.split("\n}").next().unwrap_or_default();
-            let there: Vec<&str> = text
-                .split("pub const ")
-                .skip(1)
-                .filter_map(|rest| rest.split(':').next())
-                .collect();
-            let listed: Vec<&str> = of.values.iter().map(|(name, _)| name.as_str()).collect();
-            assert_eq!(there, listed, "{module}");
-            modules += 1;
-        }
-        assert_eq!(modules, sources.matches("\npub mod ").count());
     }
 
     #[test]
@@ -357,7 +299,7 @@ mod tests {
             .flat_map(|of| {
                 of.values
                     .iter()
-                    .map(|(name, _)| format!("{}_{name}", of.of))
+                    .map(|constant| format!("{}_{}", of.of, constant.name))
             })
             .collect();
         let count = names.len();

@@ -1,95 +1,94 @@
 //! Residual scores and alarms per robot.
 
-use bytemuck::{Pod, Zeroable};
+use crate::layout::{ZeroCopySend, bits, rows};
 
-use crate::layout::ZeroCopySend;
-
-/// Bits of [`Diagnostic::flags`].
-pub mod diagnostic_flag {
-    /// `residual_w` and `residual_z` belong to the sample `sample_seq`; otherwise they are NaN.
-    pub const RESIDUAL: u32 = 1 << 0;
-    /// At least one residual has been scored.
-    pub const SCORES: u32 = 1 << 1;
-    /// The forecast learns online: the fields from `network_w` to `level_w` are known. Otherwise they are
-    /// NaN.
-    pub const LEARNED: u32 = 1 << 2;
+bits! {
+    /// Bits of [`Diagnostic::flags`].
+    pub mod diagnostic_flag {
+        /// `residual_w` and `residual_z` belong to the sample `sample_seq`; otherwise they are NaN.
+        pub const RESIDUAL: u32 = 1 << 0;
+        /// At least one residual has been scored.
+        pub const SCORES: u32 = 1 << 1;
+        /// The forecast learns online: the fields from `network_w` to `level_w` are known. Otherwise they are
+        /// NaN.
+        pub const LEARNED: u32 = 1 << 2;
+    }
 }
 
-/// One robot's diagnostics. 176 bytes.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable, ZeroCopySend)]
-#[type_name("joulebus.Diagnostic.v2")]
-pub struct Diagnostic {
-    /// Id of the robot.
-    pub robot: u32,
-    /// [`diagnostic_flag`] bits.
-    pub flags: u32,
-    /// [`Level`] code.
-    pub level: u16,
-    /// [`Alarm`] code of the most important alarm.
-    pub alarm: u16,
-    /// All alarms that are raised: [`AlarmSet`] bits.
-    pub alarms: u32,
-    /// Reading minus what the network forecast for it, W, whatever was published.
-    pub residual_w: f32,
-    /// The residual over the model's own residual standard deviation.
-    pub residual_z: f32,
-    /// Exponentially weighted mean of the residuals, W.
-    pub bias_w: f32,
-    /// Cumulative sum against an upward shift, in standard deviations.
-    pub cusum_up: f32,
-    /// Cumulative sum against a downward shift, in standard deviations.
-    pub cusum_down: f32,
-    /// Exponentially weighted mean of the squared whitened residual: 1 for a healthy robot.
-    pub noise_ratio: f32,
-    /// Share of readings that fell inside their interval, over the whole epoch.
-    pub coverage: f32,
-    /// The same, exponentially weighted: recent coverage.
-    pub coverage_recent: f32,
-    /// Residuals scored so far.
-    pub scored: u64,
-    /// Mean absolute residual, W.
-    pub mae_w: f64,
-    /// Coefficient of determination of the forecasts.
-    pub r2: f64,
-    /// Mean absolute error of persistence (the last reading again) on the same readings, W.
-    pub persistence_mae_w: f64,
-    /// Coefficient of determination of persistence.
-    pub persistence_r2: f64,
-    /// 1 − (squared error of the forecasts / squared error of persistence).
-    pub skill: f64,
-    /// [`crate::Sample::seq`] of the newest sample accepted.
-    pub sample_seq: u64,
-    /// [`crate::Sample::stamp_ns`] of that sample.
-    pub stamp_ns: u64,
-    /// [`crate::SampleHeader::source_epoch`] of that sample.
-    pub source_epoch: u64,
-    /// Samples of this robot that were refused in this epoch.
-    pub refused: u64,
-    /// The network's own forecast of the next reading, W, whatever is published.
-    pub network_w: f32,
-    /// Mean of the readings, W; the newest counts 1/256 at least.
-    pub mean_w: f32,
-    /// Mean size of the changes between new measurements, W.
-    pub change_w: f32,
-    /// Weight of the last reading where a new measurement is due, 0 to 1.
-    pub weight_last: f32,
-    /// That of the network.
-    pub weight_network: f32,
-    /// That of the stack.
-    pub weight_stack: f32,
-    /// Weight of the last reading where the measurement will be held.
-    pub held_weight_last: f32,
-    /// That of the stack.
-    pub held_weight_stack: f32,
-    /// Gain of the last reading within the stack: signed, on its deviation from the model's autoregression.
-    pub gain_last: f32,
-    /// That of the network.
-    pub gain_network: f32,
-    /// That of the mean of the readings.
-    pub gain_mean: f32,
-    /// Level that the stack adds, W.
-    pub level_w: f32,
+rows! {
+    /// One robot's diagnostics. 176 bytes.
+    pub struct Diagnostic: "joulebus.Diagnostic.v2", 176 {
+        /// Id of the robot.
+        pub robot: u32,
+        /// [`diagnostic_flag`] bits.
+        pub flags: u32,
+        /// [`Level`] code.
+        pub level: u16,
+        /// [`Alarm`] code of the most important alarm.
+        pub alarm: u16,
+        /// All alarms that are raised: [`AlarmSet`] bits.
+        pub alarms: u32,
+        /// Reading minus what the network forecast for it, W, whatever was published.
+        pub residual_w: f32,
+        /// The residual over the model's own residual standard deviation.
+        pub residual_z: f32,
+        /// Exponentially weighted mean of the residuals, W.
+        pub bias_w: f32,
+        /// Cumulative sum against an upward shift, in standard deviations.
+        pub cusum_up: f32,
+        /// Cumulative sum against a downward shift, in standard deviations.
+        pub cusum_down: f32,
+        /// Exponentially weighted mean of the squared whitened residual: 1 for a healthy robot.
+        pub noise_ratio: f32,
+        /// Share of readings that fell inside their interval, over the whole epoch.
+        pub coverage: f32,
+        /// The same, exponentially weighted: recent coverage.
+        pub coverage_recent: f32,
+        /// Residuals scored so far.
+        pub scored: u64,
+        /// Mean absolute residual, W.
+        pub mae_w: f64,
+        /// Coefficient of determination of the forecasts.
+        pub r2: f64,
+        /// Mean absolute error of persistence (the last reading again) on the same readings, W.
+        pub persistence_mae_w: f64,
+        /// Coefficient of determination of persistence.
+        pub persistence_r2: f64,
+        /// 1 − (squared error of the forecasts / squared error of persistence).
+        pub skill: f64,
+        /// [`crate::Sample::seq`] of the newest sample accepted.
+        pub sample_seq: u64,
+        /// [`crate::Sample::stamp_ns`] of that sample.
+        pub stamp_ns: u64,
+        /// [`crate::SampleHeader::source_epoch`] of that sample.
+        pub source_epoch: u64,
+        /// Samples of this robot that were refused in this epoch.
+        pub refused: u64,
+        /// The network's own forecast of the next reading, W, whatever is published.
+        pub network_w: f32,
+        /// Mean of the readings, W; the newest counts 1/256 at least.
+        pub mean_w: f32,
+        /// Mean size of the changes between new measurements, W.
+        pub change_w: f32,
+        /// Weight of the last reading where a new measurement is due, 0 to 1.
+        pub weight_last: f32,
+        /// That of the network.
+        pub weight_network: f32,
+        /// That of the stack.
+        pub weight_stack: f32,
+        /// Weight of the last reading where the measurement will be held.
+        pub held_weight_last: f32,
+        /// That of the stack.
+        pub held_weight_stack: f32,
+        /// Gain of the last reading within the stack: signed, on its deviation from the model's autoregression.
+        pub gain_last: f32,
+        /// That of the network.
+        pub gain_network: f32,
+        /// That of the mean of the readings.
+        pub gain_mean: f32,
+        /// Level that the stack adds, W.
+        pub level_w: f32,
+    }
 }
 
 impl Diagnostic {
@@ -112,21 +111,21 @@ impl Diagnostic {
     }
 }
 
-/// Header of a frame of diagnostics.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
-#[type_name("joulebus.DiagnosticHeader.v1")]
-pub struct DiagnosticHeader {
-    /// [`crate::SCHEMA_VERSION`].
-    pub schema: u32,
-    /// Process id of the worker.
-    pub pid: u32,
-    /// As in [`crate::ForecastHeader::worker_epoch`].
-    pub worker_epoch: u64,
-    /// As in [`crate::ForecastHeader::tick`].
-    pub tick: u64,
-    /// Recent refusals; see [`DiagnosticHeader::refusals`].
-    pub refused: [crate::Refusal; 16],
+rows! {
+    /// Header of a frame of diagnostics.
+    #[derive(Eq)]
+    pub struct DiagnosticHeader: "joulebus.DiagnosticHeader.v1", 280 {
+        /// [`crate::SCHEMA_VERSION`].
+        pub schema: u32,
+        /// Process id of the worker.
+        pub pid: u32,
+        /// As in [`crate::ForecastHeader::worker_epoch`].
+        pub worker_epoch: u64,
+        /// As in [`crate::ForecastHeader::tick`].
+        pub tick: u64,
+        /// Recent refusals; see [`DiagnosticHeader::refusals`].
+        pub refused: [crate::Refusal; 16],
+    }
 }
 
 impl DiagnosticHeader {

@@ -1,7 +1,4 @@
-//! The layout of the payloads: the same for every process, and part of the schema.
-//!
-//! [`Pod`] is derived for each payload, so the compiler refuses padding and fields with invalid bit
-//! patterns; [`ZeroCopySend`] gives the type name that other processes compare.
+//! How a struct of shared memory is declared: once, by [`rows!`].
 
 use std::fmt::Debug;
 
@@ -9,11 +6,7 @@ use bytemuck::Pod;
 pub(crate) use iceoryx2_bb_derive_macros::ZeroCopySend;
 pub(crate) use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
-use crate::{
-    AnswerHeader, AnswerRow, Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast,
-    ForecastHeader, PlanState, PlanStateHeader, QueriesHeader, QueryHeader, QueryRecord, Sample,
-    SampleHeader, StateHeader, TakenFrame, TickHeader,
-};
+use crate::description::StructLayout;
 
 /// A type that may lie in shared memory: every bit pattern is valid, it has no padding, and its
 /// layout is the same in every process. Implemented for every payload and header of this crate, and
@@ -22,29 +15,71 @@ pub trait Payload: Pod + ZeroCopySend + Debug + Default {}
 
 impl<T: Pod + ZeroCopySend + Debug + Default> Payload for T {}
 
-/// Fixes the size and alignment of a payload.
-macro_rules! layout {
-    ($type:ty, $bytes:literal) => {
-        const _: () = assert!(size_of::<$type>() == $bytes);
-        const _: () = assert!(align_of::<$type>() == 8);
+/// A struct that [`rows!`] declares, with the table of its fields.
+pub trait Row: Payload {
+    /// Its fields in the order of memory, without padding.
+    const LAYOUT: StructLayout;
+}
+
+/// Declares structs of shared memory: `Name: type name, bytes` and, where it is not 8, the alignment.
+///
+/// The type name is what iceoryx2 compares between processes. [`Pod`] is derived, so the compiler refuses padding and fields with
+/// invalid bit patterns. Size and alignment are part of the schema: another one does not compile. [`Row::LAYOUT`] lists the
+/// fields, with their comments, for other languages.
+macro_rules! rows {
+    ($($(#[doc = $doc:literal])* $(#[derive($derive:ident)])?
+    pub struct $name:ident: $type_name:tt, $bytes:literal $(, $align:literal)? {
+        $($(#[doc = $field_doc:literal])* pub $field:ident: $type:ty,)*
+    })*) => {$(
+        $(#[doc = $doc])*
+        #[repr(C)]
+        #[derive(Debug, Clone, Copy, PartialEq, $($derive,)? Default)]
+        // The derive of ZeroCopySend names the trait without a path: the declaring file imports it.
+        #[derive(bytemuck::Pod, bytemuck::Zeroable, ZeroCopySend)]
+        #[type_name($type_name)]
+        pub struct $name {
+            $($(#[doc = $field_doc])* pub $field: $type,)*
+        }
+
+        const _: () = assert!(size_of::<$name>() == $bytes);
+        const _: () = assert!(align_of::<$name>() == rows!(@align $($align)?));
+
+        impl $crate::description::Described for $name {
+            const OF: $crate::FieldType = $crate::FieldType::Struct(stringify!($name));
+        }
+
+        impl $crate::Row for $name {
+            const LAYOUT: $crate::StructLayout = $crate::StructLayout {
+                name: stringify!($name),
+                doc: concat!($($doc, "\n",)*),
+                fields: &[$($crate::description::field(
+                    stringify!($field),
+                    concat!($($field_doc, "\n",)*),
+                    std::mem::offset_of!($name, $field),
+                    |row: &$name| &row.$field,
+                )),*],
+                size: size_of::<$name>(),
+                align: align_of::<$name>(),
+            };
+        }
+    )*};
+    (@align) => { 8 };
+    (@align $align:literal) => { $align };
+}
+
+/// Declares a module of bits of one field, with the table of them: `TABLE` has name, value and comment.
+macro_rules! bits {
+    ($(#[doc = $doc:literal])* pub mod $module:ident {
+        $($(#[doc = $bit_doc:literal])* pub const $name:ident: $type:ty = $value:expr;)*
+    }) => {
+        $(#[doc = $doc])*
+        pub mod $module {
+            $($(#[doc = $bit_doc])* pub const $name: $type = $value;)*
+
+            pub(crate) const TABLE: &[(&str, u64, &str)] =
+                &[$((stringify!($name), $name as u64, concat!($($bit_doc, "\n",)*))),*];
+        }
     };
 }
 
-layout!(Sample, 64);
-layout!(SampleHeader, 64);
-layout!(Forecast, 72);
-layout!(ForecastHeader, 320);
-layout!(Diagnostic, 176);
-layout!(DiagnosticHeader, 280);
-layout!(Budget, 128);
-layout!(BudgetHeader, 40);
-layout!(PlanState, 192);
-layout!(PlanStateHeader, 200);
-layout!(StateHeader, 64);
-layout!(TakenFrame, 40);
-layout!(TickHeader, 48);
-layout!(QueryHeader, 112);
-layout!(AnswerHeader, 112);
-layout!(AnswerRow, 64);
-layout!(QueriesHeader, 184);
-layout!(QueryRecord, 256);
+pub(crate) use {bits, rows};

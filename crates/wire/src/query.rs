@@ -10,9 +10,7 @@
 //! | [`QueryKind::Idle`] | ids of the robots |
 //! | [`QueryKind::Follow`] | ids of the robots; then for each point x in m, y in m, and the speed towards it in m/s |
 
-use bytemuck::{Pod, Zeroable};
-
-use crate::layout::ZeroCopySend;
+use crate::layout::{ZeroCopySend, bits, rows};
 
 /// Most values of a question.
 pub const QUERY_VALUES: usize = 4_096;
@@ -57,166 +55,168 @@ impl QueryKind {
     }
 }
 
-/// Bits of [`QueryHeader::flags`].
-pub mod query_flag {
-    /// After the path, return to `return_x_m`, `return_y_m`.
-    pub const RETURN: u32 = 1 << 0;
-    /// `heading_rad` is the heading at the first point; without it, towards the second.
-    pub const HEADING: u32 = 1 << 1;
-    /// Of one robot: the power of every step is wanted.
-    pub const POWER: u32 = 1 << 2;
-    /// All bits that this version knows.
-    pub const ALL: u32 = RETURN | HEADING | POWER;
+bits! {
+    /// Bits of [`QueryHeader::flags`].
+    pub mod query_flag {
+        /// After the path, return to `return_x_m`, `return_y_m`.
+        pub const RETURN: u32 = 1 << 0;
+        /// `heading_rad` is the heading at the first point; without it, towards the second.
+        pub const HEADING: u32 = 1 << 1;
+        /// Of one robot: the power of every step is wanted.
+        pub const POWER: u32 = 1 << 2;
+        /// All bits that this version knows.
+        pub const ALL: u32 = RETURN | HEADING | POWER;
+    }
 }
 
-/// Header of a question. 112 bytes.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable, ZeroCopySend)]
-#[type_name("joulebus.QueryHeader.v1")]
-pub struct QueryHeader {
-    /// [`crate::SCHEMA_VERSION`].
-    pub schema: u32,
-    /// Code of the [`QueryKind`].
-    pub kind: u32,
-    /// [`crate::fnv1a`] of the fleet's name.
-    pub fleet: u64,
-    /// Number that the answer repeats.
-    pub number: u64,
-    /// When it was asked, monotonic ns.
-    pub asked_ns: u64,
-    /// When the client stops waiting, monotonic ns: later the question is refused.
-    pub deadline_ns: u64,
-    /// Lower half of the id of the client's listener, which the answer wakes.
-    pub listener_lo: u64,
-    /// Upper half.
-    pub listener_hi: u64,
-    /// [`query_flag`] bits.
-    pub flags: u32,
-    /// Number of robots, at most [`QUERY_ROBOTS`].
-    pub robots: u32,
-    /// Number of candidates, at most [`QUERY_CANDIDATES`]; 0 unless they are asked about.
-    pub candidates: u32,
-    /// Steps of each candidate, or points of the path.
-    pub steps: u32,
-    /// Coverage of the intervals, 0.5 to 0.999.
-    pub coverage: f32,
-    /// Time that each command is in force, s.
-    pub period_s: f32,
-    /// Time at rest, s.
-    pub duration_s: f32,
-    /// 0.
-    pub reserved: u32,
-    /// Where to return to, m.
-    pub return_x_m: f64,
-    /// Where to return to, m.
-    pub return_y_m: f64,
-    /// Heading at the first point, rad, counter-clockwise from east.
-    pub heading_rad: f64,
+rows! {
+    /// Header of a question. 112 bytes.
+    pub struct QueryHeader: "joulebus.QueryHeader.v1", 112 {
+        /// [`crate::SCHEMA_VERSION`].
+        pub schema: u32,
+        /// Code of the [`QueryKind`].
+        pub kind: u32,
+        /// [`crate::fnv1a`] of the fleet's name.
+        pub fleet: u64,
+        /// Number that the answer repeats.
+        pub number: u64,
+        /// When it was asked, monotonic ns.
+        pub asked_ns: u64,
+        /// When the client stops waiting, monotonic ns: later the question is refused.
+        pub deadline_ns: u64,
+        /// Lower half of the id of the client's listener, which the answer wakes.
+        pub listener_lo: u64,
+        /// Upper half.
+        pub listener_hi: u64,
+        /// [`query_flag`] bits.
+        pub flags: u32,
+        /// Number of robots, at most [`QUERY_ROBOTS`].
+        pub robots: u32,
+        /// Number of candidates, at most [`QUERY_CANDIDATES`]; 0 unless they are asked about.
+        pub candidates: u32,
+        /// Steps of each candidate, or points of the path.
+        pub steps: u32,
+        /// Coverage of the intervals, 0.5 to 0.999.
+        pub coverage: f32,
+        /// Time that each command is in force, s.
+        pub period_s: f32,
+        /// Time at rest, s.
+        pub duration_s: f32,
+        /// 0.
+        pub reserved: u32,
+        /// Where to return to, m.
+        pub return_x_m: f64,
+        /// Where to return to, m.
+        pub return_y_m: f64,
+        /// Heading at the first point, rad, counter-clockwise from east.
+        pub heading_rad: f64,
+    }
 }
 
-/// Header of an answer. 112 bytes.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
-#[type_name("joulebus.AnswerHeader.v1")]
-pub struct AnswerHeader {
-    /// [`crate::SCHEMA_VERSION`].
-    pub schema: u32,
-    /// Process id of the worker.
-    pub pid: u32,
-    /// The question's number.
-    pub number: u64,
-    /// Run of the worker that the state is of.
-    pub worker_epoch: u64,
-    /// Tick of the plan states that the answer is computed from; 0 if it is refused.
-    pub tick: u64,
-    /// Period of the tick, ns.
-    pub period_ns: u64,
-    /// When that frame was sent, monotonic ns.
-    pub sent_state_ns: u64,
-    /// Run of the worker that the budgets are of.
-    pub budget_epoch: u64,
-    /// Tick of the budgets; 0 without any.
-    pub budget_tick: u64,
-    /// When that frame was sent, monotonic ns.
-    pub sent_budget_ns: u64,
-    /// The time that the answer is as of, monotonic ns.
-    pub now_ns: u64,
-    /// When the worker took the question, monotonic ns.
-    pub taken_ns: u64,
-    /// When the answer was sent, monotonic ns.
-    pub sent_ns: u64,
-    /// Code of the [`QueryRefusal`]; 0 if the question is answered.
-    pub refusal: u32,
-    /// Number of [`AnswerRow`]s.
-    pub rows: u32,
-    /// Number of powers after the rows.
-    pub powers: u32,
-    /// Bytes of the text of a refusal.
-    pub text_bytes: u32,
+rows! {
+    /// Header of an answer. 112 bytes.
+    #[derive(Eq)]
+    pub struct AnswerHeader: "joulebus.AnswerHeader.v1", 112 {
+        /// [`crate::SCHEMA_VERSION`].
+        pub schema: u32,
+        /// Process id of the worker.
+        pub pid: u32,
+        /// The question's number.
+        pub number: u64,
+        /// Run of the worker that the state is of.
+        pub worker_epoch: u64,
+        /// Tick of the plan states that the answer is computed from; 0 if it is refused.
+        pub tick: u64,
+        /// Period of the tick, ns.
+        pub period_ns: u64,
+        /// When that frame was sent, monotonic ns.
+        pub sent_state_ns: u64,
+        /// Run of the worker that the budgets are of.
+        pub budget_epoch: u64,
+        /// Tick of the budgets; 0 without any.
+        pub budget_tick: u64,
+        /// When that frame was sent, monotonic ns.
+        pub sent_budget_ns: u64,
+        /// The time that the answer is as of, monotonic ns.
+        pub now_ns: u64,
+        /// When the worker took the question, monotonic ns.
+        pub taken_ns: u64,
+        /// When the answer was sent, monotonic ns.
+        pub sent_ns: u64,
+        /// Code of the [`QueryRefusal`]; 0 if the question is answered.
+        pub refusal: u32,
+        /// Number of [`AnswerRow`]s.
+        pub rows: u32,
+        /// Number of powers after the rows.
+        pub powers: u32,
+        /// Bytes of the text of a refusal.
+        pub text_bytes: u32,
+    }
 }
 
-/// Bits of [`AnswerRow::flags`].
-pub mod answer_flag {
-    /// `mean_j`, `lo_j` and `hi_j` are known.
-    pub const ENERGY: u16 = 1 << 0;
-    /// `left_j` and `left_lo_j` are known.
-    pub const LEFT: u16 = 1 << 1;
-    /// `probability` is known.
-    pub const PROBABILITY: u16 = 1 << 2;
-    /// `margin_j` is known.
-    pub const MARGIN: u16 = 1 << 3;
-    /// `limiting_leg` is known.
-    pub const LIMITING_LEG: u16 = 1 << 4;
-    /// `turn_back_s` is known.
-    pub const TURN_BACK: u16 = 1 << 5;
-    /// The plan is longer than the longest horizon whose errors are known.
-    pub const BEYOND_HORIZON: u16 = 1 << 6;
-    /// The robot's sample is overdue, or came without a reading.
-    pub const NO_READING: u16 = 1 << 7;
-    /// The robot's newest row lay outside the range that its model was trained on.
-    pub const OUTSIDE_TRAINING: u16 = 1 << 8;
+bits! {
+    /// Bits of [`AnswerRow::flags`].
+    pub mod answer_flag {
+        /// `mean_j`, `lo_j` and `hi_j` are known.
+        pub const ENERGY: u16 = 1 << 0;
+        /// `left_j` and `left_lo_j` are known.
+        pub const LEFT: u16 = 1 << 1;
+        /// `probability` is known.
+        pub const PROBABILITY: u16 = 1 << 2;
+        /// `margin_j` is known.
+        pub const MARGIN: u16 = 1 << 3;
+        /// `limiting_leg` is known.
+        pub const LIMITING_LEG: u16 = 1 << 4;
+        /// `turn_back_s` is known.
+        pub const TURN_BACK: u16 = 1 << 5;
+        /// The plan is longer than the longest horizon whose errors are known.
+        pub const BEYOND_HORIZON: u16 = 1 << 6;
+        /// The robot's sample is overdue, or came without a reading.
+        pub const NO_READING: u16 = 1 << 7;
+        /// The robot's newest row lay outside the range that its model was trained on.
+        pub const OUTSIDE_TRAINING: u16 = 1 << 8;
+    }
 }
 
-/// The answer to one candidate, or of one robot. 64 bytes.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable, ZeroCopySend)]
-#[type_name("joulebus.AnswerRow.v1")]
-pub struct AnswerRow {
-    /// Id of the robot.
-    pub robot: u32,
-    /// [`answer_flag`] bits.
-    pub flags: u16,
-    /// 1 yes, 2 tight, 3 no, 4 unknown; others are of a newer version.
-    pub verdict: u16,
-    /// Why it is unknown: 1 stale, 2 invalid, 3 warm-up, 4 unreadable, 5 no level, 6 no battery,
-    /// 7 battery unknown, 8 no budget; 0 if it is not.
-    pub unknown: u16,
-    /// Code of the [`crate::InvalidReason`], or readings so far in the warm-up.
-    pub unknown_detail: u16,
-    /// The first leg at whose end a yes does not hold, from 0.
-    pub limiting_leg: u32,
-    /// Age of the frame where it is stale, ns.
-    pub age_ns: u64,
-    /// From the first command to the end of the last, s.
-    pub duration_s: f32,
-    /// Energy of the plan, expected, J.
-    pub mean_j: f32,
-    /// Lower end at the asked coverage, J.
-    pub lo_j: f32,
-    /// Upper end, J.
-    pub hi_j: f32,
-    /// Energy left in the battery at the end, best estimate, J.
-    pub left_j: f32,
-    /// Conservative, J.
-    pub left_lo_j: f32,
-    /// Probability of finishing above the reserve.
-    pub probability: f32,
-    /// What the battery can spare at least, less the upper end of the energy, J.
-    pub margin_j: f32,
-    /// Until when the robot can turn back, s.
-    pub turn_back_s: f32,
-    /// Steps whose commands lie outside the training data.
-    pub outside_training: u32,
+rows! {
+    /// The answer to one candidate, or of one robot. 64 bytes.
+    pub struct AnswerRow: "joulebus.AnswerRow.v1", 64 {
+        /// Id of the robot.
+        pub robot: u32,
+        /// [`answer_flag`] bits.
+        pub flags: u16,
+        /// 1 yes, 2 tight, 3 no, 4 unknown; others are of a newer version.
+        pub verdict: u16,
+        /// Why it is unknown: 1 stale, 2 invalid, 3 warm-up, 4 unreadable, 5 no level, 6 no battery,
+        /// 7 battery unknown, 8 no budget; 0 if it is not.
+        pub unknown: u16,
+        /// Code of the [`crate::InvalidReason`], or readings so far in the warm-up.
+        pub unknown_detail: u16,
+        /// The first leg at whose end a yes does not hold, from 0.
+        pub limiting_leg: u32,
+        /// Age of the frame where it is stale, ns.
+        pub age_ns: u64,
+        /// From the first command to the end of the last, s.
+        pub duration_s: f32,
+        /// Energy of the plan, expected, J.
+        pub mean_j: f32,
+        /// Lower end at the asked coverage, J.
+        pub lo_j: f32,
+        /// Upper end, J.
+        pub hi_j: f32,
+        /// Energy left in the battery at the end, best estimate, J.
+        pub left_j: f32,
+        /// Conservative, J.
+        pub left_lo_j: f32,
+        /// Probability of finishing above the reserve.
+        pub probability: f32,
+        /// What the battery can spare at least, less the upper end of the energy, J.
+        pub margin_j: f32,
+        /// Until when the robot can turn back, s.
+        pub turn_back_s: f32,
+        /// Steps whose commands lie outside the training data.
+        pub outside_training: u32,
+    }
 }
 
 /// Words of an [`AnswerRow`].
@@ -305,14 +305,15 @@ impl QueryRefusal {
     }
 }
 
-/// Questions answered, and refused by reason, with spare counters for later versions.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
-pub struct QueryCounts {
-    /// Questions answered.
-    pub answered: u64,
-    /// Indexed by the reason's position in [`QueryRefusal::ALL`].
-    pub refused: [u64; 19],
+rows! {
+    /// Questions answered, and refused by reason, with spare counters for later versions.
+    #[derive(Eq)]
+    pub struct QueryCounts: "joulebus.QueryCounts", 160 {
+        /// Questions answered.
+        pub answered: u64,
+        /// Indexed by the reason's position in [`QueryRefusal::ALL`].
+        pub refused: [u64; 19],
+    }
 }
 
 impl QueryCounts {
@@ -338,46 +339,45 @@ impl QueryCounts {
     }
 }
 
-/// Header of a frame of records: the questions since the last frame, with their answers. The payload
-/// is words of 8 bytes, read by [`records`]. Sent while somebody reads it; the newest frame, whose
-/// counts show what was answered and refused, is kept for readers that come later.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
-#[type_name("joulebus.QueriesHeader.v1")]
-pub struct QueriesHeader {
-    /// [`crate::SCHEMA_VERSION`].
-    pub schema: u32,
-    /// Process id of the worker.
-    pub pid: u32,
-    /// When the worker began to answer, monotonic ns.
-    pub begun_ns: u64,
-    /// So far, those of this frame included.
-    pub counts: QueryCounts,
-    /// When the frame was sent, monotonic ns.
-    pub sent_ns: u64,
+rows! {
+    /// Header of a frame of records: the questions since the last frame, with their answers. The payload
+    /// is words of 8 bytes, read by [`records`]. Sent while somebody reads it; the newest frame, whose
+    /// counts show what was answered and refused, is kept for readers that come later.
+    #[derive(Eq)]
+    pub struct QueriesHeader: "joulebus.QueriesHeader.v1", 184 {
+        /// [`crate::SCHEMA_VERSION`].
+        pub schema: u32,
+        /// Process id of the worker.
+        pub pid: u32,
+        /// When the worker began to answer, monotonic ns.
+        pub begun_ns: u64,
+        /// So far, those of this frame included.
+        pub counts: QueryCounts,
+        /// When the frame was sent, monotonic ns.
+        pub sent_ns: u64,
+    }
 }
 
-/// One question and its answer in a frame of records. 256 bytes; its values and words follow.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable, ZeroCopySend)]
-#[type_name("joulebus.QueryRecord.v1")]
-pub struct QueryRecord {
-    /// When the worker began to answer, monotonic ns: the run that `number` counts in.
-    pub begun_ns: u64,
-    /// Number of the question, from 1, in the order of the answers.
-    pub number: u64,
-    /// Process id of the client.
-    pub client: u32,
-    /// Values of the question.
-    pub values: u32,
-    /// Words of the answer.
-    pub words: u32,
-    /// 0.
-    pub reserved: u32,
-    /// The question.
-    pub query: QueryHeader,
-    /// The answer.
-    pub answer: AnswerHeader,
+rows! {
+    /// One question and its answer in a frame of records. 256 bytes; its values and words follow.
+    pub struct QueryRecord: "joulebus.QueryRecord.v1", 256 {
+        /// When the worker began to answer, monotonic ns: the run that `number` counts in.
+        pub begun_ns: u64,
+        /// Number of the question, from 1, in the order of the answers.
+        pub number: u64,
+        /// Process id of the client.
+        pub client: u32,
+        /// Values of the question.
+        pub values: u32,
+        /// Words of the answer.
+        pub words: u32,
+        /// 0.
+        pub reserved: u32,
+        /// The question.
+        pub query: QueryHeader,
+        /// The answer.
+        pub answer: AnswerHeader,
+    }
 }
 
 /// Words of a [`QueryRecord`].

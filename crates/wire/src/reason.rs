@@ -1,8 +1,6 @@
 //! Why a sample was not accepted, and why a robot has no forecast.
 
-use bytemuck::{Pod, Zeroable};
-
-use crate::layout::ZeroCopySend;
+use crate::layout::{ZeroCopySend, rows};
 
 /// Why a sample was dropped. Sent = accepted + dropped, summed over all reasons.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -90,18 +88,19 @@ impl DropReason {
     }
 }
 
-/// Refusals of one robot for one reason, as reported to operators. 16 bytes.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
-pub struct Refusal {
-    /// Robot id stated in the samples.
-    pub robot: u32,
-    /// Position of the reason in [`DropReason::ALL`] plus 1; 0 for an empty entry.
-    pub reason: u32,
-    /// Process id of the sending source.
-    pub pid: u32,
-    /// Samples refused since the entry was last assigned.
-    pub count: u32,
+rows! {
+    /// Refusals of one robot for one reason, as reported to operators. 16 bytes.
+    #[derive(Eq)]
+    pub struct Refusal: "joulebus.Refusal", 16, 4 {
+        /// Robot id stated in the samples.
+        pub robot: u32,
+        /// Position of the reason in [`DropReason::ALL`] plus 1; 0 for an empty entry.
+        pub reason: u32,
+        /// Process id of the sending source.
+        pub pid: u32,
+        /// Samples refused since the entry was last assigned.
+        pub count: u32,
+    }
 }
 
 impl Refusal {
@@ -113,12 +112,13 @@ impl Refusal {
     }
 }
 
-/// Samples dropped, one counter per [`DropReason`], with spare counters for later versions.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
-pub struct DropCounts {
-    /// Indexed by the reason's position in [`DropReason::ALL`].
-    pub counts: [u64; 24],
+rows! {
+    /// Samples dropped, one counter per [`DropReason`], with spare counters for later versions.
+    #[derive(Eq)]
+    pub struct DropCounts: "joulebus.DropCounts", 192 {
+        /// Indexed by the reason's position in [`DropReason::ALL`].
+        pub counts: [u64; 24],
+    }
 }
 
 impl DropCounts {

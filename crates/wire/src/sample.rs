@@ -1,73 +1,72 @@
 //! Samples, published by fleet controllers and other sources.
 
-use bytemuck::{Pod, Zeroable};
+use crate::layout::{ZeroCopySend, bits, rows};
 
-use crate::layout::ZeroCopySend;
-
-/// Bits of [`Sample::flags`]. A sample with any other bit is refused.
-pub mod sample_flag {
-    /// `v_mps` is known.
-    pub const V: u32 = 1 << 0;
-    /// `omega_radps` is known.
-    pub const OMEGA: u32 = 1 << 1;
-    /// `power_w` and `measured_ns` are known.
-    pub const POWER: u32 = 1 << 2;
-    /// `voltage_v` is known.
-    pub const VOLTAGE: u32 = 1 << 3;
-    /// `current_a` is known.
-    pub const CURRENT: u32 = 1 << 4;
-    /// The reading repeats the previous one: the monitor has not measured again.
-    pub const HELD: u32 = 1 << 5;
-    /// The robot is on its charger.
-    pub const CHARGING: u32 = 1 << 6;
-    /// The sample does not continue the ones before it (a recorded trial starts again): the lag
-    /// window starts empty.
-    pub const DISCONTINUITY: u32 = 1 << 7;
-    /// `soc` is known.
-    pub const SOC: u32 = 1 << 8;
-    /// The charger or the battery's own electronics says that the battery is full. Only with
-    /// [`CHARGING`].
-    pub const FULL: u32 = 1 << 9;
-    /// The battery has been exchanged since the last sample.
-    pub const SWAPPED: u32 = 1 << 10;
-    /// `return_j` is known.
-    pub const RETURN: u32 = 1 << 11;
-    /// All defined bits.
-    pub const ALL: u32 = (1 << 12) - 1;
+bits! {
+    /// Bits of [`Sample::flags`]. A sample with any other bit is refused.
+    pub mod sample_flag {
+        /// `v_mps` is known.
+        pub const V: u32 = 1 << 0;
+        /// `omega_radps` is known.
+        pub const OMEGA: u32 = 1 << 1;
+        /// `power_w` and `measured_ns` are known.
+        pub const POWER: u32 = 1 << 2;
+        /// `voltage_v` is known.
+        pub const VOLTAGE: u32 = 1 << 3;
+        /// `current_a` is known.
+        pub const CURRENT: u32 = 1 << 4;
+        /// The reading repeats the previous one: the monitor has not measured again.
+        pub const HELD: u32 = 1 << 5;
+        /// The robot is on its charger.
+        pub const CHARGING: u32 = 1 << 6;
+        /// The sample does not continue the ones before it (a recorded trial starts again): the lag
+        /// window starts empty.
+        pub const DISCONTINUITY: u32 = 1 << 7;
+        /// `soc` is known.
+        pub const SOC: u32 = 1 << 8;
+        /// The charger or the battery's own electronics says that the battery is full. Only with
+        /// [`CHARGING`].
+        pub const FULL: u32 = 1 << 9;
+        /// The battery has been exchanged since the last sample.
+        pub const SWAPPED: u32 = 1 << 10;
+        /// `return_j` is known.
+        pub const RETURN: u32 = 1 << 11;
+        /// All defined bits.
+        pub const ALL: u32 = (1 << 12) - 1;
+    }
 }
 
-/// One robot's command and latest reading in one control tick. 64 bytes.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Default, Pod, Zeroable, ZeroCopySend)]
-#[type_name("joulebus.Sample.v2")]
-pub struct Sample {
-    /// Id of the robot, unique in the fleet.
-    pub robot: u32,
-    /// [`sample_flag`] bits.
-    pub flags: u32,
-    /// Number of this robot's sample within the source epoch; strictly increasing.
-    pub seq: u64,
-    /// When the command was issued, monotonic ns. Strictly increasing per robot.
-    pub stamp_ns: u64,
-    /// When the power was *measured*, monotonic ns; equal to the previous one for a held reading.
-    pub measured_ns: u64,
-    /// Linear velocity just commanded, after saturation, m/s.
-    pub v_mps: f32,
-    /// Angular velocity just commanded, after saturation, rad/s.
-    pub omega_radps: f32,
-    /// Electrical power just read, W. Negative where the platform regenerates.
-    pub power_w: f32,
-    /// Battery voltage, V.
-    pub voltage_v: f32,
-    /// Battery current, A, positive while discharging.
-    pub current_a: f32,
-    /// Measured state of charge, 0 to 1.
-    pub soc: f32,
-    /// Energy that the robot needs from here to return, J: what its planner says. It applies to
-    /// this sample only; without it the platform's config applies.
-    pub return_j: f32,
-    /// Zero.
-    pub reserved: u32,
+rows! {
+    /// One robot's command and latest reading in one control tick. 64 bytes.
+    pub struct Sample: "joulebus.Sample.v2", 64 {
+        /// Id of the robot, unique in the fleet.
+        pub robot: u32,
+        /// [`sample_flag`] bits.
+        pub flags: u32,
+        /// Number of this robot's sample within the source epoch; strictly increasing.
+        pub seq: u64,
+        /// When the command was issued, monotonic ns. Strictly increasing per robot.
+        pub stamp_ns: u64,
+        /// When the power was *measured*, monotonic ns; equal to the previous one for a held reading.
+        pub measured_ns: u64,
+        /// Linear velocity just commanded, after saturation, m/s.
+        pub v_mps: f32,
+        /// Angular velocity just commanded, after saturation, rad/s.
+        pub omega_radps: f32,
+        /// Electrical power just read, W. Negative where the platform regenerates.
+        pub power_w: f32,
+        /// Battery voltage, V.
+        pub voltage_v: f32,
+        /// Battery current, A, positive while discharging.
+        pub current_a: f32,
+        /// Measured state of charge, 0 to 1.
+        pub soc: f32,
+        /// Energy that the robot needs from here to return, J: what its planner says. It applies to
+        /// this sample only; without it the platform's config applies.
+        pub return_j: f32,
+        /// Zero.
+        pub reserved: u32,
+    }
 }
 
 impl Sample {
@@ -171,29 +170,29 @@ pub enum Freshness {
     Missing,
 }
 
-/// Header of a frame of samples: what one source sends at once.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
-#[type_name("joulebus.SampleHeader.v1")]
-pub struct SampleHeader {
-    /// [`crate::SCHEMA_VERSION`].
-    pub schema: u32,
-    /// Process id of the source.
-    pub pid: u32,
-    /// Id of the source, stable over restarts (a hash of its name).
-    pub source_id: u64,
-    /// When this run of the source began, monotonic ns: a restart has a greater one, however the wall clock
-    /// was set.
-    pub source_epoch: u64,
-    /// Number of this frame within the epoch, from 0.
-    pub frame_seq: u64,
-    /// Samples sent in this epoch before this frame, from which a reader computes its loss.
-    pub samples_before: u64,
-    /// Intended send time, monotonic ns. Latency is measured from here, so that a stalled source
-    /// does not hide its own delay (coordinated omission).
-    pub intended_ns: u64,
-    /// When the frame was sent, monotonic ns.
-    pub sent_ns: u64,
-    /// When the frame was sent, Unix ns: informative only, never used for an interval.
-    pub sent_unix_ns: u64,
+rows! {
+    /// Header of a frame of samples: what one source sends at once.
+    #[derive(Eq)]
+    pub struct SampleHeader: "joulebus.SampleHeader.v1", 64 {
+        /// [`crate::SCHEMA_VERSION`].
+        pub schema: u32,
+        /// Process id of the source.
+        pub pid: u32,
+        /// Id of the source, stable over restarts (a hash of its name).
+        pub source_id: u64,
+        /// When this run of the source began, monotonic ns: a restart has a greater one, however the wall clock
+        /// was set.
+        pub source_epoch: u64,
+        /// Number of this frame within the epoch, from 0.
+        pub frame_seq: u64,
+        /// Samples sent in this epoch before this frame, from which a reader computes its loss.
+        pub samples_before: u64,
+        /// Intended send time, monotonic ns. Latency is measured from here, so that a stalled source
+        /// does not hide its own delay (coordinated omission).
+        pub intended_ns: u64,
+        /// When the frame was sent, monotonic ns.
+        pub sent_ns: u64,
+        /// When the frame was sent, Unix ns: informative only, never used for an interval.
+        pub sent_unix_ns: u64,
+    }
 }

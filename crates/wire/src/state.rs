@@ -1,35 +1,33 @@
 //! Keyframes: the worker's whole state at one tick, so that a recording can be recomputed from its
 //! middle.
 
-use bytemuck::{Pod, Zeroable};
+use crate::layout::{ZeroCopySend, rows};
 
-use crate::layout::ZeroCopySend;
-
-/// Header of a piece of a keyframe. The payload is bytes.
-///
-/// A keyframe is too long for one frame: it is sent in pieces, in order, and is complete when they
-/// add up to `total_bytes`. `joulebus_fleet::FleetState` defines the encoding. A keyframe with a
-/// missing piece is discarded; the next one follows soon.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Pod, Zeroable, ZeroCopySend)]
-#[type_name("joulebus.StateHeader.v1")]
-pub struct StateHeader {
-    /// [`crate::SCHEMA_VERSION`].
-    pub schema: u32,
-    /// Process id of the worker.
-    pub pid: u32,
-    /// As in [`crate::ForecastHeader::worker_epoch`].
-    pub worker_epoch: u64,
-    /// The tick after which the state was taken; 0 before the first.
-    pub tick: u64,
-    /// Bytes of the complete keyframe.
-    pub total_bytes: u64,
-    /// Offset of this piece in the keyframe.
-    pub offset: u64,
-    /// When the state was taken, monotonic ns.
-    pub taken_ns: u64,
-    /// When the piece was sent, monotonic ns.
-    pub sent_ns: u64,
-    /// When the piece was sent, Unix ns: informative only.
-    pub sent_unix_ns: u64,
+rows! {
+    /// Header of a piece of a keyframe. The payload is bytes.
+    ///
+    /// A keyframe is too long for one frame: it is sent in pieces, in order, and is complete when they
+    /// add up to `total_bytes`. `joulebus_fleet::FleetState` defines the encoding. A keyframe with a
+    /// missing piece is discarded; the next one follows soon.
+    #[derive(Eq)]
+    pub struct StateHeader: "joulebus.StateHeader.v1", 64 {
+        /// [`crate::SCHEMA_VERSION`].
+        pub schema: u32,
+        /// Process id of the worker.
+        pub pid: u32,
+        /// As in [`crate::ForecastHeader::worker_epoch`].
+        pub worker_epoch: u64,
+        /// The tick after which the state was taken; 0 before the first.
+        pub tick: u64,
+        /// Bytes of the complete keyframe.
+        pub total_bytes: u64,
+        /// Offset of this piece in the keyframe.
+        pub offset: u64,
+        /// When the state was taken, monotonic ns.
+        pub taken_ns: u64,
+        /// When the piece was sent, monotonic ns.
+        pub sent_ns: u64,
+        /// When the piece was sent, Unix ns: informative only.
+        pub sent_unix_ns: u64,
+    }
 }

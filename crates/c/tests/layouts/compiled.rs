@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::fs;
 use std::process::Command;
 
-use joulebus_wire::{constants, layouts};
+use joulebus_wire::{Constant, constants, layouts};
 
 use super::header::c_name;
 use super::root;
@@ -31,7 +31,7 @@ fn program() -> String {
     for layout in layouts() {
         let name = c_name(layout.name);
         writeln!(text, "printf(\"{name} %zu\\n\", sizeof({name}));").unwrap();
-        for field in &layout.fields {
+        for field in layout.fields {
             let field = field.name;
             writeln!(
                 text,
@@ -41,7 +41,7 @@ fn program() -> String {
         }
     }
     for of in constants() {
-        for (name, _) in &of.values {
+        for Constant { name, .. } in &of.values {
             let name = format!("JOULEBUS_{}_{name}", of.of);
             writeln!(text, "printf(\"{name} %u\\n\", {name});").unwrap();
         }
@@ -55,7 +55,7 @@ fn expected() -> String {
     for layout in layouts() {
         let name = c_name(layout.name);
         writeln!(text, "{name} {}", layout.size).unwrap();
-        for field in &layout.fields {
+        for field in layout.fields {
             writeln!(
                 text,
                 "{name}.{} {} {}",
@@ -65,7 +65,7 @@ fn expected() -> String {
         }
     }
     for of in constants() {
-        for (name, value) in &of.values {
+        for Constant { name, value, .. } in &of.values {
             writeln!(text, "JOULEBUS_{}_{name} {value}", of.of).unwrap();
         }
     }

@@ -3,10 +3,9 @@
 use std::fmt::Write as _;
 
 use cbindgen::{Builder, Config, DocumentationStyle, ExportConfig, Language, RenameRule, Style};
-use joulebus_wire::{FieldType, SCHEMA_VERSION, constants, layouts};
+use joulebus_wire::{Constant, FieldType, SCHEMA_VERSION, constants, layouts};
 
-use super::sources::Sources;
-use super::{compare, root, snake};
+use super::{compare, root, snake, text_of};
 
 const WIDTH: usize = 112;
 
@@ -106,14 +105,13 @@ fn shared_memory() -> String {
     ] {
         writeln!(text, "\n/** {said} */\n#define JOULEBUS_{name} {value}").unwrap();
     }
-    let sources = Sources::read();
-    bits_and_codes(&mut text, &sources);
+    bits_and_codes(&mut text);
     for layout in layouts() {
         let name = c_name(layout.name);
-        let said = sources.of_struct(layout.name);
+        let said = text_of(layout.doc);
         write!(text, "\n{}typedef struct {name} {{\n", comment("", &said)).unwrap();
-        for field in &layout.fields {
-            let said = comment("    ", &sources.of_field(layout.name, field.name));
+        for field in layout.fields {
+            let said = comment("    ", &text_of(field.doc));
             let array = field
                 .elements
                 .map_or(String::new(), |count| format!("[{count}]"));
@@ -130,12 +128,12 @@ fn shared_memory() -> String {
     text
 }
 
-fn bits_and_codes(text: &mut String, sources: &Sources) {
+fn bits_and_codes(text: &mut String) {
     for of in constants() {
         writeln!(text).unwrap();
-        for (name, value) in &of.values {
-            if let Some(module) = of.module {
-                let said = comment("", &sources.of_bit(module, name));
+        for Constant { name, value, doc } in &of.values {
+            if of.bits {
+                let said = comment("", &text_of(doc));
                 writeln!(text, "{said}#define JOULEBUS_{}_{name} {value:#x}u", of.of).unwrap();
             } else {
                 writeln!(text, "#define JOULEBUS_{}_{name} {value}u", of.of).unwrap();

@@ -7,7 +7,6 @@
 mod compiled;
 mod header;
 mod page;
-mod sources;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -49,4 +48,13 @@ fn snake(name: &str) -> String {
         snake.extend(letter.to_lowercase());
     }
     snake
+}
+
+/// A comment of `joulebus-wire` as text: without links, a line for each paragraph.
+fn text_of(doc: &str) -> String {
+    let lines: Vec<&str> = doc.lines().map(str::trim).collect();
+    let text = lines.join("\n").replace("[`", "`").replace("`]", "`");
+    let text = text.replace("crate::", "").replace('`', "");
+    let paragraphs = text.split("\n\n").map(|part| part.replace('\n', " "));
+    paragraphs.collect::<Vec<_>>().join("\n")
 }

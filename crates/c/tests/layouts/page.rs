@@ -2,11 +2,10 @@
 
 use std::fmt::Write as _;
 
-use joulebus_wire::{FieldType, SCHEMA_VERSION, constants, layouts};
+use joulebus_wire::{Constant, FieldType, SCHEMA_VERSION, constants, layouts};
 
-use super::compare;
 use super::header::{c_name, c_type};
-use super::sources::Sources;
+use super::{compare, text_of};
 
 #[test]
 fn the_table_in_the_documentation_is_made_from_the_sources() {
@@ -22,10 +21,9 @@ fn made() -> String {
          All structs are `repr(C)`, little endian as the hosts are, aligned to 8 bytes and without padding. Units are those of the \
          names: W, J, s, m, rad, V, A, ns on the monotonic clock. An unknown value is NaN and has its flag cleared.\n"
     );
-    let sources = Sources::read();
     for layout in layouts() {
         let (name, c) = (layout.name, c_name(layout.name));
-        let said = sources.of_struct(name).replace('\n', " ");
+        let said = text_of(layout.doc).replace('\n', " ");
         let size = layout.size;
         write!(
             page,
@@ -33,8 +31,8 @@ fn made() -> String {
              | offset | field | C | NumPy | |\n|---|---|---|---|---|\n"
         )
         .unwrap();
-        for field in &layout.fields {
-            let said = sources.of_field(name, field.name).replace('\n', " ");
+        for field in layout.fields {
+            let said = text_of(field.doc).replace('\n', " ");
             let (numpy, array) = (numpy(field.of), field.elements);
             let shape = array.map_or(String::new(), |count| format!("({count},)"));
             let c_array = array.map_or(String::new(), |count| format!("[{count}]"));
@@ -51,7 +49,7 @@ fn made() -> String {
     }
     page.push_str("\n## Bits and codes\n\n| constant of C | value |\n|---|---|\n");
     for of in constants() {
-        for (name, value) in &of.values {
+        for Constant { name, value, .. } in &of.values {
             writeln!(page, "| `JOULEBUS_{}_{name}` | {value} |", of.of).unwrap();
         }
     }
