@@ -27,6 +27,7 @@ HERE = pathlib.Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
 sys.path.insert(0, str(HERE.parent))
 import figures  # noqa: E402
+from pinned_environment import TORCH, install_torch  # noqa: E402
 
 BATCHES = [1, 7, 20, 100, 1_000, 10_000, 100_000]
 SHARED_FROM = 10_000
@@ -48,15 +49,6 @@ PACKAGES_OF = {
     "openvino": ["onnx==1.23.2", "openvino==2026.4.1"],
     "jax": ["jax==0.10.2", "jaxlib==0.10.2"],
 }
-TORCH = "torch==2.15.0"
-TORCH_CPU_INDEX = "https://download.pytorch.org/whl/cpu"
-# Libraries that the package of PyPI is linked with, without the compiler for GPUs.
-TORCH_NEEDS = [
-    "filelock", "fsspec", "jinja2", "networkx", "setuptools", "sympy", "typing-extensions",
-    "cuda-toolkit[cublas,cudart,cufft,cufile,cupti,cusparse,nvjitlink,nvrtc,nvtx]==13.2.2",
-    "nvidia-cudnn-cu13==9.26.0.51", "nvidia-cusparselt-cu13==0.8.1", "nvidia-nccl-cu13==2.30.7",
-    "nvidia-nvshmem-cu13==3.7.2",
-]
 
 
 def say(text):
@@ -81,20 +73,10 @@ def in_environment(directory, wanted):
     install = [python, "-m", "pip", "install", "--quiet", "--no-cache-dir"]
     for package in missing:
         say(f"installing {package}")
-        if not (install_torch(install) if package == TORCH else run(*install, package)):
+        done = install_torch(install) if package == TORCH else subprocess.run([*install, package]).returncode == 0
+        if not done:
             say(f"{package} cannot be installed: its peers are left out")
     return python
-
-
-def run(*command):
-    return subprocess.run(command).returncode == 0
-
-
-def install_torch(install):
-    """From the index of CPU wheels, or else from PyPI with the libraries that it needs to start."""
-    there = subprocess.run([*install, "--retries", "0", "--timeout", "20", TORCH, "--index-url", TORCH_CPU_INDEX],
-                           stderr=subprocess.DEVNULL)
-    return there.returncode == 0 or (run(*install, *TORCH_NEEDS) and run(*install, "--no-deps", TORCH))
 
 
 def build_rust(directory):
@@ -547,11 +529,12 @@ def drive(arguments):
     inputs = {"model": arguments.model.name, "seed": arguments.seed, "seconds": seconds, "rounds": rounds}
     inputs |= {peer: version for peer, version in versions(errors).items()}
     suite = to_suite(times, errors, inputs)
-    figures.write(arguments.json, suite)
-    picture(arguments.picture, times)
     import performance_tables
 
     print(performance_tables.peers(suite))
+    figures.write(arguments.json, suite)
+    arguments.picture.parent.mkdir(parents=True, exist_ok=True)
+    picture(arguments.picture, times)
     say(f"written: {arguments.json}, {arguments.picture}")
 
 

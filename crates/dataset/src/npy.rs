@@ -1,12 +1,10 @@
 //! The header of NumPy's array files, for recordings and model files alike.
 //!
-//! A header is untrusted: no allocation depends on a size that it merely claims, and constructs
-//! that a plain array's header never contains are refused before the general parser sees them,
-//! which nests, multiplies and concatenates without bounds.
+//! A header is untrusted: no allocation depends on a size that it merely claims. It is a Python
+//! expression, of which only the one form is read that a plain array's header has. General parsers
+//! nest, multiply and concatenate without bounds.
 
 use std::io::{self, Read};
-
-use npyz::{DType, NpyFile, NpyHeader, Order};
 
 /// The first bytes of every array file.
 pub const MAGIC: &[u8] = b"\x93NUMPY";
@@ -72,7 +70,7 @@ impl HeaderError {
 /// The header of an array.
 #[derive(Clone, Debug)]
 pub struct Header {
-    raw: Vec<u8>,
+    length: usize,
     /// Type of the elements in NumPy's notation, such as `<f4`.
     pub element: String,
     /// Whether the first dimension varies fastest (Fortran order).
@@ -110,35 +108,48 @@ impl Header {
             return Err(malformed(VERSION_END, detail));
         }
         read_until(&mut source, &mut bytes, text_at + length)?;
-        check_text(text_at, &bytes[text_at..])?;
-        let parsed = NpyHeader::from_reader(bytes.as_slice())
-            .map_err(|error| malformed(text_at, error.to_string()))?;
-        let DType::Plain(element) = parsed.dtype() else {
-            return Err(HeaderError::Records);
-        };
+        let length = bytes.len();
+        let (element, fortran_order, shape) = parse(text_at, &bytes[text_at..])?;
         Ok(Self {
-            element: element.to_string(),
-            fortran_order: parsed.order() == Order::Fortran,
-            shape: parsed.shape().iter().map(|size| *size as usize).collect(),
-            raw: bytes,
+            length,
+            element,
+            fortran_order,
+            shape,
         })
     }
 
     /// Length of the header in bytes: where the elements begin.
     #[must_use]
     pub fn length(&self) -> usize {
-        self.raw.len()
+        self.length
     }
 
     /// The elements, floats of 4 or 8 bytes, in the order of the file.
     pub(crate) fn floats(&self, source: impl Read) -> io::Result<Vec<f64>> {
-        match NpyFile::new(self.raw.as_slice().chain(source))?.try_data::<f64>() {
-            Ok(values) => values.collect(),
-            Err(array) => {
-                let values = array.data::<f32>().map_err(io::Error::other)?;
-                values.map(|value| value.map(f64::from)).collect()
-            }
+        match self.element.as_str() {
+            "<f4" => self.elements(source, |bytes| f32::from_le_bytes(bytes).into()),
+            ">f4" => self.elements(source, |bytes| f32::from_be_bytes(bytes).into()),
+            "<f8" => self.elements(source, f64::from_le_bytes),
+            ">f8" => self.elements(source, f64::from_be_bytes),
+            other => Err(io::Error::other(format!("{other} is no float"))),
         }
+    }
+
+    fn elements<const SIZE: usize>(
+        &self,
+        mut source: impl Read,
+        value: impl Fn([u8; SIZE]) -> f64,
+    ) -> io::Result<Vec<f64>> {
+        let mut missing: usize = self.shape.iter().product();
+        let mut values = Vec::new();
+        let mut block = [[0; SIZE]; 1024];
+        while missing > 0 {
+            let count = missing.min(block.len());
+            source.read_exact(block[..count].as_flattened_mut())?;
+            values.extend(block[..count].iter().copied().map(&value));
+            missing -= count;
+        }
+        Ok(values)
     }
 }
 
@@ -181,57 +192,162 @@ fn malformed(at: usize, detail: String) -> HeaderError {
     HeaderError::Malformed { at, detail }
 }
 
-/// Refuses constructs that the header of a plain array never contains.
-fn check_text(at: usize, text: &[u8]) -> Result<(), HeaderError> {
+/// Element type, order and shape. Of Python's expressions only the form below is allowed, its keys in
+/// any order.
+fn parse(at: usize, text: &[u8]) -> Result<(String, bool, Vec<usize>), HeaderError> {
     if text.contains(&b'[') {
         return Err(HeaderError::Records);
     }
-    let place = |wanted: u8| {
-        let mut found = text.iter().enumerate().filter(|(_, byte)| **byte == wanted);
-        let (first, again) = (found.next(), found.next());
-        first.filter(|_| again.is_none()).map(|(place, _)| place)
-    };
-    let plain = |byte: &u8| byte.is_ascii_alphanumeric() || b" \n{}():,'\"<>=|_".contains(byte);
-    let (Some(_), Some(_), Some(opening), Some(closing), true, Some(b'\n')) = (
-        place(b'{'),
-        place(b'}'),
-        place(b'('),
-        place(b')'),
-        text.iter().all(plain),
-        text.last(),
-    ) else {
-        let found = String::from_utf8_lossy(text);
+    let found = String::from_utf8_lossy(text);
+    let refused = || {
         let found: String = found.trim_end().chars().take(200).collect();
         let allowed = "{'descr': '<f8', 'fortran_order': False, 'shape': (n, 11), }";
-        return Err(malformed(
-            at,
-            format!("found {found:?}; allowed: {allowed}"),
-        ));
+        malformed(at, format!("found {found:?}; allowed: {allowed}"))
     };
-    let shape = text.get(opening + 1..closing).unwrap_or_default();
-    let shape = String::from_utf8_lossy(shape);
-    let shape = shape.trim();
-    // Python allows a trailing comma, and some programs write it.
-    let sizes = shape
-        .strip_suffix(',')
-        .unwrap_or(shape)
-        .split_terminator(',');
-    let sizes: Option<Vec<u64>> = sizes.map(|size| size_of(size.trim())).collect();
-    let fits = sizes.is_some_and(|sizes| {
-        let product = sizes
-            .iter()
-            .try_fold(1, |product: u64, size| product.checked_mul((*size).max(1)));
-        sizes.len() <= MAX_DIMENSIONS && product.is_some()
-    });
-    if fits {
-        Ok(())
-    } else {
-        let found = shape.chars().take(200).collect();
-        Err(HeaderError::Shape { found })
+    let (before, shape, after) = parts(&found).ok_or_else(refused)?;
+    // The shape's parentheses stay empty, so that a comma ends a field.
+    let fields = format!("{before}(){after}");
+    let (mut element, mut fortran_order, mut has_shape) = (None, None, false);
+    for field in fields.strip_suffix(',').unwrap_or(&fields).split(',') {
+        let (key, value) = field.split_once(':').ok_or_else(refused)?;
+        let value = value.trim();
+        match (unquoted(key.trim()), value) {
+            (Some("descr"), _) if element.is_none() => element = unquoted(value),
+            (Some("fortran_order"), "True" | "False") if fortran_order.is_none() => {
+                fortran_order = Some(value == "True");
+            }
+            (Some("shape"), "()") if !has_shape => has_shape = true,
+            _ => return Err(refused()),
+        }
+    }
+    let (Some(element), Some(fortran_order), true) = (element, fortran_order, has_shape) else {
+        return Err(refused());
+    };
+    // Python allows a trailing comma, some programs write it, and a single size needs it.
+    let sizes: Vec<&str> = match shape.strip_suffix(',') {
+        Some(sizes) => sizes.split(',').collect(),
+        None if shape.is_empty() => Vec::new(),
+        None if shape.contains(',') => shape.split(',').collect(),
+        None => return Err(refused()),
+    };
+    let sizes: Option<Vec<usize>> = sizes.iter().map(|size| size_of(size.trim())).collect();
+    let fits = |sizes: &Vec<usize>| {
+        let mut sizes = sizes.iter().map(|size| (*size).max(1));
+        sizes.len() <= MAX_DIMENSIONS && sizes.try_fold(1, usize::checked_mul).is_some()
+    };
+    match sizes.filter(fits) {
+        Some(shape) => Ok((element.to_owned(), fortran_order, shape)),
+        None => {
+            let found = shape.chars().take(200).collect();
+            Err(HeaderError::Shape { found })
+        }
     }
 }
 
-fn size_of(text: &str) -> Option<u64> {
+/// What lies within the braces: before the parentheses, within them, and after them.
+fn parts(text: &str) -> Option<(&str, &str, &str)> {
+    let plain = |byte: u8| byte.is_ascii_alphanumeric() || b" \n{}():,'\"<>=|_".contains(&byte);
+    if !text.ends_with('\n') || !text.bytes().all(plain) {
+        return None;
+    }
+    let inner = text.trim().strip_prefix('{')?.strip_suffix('}')?;
+    let (before, rest) = inner.split_once('(')?;
+    let (shape, after) = rest.split_once(')')?;
+    let more = [before, shape, after]
+        .concat()
+        .contains(['{', '}', '(', ')']);
+    (!more).then_some((before, shape.trim(), after.trim()))
+}
+
+/// A text between quotes of one kind.
+fn unquoted(text: &str) -> Option<&str> {
+    let inner = |quote| text.strip_prefix(quote)?.strip_suffix(quote);
+    let inner = inner('\'').or_else(|| inner('"'))?;
+    (!inner.contains(['\'', '"'])).then_some(inner)
+}
+
+fn size_of(text: &str) -> Option<usize> {
     let digits = text.len() <= MAX_DIGITS && text.bytes().all(|byte| byte.is_ascii_digit());
-    digits.then(|| text.parse().ok()).flatten()
+    let is_number = digits && (text == "0" || !text.starts_with('0'));
+    is_number.then(|| text.parse().ok()).flatten()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &str) -> Result<Header, HeaderError> {
+        let mut bytes = MAGIC.to_vec();
+        bytes.extend([1, 0]);
+        bytes.extend((text.len() as u16 + 1).to_le_bytes());
+        bytes.extend(format!("{text}\n").into_bytes());
+        Header::read(bytes.as_slice())
+    }
+
+    #[test]
+    fn one_form_of_python_is_read_its_keys_in_any_order() {
+        for (text, element, fortran_order, shape) in [
+            (
+                "{'descr': '<f8', 'fortran_order': False, 'shape': (5, 11), }",
+                "<f8",
+                false,
+                &[5, 11][..],
+            ),
+            (
+                "{\"shape\":(7,),\"descr\":\">f4\",\"fortran_order\":True}  ",
+                ">f4",
+                true,
+                &[7],
+            ),
+            (
+                "{'shape': ( 2,3 , 4, ), 'fortran_order': False, 'descr': '|O'}",
+                "|O",
+                false,
+                &[2, 3, 4],
+            ),
+            (
+                "{'descr': '|S0', 'fortran_order': False, 'shape': ()}",
+                "|S0",
+                false,
+                &[],
+            ),
+            (
+                "{'descr': '<f8', 'fortran_order': False, 'shape': (0, 0)}",
+                "<f8",
+                false,
+                &[0, 0],
+            ),
+        ] {
+            let header = read(text).expect(text);
+            assert_eq!(header.element, element, "{text}");
+            assert_eq!(header.fortran_order, fortran_order, "{text}");
+            assert_eq!(header.shape, shape, "{text}");
+            assert_eq!(header.length(), 10 + text.len() + 1, "{text}");
+        }
+        let good = "{'descr': '<f8', 'fortran_order': False, 'shape': (5, 11), }";
+        for (from, to) in [
+            ("(5, 11)", "(5)"),
+            ("(5, 11)", "(,)"),
+            ("(5, 11)", "(5,, 11)"),
+            ("(5, 11)", "(05, 11)"),
+            ("(5, 11)", "((5, 11))"),
+            ("(5, 11)", "(5, 11)()"),
+            ("(5, 11)", "5"),
+            ("'<f8'", "'<f8' '<f8'"),
+            ("'<f8'", "'<f8\""),
+            ("'<f8'", "u'<f8'"),
+            ("'<f8'", "<f8"),
+            ("False", "1"),
+            ("False", "false"),
+            ("'shape'", "'descr'"),
+            ("'shape': (5, 11), ", ""),
+            ("'descr'", "'more': '', 'descr'"),
+            ("{", "({"),
+            ("{", "x{"),
+            (", }", ",, }"),
+        ] {
+            let text = good.replace(from, to);
+            assert!(read(&text).is_err(), "{text}");
+        }
+    }
 }

@@ -4,6 +4,7 @@
 mod circles;
 mod imports;
 mod manifests;
+mod third_party;
 mod unsafe_code;
 mod words;
 mod workarounds;

@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::io::{Read as _, Write as _};
+use std::num::NonZeroU16;
 use std::os::fd::AsFd as _;
 use std::process::{Child, Command, ExitStatus};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -35,7 +36,7 @@ impl Terminal {
         pty.resize(Size::new(lines, columns)).unwrap();
         let command = pty_process::blocking::Command::from(command);
         let child = command.env("TERM", "xterm-256color").spawn(pts).unwrap();
-        let parser = Arc::new(Mutex::new(vt100::Parser::new(lines, columns, 0)));
+        let parser = Arc::new(Mutex::new(parser(columns, lines)));
         let is_closing = Arc::new(AtomicBool::new(false));
         let from = File::from(pty.as_fd().try_clone_to_owned().unwrap());
         let (inside, closing) = (Arc::clone(&parser), Arc::clone(&is_closing));
@@ -56,7 +57,7 @@ impl Terminal {
 
     fn resize(&mut self, columns: u16, lines: u16) {
         // What was drawn for the old size is no test of the new one.
-        *self.parser.lock().unwrap() = vt100::Parser::new(lines.max(3), columns.max(10), 0);
+        *self.parser.lock().unwrap() = parser(columns.max(10), lines.max(3));
         let pty = self.pty.as_ref().unwrap();
         pty.resize(Size::new(lines, columns)).unwrap();
     }
@@ -64,7 +65,7 @@ impl Terminal {
     fn lines(&self) -> Vec<String> {
         let parser = self.parser.lock().unwrap();
         let (_, columns) = parser.screen().size();
-        parser.screen().rows(0, columns).collect()
+        parser.screen().rows(0, columns.get()).collect()
     }
 
     /// Waits until the screen fulfils `condition`, and returns it.
@@ -120,6 +121,11 @@ impl Drop for Terminal {
         let _ = self.child.wait();
         self.is_closing.store(true, Ordering::Relaxed);
     }
+}
+
+fn parser(columns: u16, lines: u16) -> vt100::Parser {
+    let [columns, lines] = [columns, lines].map(|size| NonZeroU16::new(size).unwrap());
+    vt100::Parser::new(lines, columns, 0)
 }
 
 /// Shows what the program writes until the terminal is closed; returns its last output.
