@@ -85,7 +85,7 @@ mod tests {
     #[test]
     fn a_successor_in_the_same_file_shows_that_the_watched_worker_was_killed() {
         let (domain, path) = domain("next");
-        crate::directory::prepare_root(domain).unwrap();
+        crate::directory::prepare_root(&domain).unwrap();
         // As a killed worker leaves it.
         fs::write(&path, "77 5 77\n").unwrap();
         let watch = LockWatch::open(&path, 77).unwrap();
