@@ -72,6 +72,9 @@ fn only_tests_examples_the_simulator_and_the_python_package_are_unpublished() {
         "joulebus-python",
         "joulebus-simulator",
         "joulebus-test-processes",
+        "joulebus-testkit",
+        "joulebus-testkit-fleets",
+        "joulebus-testkit-networks",
         "joulebus-tests",
     ];
     assert_eq!(kept, expected);

@@ -1,0 +1,32 @@
+//! Ports for servers that must be told theirs before they start.
+
+use std::net::TcpListener;
+use std::sync::Mutex;
+
+/// Below the ports that the kernel gives to others (`ip_local_port_range`).
+const PORTS: std::ops::Range<u16> = 20_000..32_000;
+/// Where a port is reserved: another address of this host, so that the port of [`free_port`]'s stays free.
+const RESERVED_AT: &str = "127.0.0.2";
+
+/// A TCP port of 127.0.0.1 that nobody listens on, and that no other test on this host gets while this process runs: a
+/// port that was only free when it was asked for may be another test's when it is used.
+///
+/// # Panics
+/// All are taken.
+#[must_use]
+pub fn free_port() -> u16 {
+    static RESERVED: Mutex<Vec<TcpListener>> = Mutex::new(Vec::new());
+    for port in PORTS {
+        let Ok(reserved) = TcpListener::bind((RESERVED_AT, port)) else {
+            continue;
+        };
+        if TcpListener::bind(("127.0.0.1", port)).is_ok() {
+            RESERVED
+                .lock()
+                .expect("nobody panics with it")
+                .push(reserved);
+            return port;
+        }
+    }
+    panic!("no port of {PORTS:?} is free");
+}
