@@ -1,8 +1,4 @@
 //! The built-in platforms accept every row of the real recordings.
-#![forbid(unsafe_code)]
-
-#[path = "../../../tests/recordings.rs"]
-mod recordings;
 
 use std::io::Read as _;
 use std::path::Path;
@@ -10,7 +6,7 @@ use std::path::Path;
 use flate2::read::GzDecoder;
 use joulebus_config::Config;
 use joulebus_settings::Platform;
-use recordings::trials;
+use joulebus_testkit::recordings::trials;
 
 /// Seconds, m/s, rad/s and W of each row; NaN where nothing was recorded.
 fn rows(path: &Path) -> Vec<[f64; 4]> {

@@ -1,5 +1,4 @@
 //! Each mistake is refused or reported as a warning, with its line and a remedy.
-#![forbid(unsafe_code)]
 
 use std::path::Path;
 
