@@ -1,15 +1,13 @@
 //! The promise of one arithmetic: every kernel, batch size and position gives the reference's bits.
-#![cfg(not(miri))] // Takes hours under Miri; `memory.rs` is the test for Miri.
-
-#[allow(dead_code)] // Each test file uses a part.
-mod random;
 
 use joulebus_predictor::{
     FEATURES, FeatureSet, Features, INPUTS, Kernel, Model, Network, Persistence, ReadingAge,
     ResidualStats, Tiling, features,
 };
+#[allow(dead_code)] // Each test file uses a part.
+use joulebus_testkit_networks::random;
+use joulebus_testkit_networks::random::{Noise, network, row};
 use proptest::prelude::*;
-use random::{Noise, network, row};
 use std::path::Path;
 
 const SETS: [FeatureSet; 4] = FeatureSet::ALL;

@@ -1,14 +1,12 @@
 //! Every unsafe block on small inputs, for Miri (CONTRIBUTING.md has the command): uninitialised
 //! scratch, unaligned loads, tails of every length, parts of rollouts.
 
-#[allow(dead_code)] // Each test file uses a part.
-mod random;
-
 use joulebus_predictor::{
     FeatureSet, Features, INPUTS, Kernel, Model, Network, ReadingAge, RolloutStart, Rollouts,
     Tiling,
 };
-use random::{Noise, network, row};
+#[allow(dead_code)] // Each test file uses a part.
+use joulebus_testkit_networks::random::{Noise, network, row};
 
 /// Batch sizes that reach each tile and each tail of each kernel: all up to the widest tile and its
 /// tails, but under Miri only for the kernels of its target.

@@ -1,13 +1,10 @@
 //! A model file is read as written, or refused with a reason.
-#![cfg(not(miri))] // Takes hours under Miri; `memory.rs` is the test for Miri.
 
-mod forged;
-#[allow(dead_code)] // Each test file uses a part.
-mod random;
-
-use forged::{Contents, forged};
 use joulebus_predictor::{Activation, FeatureSet, INPUTS, ModelError, Network};
-use random::{Noise, card, network, parameters};
+#[allow(dead_code)] // Each test file uses a part.
+use joulebus_testkit_networks::forged;
+use joulebus_testkit_networks::forged::{Contents, forged};
+use joulebus_testkit_networks::random::{Noise, card, network, parameters};
 
 fn written(feature_set: FeatureSet) -> Vec<u8> {
     network(1, feature_set)

@@ -1,15 +1,12 @@
 //! Rollouts and columns give the bits of rows, and refuse mismatched shapes.
-#![cfg(not(miri))] // Takes hours under Miri; `memory.rs` is the test for Miri.
-
-#[allow(dead_code)] // Each test file uses a part.
-mod random;
 
 use joulebus_predictor::{
     FEATURES, FeatureSet, Features, INPUTS, Kernel, LAGS, Model, Network, Persistence, ReadingAge,
     ResidualStats, RolloutError, RolloutStart, Rollouts, features,
 };
+#[allow(dead_code)] // Each test file uses a part.
+use joulebus_testkit_networks::random::{Noise, network, row};
 use proptest::prelude::*;
-use random::{Noise, network, row};
 
 const SETS: [FeatureSet; 4] = FeatureSet::ALL;
 
