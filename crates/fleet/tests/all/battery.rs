@@ -1,14 +1,12 @@
 //! Batteries over a day: charged, measured, exchanged, left alone. The stated bounds hold the truth as often as
 //! they say, and what a sensor says is believed only where it can be true.
 
-mod world;
-
 use joulebus_fleet::{Fleet, SavedBattery};
 use joulebus_predictor::{Model, Persistence, ResidualStats};
 use joulebus_settings::{Battery, ChargeReading, FleetSettings, OpenCircuit, Platform};
+use joulebus_testkit_fleets::random::Noise;
+use joulebus_testkit_fleets::{self as world, MS, Source};
 use joulebus_wire::{Alarm, Budget, Sample, budget_flag, sample_flag};
-use world::random::Noise;
-use world::{MS, Source};
 
 const STEP_NS: u64 = 5_000 * MS;
 const STEP_S: f64 = 5.0;

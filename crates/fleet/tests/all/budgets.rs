@@ -1,12 +1,12 @@
 //! Budgets fail closed: unknown energy lowers the usable energy, and never raises it.
 
-mod world;
-
 use joulebus_fleet::{Fleet, Ledger, SavedBattery};
 use joulebus_settings::Battery;
+use joulebus_testkit_fleets::{
+    self as world, MS, PERIOD_NS, Source, battery, budget, fleet, healthy,
+};
 use joulebus_wire::{Budget, ChargeState, Sample, budget_flag, sample_flag};
 use proptest::prelude::*;
-use world::{MS, PERIOD_NS, Source, battery, budget, fleet, healthy};
 
 const ROBOT: u32 = 7;
 const START_NS: u64 = 60_000 * MS;

@@ -1,13 +1,13 @@
 //! Every kind of refusal: counted once, named, and shown in the robot's quality.
 
-mod world;
-
 use joulebus_fleet::Fleet;
+use joulebus_testkit_fleets::{
+    MS, PERIOD_NS, SLOW_NS, Source, diagnostic, fleet, forecast, healthy, place, quality,
+};
 use joulebus_wire::{
     Alarm, DropReason, InvalidReason, Quality, SCHEMA_VERSION, Sample, SampleHeader, forecast_flag,
     sample_flag,
 };
-use world::{MS, PERIOD_NS, SLOW_NS, Source, diagnostic, fleet, forecast, healthy, place, quality};
 
 const ROBOT: u32 = 7;
 

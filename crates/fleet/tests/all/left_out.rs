@@ -1,10 +1,8 @@
 //! Omitting a part of a tick's outputs does not change the rest.
 
-mod world;
-
 use joulebus_fleet::{Accounts, Batch, Outputs};
+use joulebus_testkit_fleets::{MS, PERIOD_NS, Source, fleet, healthy};
 use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState, Sample};
-use world::{MS, PERIOD_NS, Source, fleet, healthy};
 
 const ROBOTS: u32 = 100;
 const START_NS: u64 = 60_000 * MS;

@@ -1,15 +1,13 @@
 //! Cost of a keyframe for the tick (a copy) and the checkpointer (the encoding): figures, no
 //! guarantee.
 //!
-//! `cargo test --release -p joulebus-fleet --test state_cost -- --ignored --nocapture`
-
-mod world;
+//! `cargo test --release -p joulebus-fleet --test all state_cost -- --ignored --nocapture`
 
 use std::time::Instant;
 
 use joulebus_fleet::{Fleet, FleetState};
+use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, Source, healthy};
 use joulebus_wire::Sample;
-use world::{MS, PERIOD_NS, Source, healthy};
 
 const START_NS: u64 = 60_000 * MS;
 

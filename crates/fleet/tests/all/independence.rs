@@ -1,12 +1,13 @@
 //! The output of one robot depends on that robot's samples alone.
 
-mod world;
-
 use joulebus_fleet::Fleet;
+use joulebus_testkit_fleets::random::Noise;
+use joulebus_testkit_fleets::{
+    self as world, Bits, MS, PERIOD_NS, SLOW_NS, Source, bits, fleet, forecast, healthy, place,
+    quality,
+};
 use joulebus_wire::{InvalidReason, Quality, Sample, forecast_flag, sample_flag};
 use proptest::prelude::*;
-use world::random::Noise;
-use world::{Bits, MS, PERIOD_NS, SLOW_NS, Source, bits, fleet, forecast, healthy, place, quality};
 
 const START_NS: u64 = 60_000 * MS;
 const ROBOT: u32 = 7;

@@ -1,15 +1,12 @@
 //! A fleet with an unlimited number of successive robots, sources and forged frames: its tables
 //! free silent entries, and live ones keep their slots.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-#[path = "../../../tests/counting.rs"]
-mod counting;
-mod world;
-
-use counting::allocations;
 use joulebus_fleet::Fleet;
+use joulebus_testkit::counting::allocations;
+use joulebus_testkit_fleets::{
+    self as world, MS, PERIOD_NS, Source, fleet, forecast, healthy, quality,
+};
 use joulebus_wire::{DropReason, Quality};
-use world::{MS, PERIOD_NS, Source, fleet, forecast, healthy, quality};
 
 const NAMES: u64 = 100_000;
 /// `leave_after` of the fleets.

@@ -1,17 +1,15 @@
 //! Sharding, tiles, threads and instruction sets do not affect the outputs, and the written output
 //! equals the fleet's.
 
-mod world;
-
 use joulebus_fleet::{Accounts, Batch, Fleet, Outputs, Shard};
 use joulebus_predictor::Kernel;
+use joulebus_testkit_fleets::random::Noise;
+use joulebus_testkit_fleets::{
+    self as world, MS, PERIOD_NS, SLOW_NS, Source, budget_bits, diagnostic_bits, forecast_bits,
+    healthy, plan_state_bits,
+};
 use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState, Sample, sample_flag};
 use proptest::prelude::*;
-use world::random::Noise;
-use world::{
-    MS, PERIOD_NS, SLOW_NS, Source, budget_bits, diagnostic_bits, forecast_bits, healthy,
-    plan_state_bits,
-};
 
 const START_NS: u64 = 60_000 * MS;
 const ROBOTS: u32 = 300;

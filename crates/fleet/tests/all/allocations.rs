@@ -1,12 +1,11 @@
 //! After warm-up the tick allocates nothing, and the allocation at start is bounded.
 
-#[path = "../../../tests/counting.rs"]
-mod counting;
-mod world;
-
 use joulebus_fleet::Fleet;
+use joulebus_testkit::counting;
+use joulebus_testkit_fleets::{
+    self as world, MS, PERIOD_NS, SLOW_NS, Source, healthy, models, settings,
+};
 use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState, Sample, sample_flag};
-use world::{MS, PERIOD_NS, SLOW_NS, Source, healthy, models, settings};
 
 const START_NS: u64 = 60_000 * MS;
 const ROBOTS: u32 = 100;
