@@ -1,8 +1,6 @@
 //! Questions and replies survive their payloads, and what is false is refused.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-mod world;
-
+use crate::world::{Rows, fleet};
 use joulebus_plan::{
     Path, Plan, Point, Question, QuestionError, Refused, Reply, RobotRows, Unknown, Verdict, Work,
     rank,
@@ -11,7 +9,6 @@ use joulebus_wire::{
     AnswerHeader, QUERY_STEPS, QueryHeader, QueryRefusal, SCHEMA_VERSION, plan_state_flag,
 };
 use proptest::prelude::*;
-use world::{Rows, fleet};
 
 const FLEET: u64 = 5;
 

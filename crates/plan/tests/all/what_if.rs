@@ -1,7 +1,6 @@
 //! Answers: right where everything is known, never yes where something is not.
 
-mod world;
-
+use crate::world::{PERIOD_NS, Rows, fleet, model, platform};
 use joulebus_energy::{Commands, EnergyModel, HORIZONS_S};
 use joulebus_plan::{
     Answer, AskError, Candidates, Differs, Fleet, Frames, Path, Platform, Point, Robot, Unknown,
@@ -9,7 +8,6 @@ use joulebus_plan::{
 };
 use joulebus_wire::{Budget, InvalidReason, PlanState, Quality, budget_flag, plan_state_flag};
 use proptest::prelude::*;
-use world::{PERIOD_NS, Rows, fleet, model, platform};
 
 const STEP_S: f32 = 1.0 / 30.0;
 

@@ -1,13 +1,10 @@
 //! What a question costs whose ways are followed once for all robots.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
-
-mod world;
 
 use std::time::Instant;
 
+use crate::world::{Rows, fleet};
 use joulebus_plan::{Path, Plan, Point, Question, RobotRows, Work};
 use joulebus_wire::QUERY_STEPS;
-use world::{Rows, fleet};
 
 fn rows(robot: u32) -> RobotRows {
     let mut rows = Rows::with_usable(20_000.0);
@@ -20,7 +17,7 @@ fn rows(robot: u32) -> RobotRows {
     }
 }
 
-/// `cargo test --release -p joulebus-plan --test question_cost -- --ignored --nocapture`
+/// `cargo test --release -p joulebus-plan --test all question_cost -- --ignored --nocapture`
 #[test]
 #[ignore = "prints times"]
 fn what_a_path_and_the_time_to_turn_back_cost() {

@@ -1,11 +1,8 @@
 //! Asking into memory of the caller allocates nothing.
 
-#[path = "../../../tests/counting.rs"]
-mod counting;
-mod world;
-
+use crate::world::{Rows, fleet};
 use joulebus_plan::Candidates;
-use world::{Rows, fleet};
+use joulebus_testkit::counting;
 
 #[test]
 fn questions_about_candidates_allocate_nothing() {
