@@ -1,16 +1,11 @@
 //! Every truncation and every flipped byte of a file of each format is either an error that names
 //! the location, or a model that passes all checks and has another hash — never a panic, never an
 //! allocation by a claimed size.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-#[path = "../../../tests/counting.rs"]
-mod counting;
-#[allow(dead_code, reason = "the list of files is for another test")]
-mod fixture;
-
-use fixture::fixture;
+use crate::fixture::fixture;
 use joulebus_model_files::{Checkpoint, Entry, EntryValue, Found, to_npz};
 use joulebus_predictor::Network;
+use joulebus_testkit::counting;
 use sha2::{Digest as _, Sha256};
 
 /// Maximum total allocation for a file of some 30 kB, counting vectors each time they grow: its

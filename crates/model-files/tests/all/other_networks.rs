@@ -1,11 +1,6 @@
 //! Networks of other sizes, activations, element types and containers than the published one: run
 //! with the same result, or refused with numbers. And conventions: by the file's own statistics
 //! first, and never by chance.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
-
-#[allow(dead_code, reason = "its random numbers")]
-#[path = "../../predictor/tests/random/mod.rs"]
-mod random;
 
 use std::collections::HashMap;
 use std::fmt::Write as _;
@@ -16,7 +11,7 @@ use joulebus_model_files::{
     Origin, StatisticsFrom,
 };
 use joulebus_predictor::{Activation, FEATURES, Features, Network};
-use random::Noise;
+use joulebus_testkit_networks::random::Noise;
 use safetensors::tensor::{Dtype, TensorView};
 
 const ORIGIN: Origin<'_> = Origin {

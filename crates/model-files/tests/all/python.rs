@@ -1,14 +1,10 @@
 //! An exported Python module forecasts what the network does.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
-
-#[allow(dead_code, reason = "its rows")]
-#[path = "../../predictor/tests/random/mod.rs"]
-mod random;
 
 use std::process::Command;
 
 use joulebus_model_files::{ExportError, to_npz, to_python};
 use joulebus_predictor::{Activation, FeatureSet, LAGS, Network, features};
+use joulebus_testkit_networks::random;
 
 /// Largest difference to the network in single precision, W.
 const ALLOWED_W: f64 = 1e-5;

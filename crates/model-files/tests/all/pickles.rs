@@ -1,16 +1,12 @@
 //! Row 13: a pickle that would execute code is refused before anything is executed, in any container;
 //! and no claimed size causes an allocation.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
-
-#[path = "../../../tests/counting.rs"]
-mod counting;
-mod wrapped;
 
 use std::io::{Cursor, Write as _};
 use std::path::Path;
 
+use crate::wrapped::{in_legacy, in_npy, in_zip};
 use joulebus_model_files::{Checkpoint, ReadError};
-use wrapped::{in_legacy, in_npy, in_zip};
+use joulebus_testkit::counting;
 use zip::write::SimpleFileOptions;
 
 fn everywhere(pickle: &[u8]) -> Vec<Vec<u8>> {

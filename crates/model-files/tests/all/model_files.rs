@@ -1,14 +1,8 @@
 //! Model files of NumPy and PyTorch are imported as the same model.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
-
-mod fixture;
-#[allow(dead_code, reason = "its rows")]
-#[path = "../../predictor/tests/random/mod.rs"]
-mod random;
 
 use std::fmt::Write as _;
 
-use fixture::{WHOLE, expected, fixture};
+use crate::fixture::{WHOLE, expected, fixture};
 use joulebus_dataset::trial::Trial;
 use joulebus_model_files::{
     ActivationFrom, CHECK_ROWS, Checkpoint, Choice, ChooseError, Container, Convention, Derivative,
@@ -16,6 +10,7 @@ use joulebus_model_files::{
     StatisticsFrom, to_arrays, to_npz, to_onnx,
 };
 use joulebus_predictor::{Activation, FEATURES, FeatureSet, Features, Network};
+use joulebus_testkit_networks::random;
 
 const STEP_S: f64 = 1.0 / 30.0;
 /// The convention by which `tools/model_fixtures.py` computes its expected forecasts.
