@@ -1,8 +1,7 @@
 //! Which files are read, in which units, and the messages of refusals.
 
 use joulebus_dataset::trial::{Column, Gap, MAX_ROWS, Trial, TrialError};
-
-use crate::files::{Files, ROWS, csv, gzip, header, npy, npy_f8, timed};
+use joulebus_testkit::trials::{Files, ROWS, csv, gzip, header, npy, npy_f8, timed};
 
 fn assert_is_rows(trial: &Trial, context: &str) {
     assert_eq!(trial.rows(), 5, "{context}");
@@ -85,9 +84,8 @@ fn every_form_of_the_table_reads_as_the_same_trial_in_si_units() {
         ("empty_fields.csv", text.replace("NaN", "").into_bytes()),
     ];
     for (name, bytes) in cases {
-        let trial = files
-            .read(name, &bytes)
-            .unwrap_or_else(|error| panic!("{error}"));
+        let trial =
+            Trial::read(files.write(name, &bytes)).unwrap_or_else(|error| panic!("{error}"));
         assert_is_rows(&trial, name);
         assert!(!trial.notes().no_final_line_break, "{name}");
     }
@@ -99,7 +97,7 @@ fn an_array_of_f4_reads_with_the_precision_it_has() {
     let rows = ROWS.map(|row| row.map(|value| value as f32));
     let data = rows.iter().flatten().flat_map(|value| value.to_le_bytes());
     let bytes = npy(&header("<f4", "False", 5), &data.collect::<Vec<_>>());
-    let trial = files.read("f4.npy", &bytes).unwrap();
+    let trial = Trial::read(files.write("f4.npy", &bytes)).unwrap();
     let power_w = trial.column(Column::Power).unwrap();
     assert_eq!(power_w[2], f64::from(3550.0_f32) / 1000.0);
     assert_eq!(trial.column(Column::V).unwrap()[1], f64::from(0.2_f32));
@@ -113,7 +111,7 @@ fn extra_columns_are_ignored_and_named() {
         .enumerate()
         .map(|(line, row)| format!("{row},{}\n", if line == 0 { "slip" } else { "no number" }))
         .collect::<String>();
-    let trial = files.read("slip.csv", text.as_bytes()).unwrap();
+    let trial = Trial::read(files.write("slip.csv", text.as_bytes())).unwrap();
     assert_is_rows(&trial, "slip");
     assert_eq!(trial.notes().ignored_columns, ["slip"]);
     assert!(!trial.notes().is_clean());
@@ -123,7 +121,7 @@ fn extra_columns_are_ignored_and_named() {
 fn time_and_power_suffice_for_a_trial_and_missing_values_are_not_zero() {
     let files = Files::new();
     let text = "timestamp,power_mW\n0,1000\n0.5,2000\n";
-    let trial = files.read("two.csv", text.as_bytes()).unwrap();
+    let trial = Trial::read(files.write("two.csv", text.as_bytes())).unwrap();
     assert_eq!(trial.robot_name(), None);
     assert_eq!(trial.column(Column::Power), Some([1.0, 2.0].as_slice()));
     assert_eq!(trial.notes().missing_columns.len(), Column::ALL.len() - 1);
@@ -142,7 +140,7 @@ type Refusal = (
 fn assert_refused(cases: Vec<Refusal>) {
     let files = Files::new();
     for (name, bytes, is_expected, parts) in cases {
-        let error = match files.read(name, &bytes) {
+        let error = match Trial::read(files.write(name, &bytes)) {
             Ok(_) => panic!("{name} was read"),
             Err(error) => error,
         };
@@ -546,7 +544,7 @@ fn every_flipped_byte_of_an_array_header_is_an_error_or_a_trial_never_a_panic() 
         for flip in [0x01, 0x10, 0x20, 0x80, 0xff] {
             let mut bytes = whole.clone();
             bytes[at] ^= flip;
-            if let Ok(trial) = files.read("flipped.npy", &bytes) {
+            if let Ok(trial) = Trial::read(files.write("flipped.npy", &bytes)) {
                 assert_eq!(trial.rows(), 5, "byte {at}");
             }
         }
@@ -568,7 +566,7 @@ fn what_is_questionable_is_reported_with_its_row_and_kept() {
         (10.56, 4.0),
         (10.66, 5.0),
     ]);
-    let trial = files.read("odd.npy", &npy_f8(&table)).unwrap();
+    let trial = Trial::read(files.write("odd.npy", &npy_f8(&table))).unwrap();
     assert_eq!(trial.rows(), 10);
     let notes = trial.notes();
     assert_eq!(notes.rows, 10);
@@ -616,7 +614,7 @@ fn the_text_in_a_small_compressed_file_is_bounded() {
         } else {
             text
         };
-        let refused = files.read(name, &text).unwrap_err();
+        let refused = Trial::read(files.write(name, &text)).unwrap_err();
         assert!(
             matches!(refused, TrialError::RowTooLong { rows: 0, .. }),
             "{name}: {refused}"
@@ -628,7 +626,7 @@ fn the_text_in_a_small_compressed_file_is_bounded() {
         b"000000000000000000000000000000000000000000000000.5,1\n",
         20 << 20,
     ));
-    let refused = files.read("bomb.csv.gz", &bomb).unwrap_err();
+    let refused = Trial::read(files.write("bomb.csv.gz", &bomb)).unwrap_err();
     assert!(matches!(refused, TrialError::Expands { .. }), "{refused}");
     let (found, allowed) = (bomb.len().to_string(), (16 << 20).to_string());
     let said = refused.to_string();

@@ -7,9 +7,8 @@ use joulebus_dataset::inspect::{
     Check, FindError, FindingKind, Limits, Range, check_files, check_trial, describe, find, holds,
 };
 use joulebus_dataset::trial::{ColumnMap, Trial};
-
-use crate::files::{Files, csv, npy_f8};
-use crate::recordings::trials;
+use joulebus_testkit::recordings::trials;
+use joulebus_testkit::trials::{Files, csv, npy_f8};
 
 /// Sound rows at 10 Hz: all columns, every reading new, power the product of voltage and current.
 fn sound(rows: usize) -> Vec<[f64; 11]> {

@@ -1,15 +1,14 @@
 //! A truncated file is an error, or a shorter trial with a note.
 
-use joulebus_dataset::trial::TrialError;
-
-use crate::files::{Files, ROWS, csv, gzip, npy_f8};
+use joulebus_dataset::trial::{Trial, TrialError};
+use joulebus_testkit::trials::{Files, ROWS, csv, gzip, npy_f8};
 
 #[test]
 fn an_array_truncated_at_any_byte_is_reported_as_truncated() {
     let files = Files::new();
     let whole = npy_f8(&ROWS);
     for length in 1..whole.len() {
-        let error = files.read("cut.npy", &whole[..length]).unwrap_err();
+        let error = Trial::read(files.write("cut.npy", &whole[..length])).unwrap_err();
         let expected_rows = length.saturating_sub(whole.len() - 5 * 88) / 88;
         let TrialError::Truncated { rows, .. } = &error else {
             panic!("{length} bytes: {error:?}");
@@ -17,7 +16,7 @@ fn an_array_truncated_at_any_byte_is_reported_as_truncated() {
         assert_eq!(*rows, expected_rows, "{length} bytes");
         assert!(error.to_string().contains("truncated"));
     }
-    files.read("cut.npy", &whole).unwrap();
+    Trial::read(files.write("cut.npy", &whole)).unwrap();
 }
 
 #[test]
@@ -25,15 +24,15 @@ fn compressed_text_truncated_at_any_byte_is_reported_as_truncated() {
     let files = Files::new();
     let whole = gzip(csv(&ROWS).as_bytes());
     for length in 2..whole.len() {
-        let error = files.read("cut.csv.gz", &whole[..length]).unwrap_err();
+        let error = Trial::read(files.write("cut.csv.gz", &whole[..length])).unwrap_err();
         assert!(
             matches!(error, TrialError::Truncated { .. }),
             "{length} bytes: {error:?}"
         );
         assert!(error.to_string().contains("truncated"));
     }
-    files.read("cut.csv.gz", &whole[..1]).unwrap_err();
-    files.read("cut.csv.gz", &whole).unwrap();
+    Trial::read(files.write("cut.csv.gz", &whole[..1])).unwrap_err();
+    Trial::read(files.write("cut.csv.gz", &whole)).unwrap();
 }
 
 #[test]
@@ -43,7 +42,7 @@ fn plain_text_truncated_at_any_byte_is_an_error_or_a_shorter_trial_with_a_note()
     // If truncated at a newline, only the reported number of rows shows it.
     let mut shorter = 0;
     for length in 0..whole.len() {
-        let Ok(trial) = files.read("cut.csv", &whole.as_bytes()[..length]) else {
+        let Ok(trial) = Trial::read(files.write("cut.csv", &whole.as_bytes()[..length])) else {
             continue;
         };
         let whole_lines = whole[..length].ends_with('\n');

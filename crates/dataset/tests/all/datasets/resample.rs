@@ -1,9 +1,8 @@
 //! Each resampling method against slow, obvious loops.
 
 use joulebus_dataset::trial::{Column, Method, Resample, ResampleError, Table};
+use joulebus_testkit::trials::{Files, npy_f8, timed};
 use proptest::prelude::*;
-
-use crate::files::{Files, npy_f8, timed};
 
 fn table(rows: &[(f64, f64)]) -> Table {
     let files = Files::new();

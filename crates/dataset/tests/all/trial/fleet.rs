@@ -2,19 +2,19 @@
 //! playback speed.
 
 use joulebus_dataset::trial::{Playback, Trial, TrialFleet, TrialFleetError};
+use joulebus_testkit::trials::{Files, npy_f8, timed};
 use joulebus_wire::Sample;
 use joulebus_wire::sample_flag::DISCONTINUITY;
 use proptest::prelude::*;
 
-use crate::files::{Files, npy_f8, timed};
-use crate::samples::bits;
+use super::samples::bits;
 
 const MS: u64 = 1_000_000;
 
 fn trial(rate_hz: f64, rows: usize) -> Trial {
     let rows = (0..rows).map(|row| (row as f64 / rate_hz, row as f64 * 10.0));
     let bytes = npy_f8(&timed(&rows.collect::<Vec<_>>()));
-    Files::new().read("trial.npy", &bytes).unwrap()
+    Trial::read(Files::new().write("trial.npy", &bytes)).unwrap()
 }
 
 fn playback(frame_period_ns: u64, repeat: bool) -> Playback {
@@ -139,7 +139,7 @@ proptest! {
                 time_s += step_s;
                 rows.push((time_s, 3.0));
             }
-            Files::new().read("any.npy", &npy_f8(&timed(&rows))).unwrap()
+            Trial::read(Files::new().write("any.npy", &npy_f8(&timed(&rows)))).unwrap()
         }).collect::<Vec<_>>();
         let settings = playback(frame_period_ns, false);
         let mut fleet = TrialFleet::numbered(0, trials.clone(), settings).unwrap();

@@ -5,9 +5,8 @@ use std::path::{Path, PathBuf};
 
 use flate2::read::GzDecoder;
 use joulebus_dataset::trial::{Column, Trial};
+use joulebus_testkit::recordings::trials;
 use joulebus_wire::sample_flag::{OMEGA, POWER, V};
-
-use crate::recordings::trials;
 
 fn read_all(platform: &str) -> Option<Vec<Trial>> {
     let read = |path: &PathBuf| Trial::read(path).unwrap_or_else(|error| panic!("{error}"));

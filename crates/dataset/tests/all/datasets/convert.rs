@@ -3,10 +3,9 @@
 use std::path::Path;
 
 use joulebus_dataset::trial::{Column, Table, Trial, TrialError, WriteError};
+use joulebus_testkit::recordings::trials;
+use joulebus_testkit::trials::{Files, ROWS, csv, npy_f8, timed};
 use proptest::prelude::*;
-
-use crate::files::{Files, ROWS, csv, npy_f8, timed};
-use crate::recordings::trials;
 
 /// The contents of a table as bits; all NaNs are equal, and a column of NaNs is absent.
 fn bits(table: &Table) -> (Option<String>, Vec<u64>, Vec<Option<Vec<u64>>>) {

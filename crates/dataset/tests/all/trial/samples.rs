@@ -1,16 +1,15 @@
 //! Which reading and command a sample carries, with which times and flags.
 
 use joulebus_dataset::trial::{Column, Trial};
+use joulebus_testkit::trials::{Files, ROWS, npy_f8, timed};
 use joulebus_wire::sample_flag::{CURRENT, HELD, OMEGA, POWER, V, VOLTAGE};
 use joulebus_wire::{Freshness, Sample};
 use proptest::prelude::*;
 
-use crate::files::{Files, ROWS, npy_f8, timed};
-
 #[test]
 fn a_sample_carries_the_reading_of_its_row_and_the_command_of_the_next() {
     let files = Files::new();
-    let trial = files.read("rows.npy", &npy_f8(&ROWS)).unwrap();
+    let trial = Trial::read(files.write("rows.npy", &npy_f8(&ROWS))).unwrap();
     let samples = trial.to_samples(42, 1_000);
     let ms = |ms: u64| 1_000 + ms * 1_000_000;
     let all = V | OMEGA | POWER | VOLTAGE | CURRENT;
@@ -69,8 +68,7 @@ fn a_reading_is_held_only_if_voltage_and_current_are_equal_too() {
     for (column, held) in [(8, false), (9, false), (10, false), (3, true), (2, true)] {
         let mut rows = ROWS;
         rows[1][column] += 1.0;
-        let samples = files
-            .read("rows.npy", &npy_f8(&rows))
+        let samples = Trial::read(files.write("rows.npy", &npy_f8(&rows)))
             .unwrap()
             .to_samples(1, 0);
         assert_eq!(samples[1].has(HELD), held, "column {column} differs");
@@ -86,8 +84,7 @@ fn a_held_run_keeps_the_time_of_its_first_reading_and_a_missing_reading_ends_it(
         .enumerate()
         .map(|(row, power)| (row as f64, power));
     let rows = timed(&rows.collect::<Vec<_>>());
-    let samples = files
-        .read("held.npy", &npy_f8(&rows))
+    let samples = Trial::read(files.write("held.npy", &npy_f8(&rows)))
         .unwrap()
         .to_samples(1, 0);
     let measured_s = samples
@@ -105,7 +102,7 @@ fn a_held_run_keeps_the_time_of_its_first_reading_and_a_missing_reading_ends_it(
 fn times_that_do_not_advance_are_passed_on_unchanged() {
     let files = Files::new();
     let rows = timed(&[(5.0, 1.0), (5.1, 2.0), (5.1, 3.0), (4.9, 4.0), (5.2, 5.0)]);
-    let trial = files.read("back.npy", &npy_f8(&rows)).unwrap();
+    let trial = Trial::read(files.write("back.npy", &npy_f8(&rows))).unwrap();
     let base_ns = 1_000_000_000;
     let stamps = trial
         .to_samples(1, base_ns)
@@ -220,7 +217,7 @@ proptest! {
             [3.0, time_s, 0.0, v, omega, 0.0, 0.0, 0.0, voltage, current, power]
         });
         let bytes = npy_f8(&rows.collect::<Vec<_>>());
-        let trial = Files::new().read("any.npy", &bytes).unwrap();
+        let trial = Trial::read(Files::new().write("any.npy", &bytes)).unwrap();
         prop_assert_eq!(bits(&trial.to_samples(9, base_ns)), bits(&slow(&trial, 9, base_ns)));
         let held = trial.to_samples(9, 0).iter().filter(|sample| sample.has(HELD)).count();
         prop_assert_eq!(trial.notes().held_readings, held);
