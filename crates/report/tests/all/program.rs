@@ -1,12 +1,10 @@
 //! `joulebus report`: one command writes a directory with one page.
 
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
-
 use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use joulebus_test_processes::{Ended, run};
+use joulebus_testkit::{Ended, run};
 
 fn output<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Ended {
     run(env!("CARGO_BIN_EXE_joulebus-report"), arguments)

@@ -1,8 +1,7 @@
 //! Reports: self-contained, the same numbers in every format, and marked as simulated where they
 //! are.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-#[path = "../../eval/tests/live/mod.rs"]
+#[path = "../../../eval/tests/all/live.rs"]
 mod live;
 
 use std::collections::HashSet;

@@ -6,7 +6,7 @@ use joulebus_eval::evaluate::evaluate;
 use joulebus_predictor::{FEATURES, FeatureSet, Features, Model, Network};
 use joulebus_wire::{InvalidReason, Quality};
 
-use crate::model::{ROBOTINO, network, settings};
+use super::model::{ROBOTINO, network, settings};
 
 /// A trial of 120 rows with gaps at `gaps` and missing readings at `missing`; a new reading comes
 /// every `hold` rows, and once a row later. Gaps at multiples of ten exceed what the tick bridges.

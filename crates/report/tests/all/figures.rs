@@ -1,5 +1,4 @@
 //! Figures: well-formed, complete, deterministic, and explicit about missing data.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use joulebus_report::figure::{
     Axis, Colour, Direction, Figure, FigureError, Interval, Layer, Mark, Panel, bins, tiles,

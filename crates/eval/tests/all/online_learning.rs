@@ -1,12 +1,9 @@
 //! On a part of the recordings: the online forecast is never much worse than its best member, it beats the
 //! baselines where the network does not, and intervals keep their coverage per trial.
 
-mod live;
-#[path = "../../../tests/recordings.rs"]
-mod recordings;
-
 use std::path::PathBuf;
 
+use crate::live::settings;
 use joulebus_dataset::rows::trial_rows;
 use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_dataset::trial::Trial;
@@ -15,8 +12,8 @@ use joulebus_eval::score::recorded_platform;
 use joulebus_predictor::FeatureSet;
 use joulebus_settings::Platform;
 use joulebus_statistics::metrics::Tally;
+use joulebus_testkit::recordings;
 use joulebus_train::{TrainSettings, train};
-use live::settings;
 
 /// The first trials of a terrain; `None` where there are no recordings.
 fn trials(terrain: &str, count: usize) -> Option<Vec<Trial>> {

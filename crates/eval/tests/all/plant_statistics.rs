@@ -4,7 +4,7 @@
     dead_code,
     reason = "the test uses some of it, the example other parts"
 )]
-#[path = "../examples/plant/statistics.rs"]
+#[path = "../../examples/plant/statistics.rs"]
 mod statistics;
 
 use std::path::Path;

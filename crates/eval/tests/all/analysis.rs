@@ -1,5 +1,4 @@
 //! `analyze` on data with known statistics, and on the real recordings.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::path::Path;
 
@@ -9,12 +8,8 @@ use joulebus_eval::analyze::{
     Analysis, AnalysisSettings, AnalyzeError, Member, Series, analyze, autocorrelation, pooled,
 };
 use joulebus_eval::score::Recording;
+use joulebus_testkit::recordings::trials;
 use proptest::prelude::*;
-
-use recordings::trials;
-
-#[path = "../../../../tests/recordings.rs"]
-mod recordings;
 
 /// Uniform on [−1, 1), from a simple reference generator.
 fn noise(state: &mut u64) -> f64 {

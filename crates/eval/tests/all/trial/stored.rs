@@ -10,9 +10,9 @@ use joulebus_eval::score::{
 };
 use joulebus_eval::training_data::{Parts, training_data};
 use joulebus_predictor::FeatureSet;
+use joulebus_testkit::trials::{Files, npy_f8};
 
-use crate::files::{Files, npy_f8};
-use crate::model::{network, settings};
+use super::model::{network, settings};
 
 /// Files of different lengths, and one that two robots share.
 fn made_up(files: &Files) -> Vec<(u32, PathBuf)> {

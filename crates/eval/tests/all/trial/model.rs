@@ -5,9 +5,9 @@ use joulebus_predictor::{
     Persistence, ResidualStats, TrainingRange,
 };
 use joulebus_settings::{FleetSettings, Intake, Platform};
+use joulebus_testkit_networks::random::{self, Noise};
 
 use crate::live;
-use crate::random::{self, Noise};
 
 pub(crate) const ROBOTINO: u32 = 1_000;
 pub(crate) const HUSKY: u32 = 2_000;

@@ -5,13 +5,13 @@ use joulebus_dataset::trial::{Column, Playback, Trial, TrialFleet};
 use joulebus_eval::evaluate::{EvaluateError, RobotEvaluation, Step, evaluate, evaluate_trial};
 use joulebus_fleet::Fleet;
 use joulebus_predictor::{FeatureSet, LAGS, Model, features};
+use joulebus_testkit::recordings::trials;
+use joulebus_testkit::trials::{Files, npy_f8, timed};
 use joulebus_wire::{
     DropReason, InvalidReason, Quality, SCHEMA_VERSION, SampleHeader, diagnostic_flag,
 };
 
-use crate::files::{Files, npy_f8, timed};
-use crate::model::{HUSKY, ROBOTINO, ROVER, network, networks, persistence, settings};
-use crate::recordings::trials;
+use super::model::{HUSKY, ROBOTINO, ROVER, network, networks, persistence, settings};
 
 /// Every `every`-th recording of a platform, with robot ids from `first`.
 fn some(platform: &str, first: u32, every: usize) -> Option<Vec<(u32, Trial)>> {
@@ -356,7 +356,7 @@ fn a_robot_that_leaves_during_its_recording_comes_back_and_every_scored_reading_
             change(row, values);
         }
         let file = format!("{place}.npy");
-        let trial = files.read(&file, &npy_f8(&timed(&rows))).unwrap();
+        let trial = Trial::read(files.write(&file, &npy_f8(&timed(&rows)))).unwrap();
         for models in [vec![persistence(); 3], networks()] {
             let found = evaluate_trial(&settings, &models, ROVER, &trial).unwrap();
             let of =
@@ -387,7 +387,7 @@ fn samples_refused_by_ingest_are_empty_steps_and_counted() {
         .collect::<Vec<_>>();
     rows[7].0 = rows[6].0; // The sample before it has the stamp of row 7.
     rows[9].1 = 1e9;
-    let trial = files.read("odd.npy", &npy_f8(&timed(&rows))).unwrap();
+    let trial = Trial::read(files.write("odd.npy", &npy_f8(&timed(&rows)))).unwrap();
     let found = evaluate_trial(&settings(), &vec![persistence(); 3], ROVER, &trial).unwrap();
     assert_eq!((found.accepted, found.drops.total()), (10, 2));
     assert_eq!(found.drops.get(DropReason::BadTime), 1);
@@ -411,9 +411,8 @@ fn samples_refused_by_ingest_are_empty_steps_and_counted() {
 #[test]
 fn invalid_evaluations_are_refused_with_their_numbers() {
     let files = Files::new();
-    let trial = files
-        .read("two.npy", &npy_f8(&timed(&[(0.0, 1.0), (1.0, 1.0)])))
-        .unwrap();
+    let trial =
+        Trial::read(files.write("two.npy", &npy_f8(&timed(&[(0.0, 1.0), (1.0, 1.0)])))).unwrap();
     let (settings, models) = (settings(), vec![persistence(); 3]);
     let twice = [(ROVER, trial.clone()), (ROVER, trial.clone())];
     let unknown = EvaluateError::UnknownRobot {
@@ -440,9 +439,8 @@ fn invalid_evaluations_are_refused_with_their_numbers() {
 fn the_report_states_the_evaluation_in_text_and_json() {
     let files = Files::new();
     let rows = (0..40).map(|row| (f64::from(row) / 30.0, 5_000.0 + f64::from(row % 7) * 100.0));
-    let trial = files
-        .read("saw.npy", &npy_f8(&timed(&rows.collect::<Vec<_>>())))
-        .unwrap();
+    let trial =
+        Trial::read(files.write("saw.npy", &npy_f8(&timed(&rows.collect::<Vec<_>>())))).unwrap();
     let trials = [(ROVER, trial.clone()), (ROVER + 1, trial)];
     let evaluation = evaluate(&settings(), &networks(), &trials).unwrap();
     let report = evaluation.report();

@@ -1,6 +1,5 @@
 //! The demo's fleet in process, at simulated time: healthy robots raise next to no alarm, and planted faults
 //! are found soon.
-#![forbid(unsafe_code)]
 
 use std::collections::{BTreeMap, BTreeSet};
 

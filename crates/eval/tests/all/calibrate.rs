@@ -1,6 +1,4 @@
 //! Limits of alarms for a rate of false alarms, on simulated robots.
-#![forbid(unsafe_code)]
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::ops::Range;
 use std::path::Path;

@@ -16,13 +16,13 @@ use joulebus_predictor::{FeatureSet, LAGS, Model, ModelCard, Network};
 use joulebus_settings::{FleetSettings, IntervalSettings, Platform};
 use joulebus_statistics::bootstrap::Bootstrap;
 use joulebus_statistics::metrics::{ResidualQuantiles, sorted, tally};
+use joulebus_testkit::recordings::trials;
+use joulebus_testkit::trials::{Files, npy_f8};
 use joulebus_train::linear::{Linear, Terms};
 use proptest::prelude::*;
 use rayon::prelude::*;
 
-use crate::files::{Files, npy_f8};
-use crate::model::{network, persistence, settings};
-use crate::recordings::trials;
+use super::model::{network, persistence, settings};
 
 const NEWEST: usize = FeatureSet::PowerOnly.first();
 
@@ -89,7 +89,10 @@ fn made_up_of(lengths: &[u32]) -> Vec<Recording> {
             "odd"
         };
         let name = format!("{group}_{trial:02}.npy");
-        Recording::new(trial, files.read(&name, &npy_f8(&table)).unwrap())
+        Recording::new(
+            trial,
+            Trial::read(files.write(&name, &npy_f8(&table))).unwrap(),
+        )
     };
     (0..).zip(lengths.iter().copied()).map(recording).collect()
 }
@@ -495,7 +498,10 @@ fn all_different(trials: u32, rows: u32) -> Vec<Recording> {
         };
         let table: Vec<_> = (0..rows).map(row).collect();
         let name = format!("{}_{trial:02}.npy", ["a", "b", "c"][trial as usize % 3]);
-        Recording::new(trial, files.read(&name, &npy_f8(&table)).unwrap())
+        Recording::new(
+            trial,
+            Trial::read(files.write(&name, &npy_f8(&table))).unwrap(),
+        )
     };
     (1..=trials).map(recording).collect()
 }
@@ -713,7 +719,7 @@ fn rows_without_a_forecast_are_left_out_for_all_and_counted() {
         driven(0.033 * f64::from(row), v, 0.1, power)
     };
     let table: Vec<_> = (0..600).map(row).collect();
-    let trial = files.read("partly.npy", &npy_f8(&table)).unwrap();
+    let trial = Trial::read(files.write("partly.npy", &npy_f8(&table))).unwrap();
     let recordings = [Recording::new(0, trial)];
     let models = [
         network(5, FeatureSet::Full, 3.0),
@@ -1027,7 +1033,7 @@ fn invalid_evaluations_are_refused_with_a_reason() {
     }
     let blind = [Recording::new(
         0,
-        files.read("blind.npy", &npy_f8(&table)).unwrap(),
+        Trial::read(files.write("blind.npy", &npy_f8(&table))).unwrap(),
     )];
     let needs_command = [network(1, FeatureSet::Full, 5.0)];
     let error = run(&needs_command, &blind, &quick());
