@@ -1,24 +1,18 @@
 //! After warm-up neither a source nor a planner allocates anything of its own: iceoryx2 allocates
 //! once per frame sent.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
-
-#[path = "../../publisher/tests/harness/mod.rs"]
-mod harness;
-
-#[path = "../../../tests/counting.rs"]
-mod counting;
 
 use std::time::Duration;
 
-use counting::allocations;
 use joulebus_bus::{Bus, WorkerLock, clock};
 use joulebus_consumer::{Config, Event, Planner};
 use joulebus_publisher::{Publisher, RobotState};
+use joulebus_testkit::Place;
+use joulebus_testkit::counting::allocations;
 use joulebus_wire::{Budget, BudgetHeader, Forecast, ForecastHeader, SCHEMA_VERSION, WakeEvent};
 
 #[test]
 fn only_loans_allocate_and_only_once() {
-    let place = harness::Place::new();
+    let place = Place::new();
     let config = Config::load(place.config()).unwrap();
     let limits = config.limits();
     let mut publisher = Publisher::connect(place.config(), "source").unwrap();

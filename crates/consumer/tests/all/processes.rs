@@ -1,22 +1,18 @@
 //! The worker as seen by planners, between separate processes. The worker here is a stand-in that
 //! sends ticks on command.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-#[path = "../../publisher/tests/harness/mod.rs"]
-mod harness;
-#[path = "../../../examples/planner.rs"]
+#[path = "../../../../examples/planner.rs"]
 #[allow(dead_code, reason = "its `main`")]
 mod planner;
 
 use std::path::Path;
 use std::time::Duration;
 
-use harness::{Place, run_member, told};
 use joulebus_bus::{Bus, WorkerLock, clock};
 use joulebus_consumer::{
     BudgetFeed, Config, DiagnosticFeed, Event, PlanStateFeed, Planner, WorkerState,
 };
-use joulebus_test_processes::{Member, send_to_test};
+use joulebus_testkit::{Member, Place, run_member, send_to_test, told};
 use joulebus_wire::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
     PlanStateHeader, SCHEMA_VERSION, WakeEvent, forecast_flag,
@@ -25,9 +21,8 @@ use joulebus_wire::{
 /// Long enough that nothing becomes stale during a test.
 const HOUR_NS: u64 = 3_600_000_000_000;
 
-/// Not a test: the entry point of the processes that the tests start.
-#[test]
-fn member() {
+/// What the processes that the tests start do.
+pub(crate) fn member() {
     run_member(|role, config| match role {
         "worker" => worker(config, true),
         "impostor" => worker(config, false),
