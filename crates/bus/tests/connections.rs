@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use harness::{Place, must};
 use joulebus_bus::inspect;
-use joulebus_test_processes::{Member, eventually};
+use joulebus_testkit::{Member, eventually};
 
 /// Not a test: the entry point of members started by the tests.
 #[test]

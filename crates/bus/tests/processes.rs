@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use harness::{Place, must};
 use joulebus_bus::{Ports, check_capacity, inspect, sweep};
-use joulebus_test_processes::{Member, eventually};
+use joulebus_testkit::{Member, eventually};
 
 /// Not a test: the entry point of members started by the tests.
 #[test]
