@@ -1,15 +1,12 @@
 //! Every combination of the optional parts of the format is read as described.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-#[path = "../../../tests/recordings.rs"]
-mod recordings;
-
 use std::fs::{self, File};
 use std::path::Path;
 
 use joulebus_capture::scan::{Event, Scan};
+use joulebus_testkit::recordings::shared;
 use mcap::records::Record;
-use recordings::shared;
 use serde_json::{Map, Value, json};
 
 #[test]

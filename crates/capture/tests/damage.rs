@@ -2,8 +2,6 @@
 //! error names its location, and recovered and lost records add up.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-#[path = "../../../tests/counting.rs"]
-mod counting;
 mod damaged;
 
 use std::collections::BTreeMap;
@@ -14,7 +12,11 @@ use joulebus_capture::inspect::{Severity, inspect};
 use joulebus_capture::recover::recover;
 use joulebus_capture::scan::{Event, Scan};
 use joulebus_capture::{ReadError, Reader};
+use joulebus_testkit::counting;
 use mcap::records::{Record, op};
+
+#[global_allocator]
+static ALLOCATOR: counting::Counting = counting::Counting;
 
 /// Buffers of one scan, one decompressor and one writer; wrong lengths must not add to it.
 const MOST_BYTES: u64 = 24 << 20;

@@ -2,8 +2,6 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod bag;
-#[path = "../../../tests/recordings.rs"]
-mod recordings;
 
 use std::fs::{self, File};
 
@@ -12,7 +10,7 @@ use byteorder::BigEndian;
 use cdr_encoding::to_vec;
 use joulebus_capture::import::{Mapping, import};
 use joulebus_capture::ros::TwistStamped;
-use recordings::shared;
+use joulebus_testkit::recordings::shared;
 
 #[test]
 fn a_real_recording_becomes_rows_and_everything_else_is_counted() {

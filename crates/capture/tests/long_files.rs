@@ -3,9 +3,6 @@
 //! `JOULEBUS_CAPTURE_MB=2000` makes the file that long; release builds take seconds for it.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-#[path = "../../../tests/counting.rs"]
-mod counting;
-
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufWriter;
@@ -15,8 +12,12 @@ use joulebus_capture::inspect::inspect;
 use joulebus_capture::recover::recover;
 use joulebus_capture::scan::ScanError;
 use joulebus_capture::values::values;
+use joulebus_testkit::counting;
 use mcap::WriteOptions;
 use mcap::records::MessageHeader;
+
+#[global_allocator]
+static ALLOCATOR: counting::Counting = counting::Counting;
 
 /// Maximum memory of reading, bytes. The guarantee is 200 MB for a file of 2 GB.
 const MOST_BYTES: u64 = 32 << 20;

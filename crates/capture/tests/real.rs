@@ -1,14 +1,11 @@
 //! Inspection of real recordings.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-#[path = "../../../tests/recordings.rs"]
-mod recordings;
-
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
 use joulebus_capture::inspect::{Sequence, Severity, StatisticsCheck, inspect};
-use recordings::shared;
+use joulebus_testkit::recordings::shared;
 
 fn files(folder: &Path) -> Vec<PathBuf> {
     let mut files: Vec<PathBuf> = fs::read_dir(folder)

@@ -1,9 +1,6 @@
 //! Verification: differences found, and conditions that are not differences.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-#[path = "../../fleet/tests/world/mod.rs"]
-mod world;
-
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -13,14 +10,14 @@ use joulebus_capture::{
 };
 use joulebus_fleet::Fleet;
 use joulebus_plan::{Fleet as PlanFleet, Plan, Question, Refused, RobotRows};
+use joulebus_testkit_fleets::random::Noise;
+use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, Source, healthy};
 use joulebus_wire::{
     AnswerHeader, BudgetHeader, DiagnosticHeader, ForecastHeader, PlanStateHeader, QUERY_STEPS,
     QueryRecord, QueryRefusal, SCHEMA_VERSION, Sample, StateHeader, TakenFrame, TickHeader, fnv1a,
     sample_flag, tick_flag,
 };
 use proptest::prelude::*;
-use world::random::Noise;
-use world::{MS, PERIOD_NS, Source, healthy};
 
 const CAPACITY: u32 = 12;
 const EPOCH: u64 = 1_000;

@@ -3,9 +3,6 @@
 //! `cargo test --release -p joulebus-capture --test verify_speed -- --ignored --nocapture`
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-#[path = "../../fleet/tests/world/mod.rs"]
-mod world;
-
 use std::sync::mpsc::sync_channel;
 use std::time::Instant;
 
@@ -13,11 +10,11 @@ use joulebus_capture::verify::{Verification, Verifier};
 use joulebus_capture::{Attachments, CaptureSettings, Entry, Message, Reader, Times, Writer};
 use joulebus_fleet::Fleet;
 use joulebus_settings::FleetSettings;
+use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, Source, healthy};
 use joulebus_wire::{
     BudgetHeader, DiagnosticHeader, ForecastHeader, SCHEMA_VERSION, Sample, StateHeader,
     TakenFrame, TickHeader,
 };
-use world::{MS, PERIOD_NS, Source, healthy};
 
 const ROBOTS: u32 = 100;
 /// Two minutes at 30 Hz.
