@@ -1,6 +1,5 @@
 //! `joulebus demo` and `watch` as real processes: the counts add up, they stop, they leave no
 //! files.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,7 +8,7 @@ use std::time::Duration;
 
 use joulebus_bus::Domain;
 use joulebus_config::Demo as DemoConfig;
-use joulebus_test_processes::{Child, end_signals, eventually, left_behind};
+use joulebus_testkit::{Child, end_signals, eventually, left_behind};
 use rustix::fs::{FlockOperation, flock};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
