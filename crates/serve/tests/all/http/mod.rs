@@ -1,5 +1,4 @@
 //! The page's server from a client's point of view, with real processes.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod client;
 mod fleet;
@@ -16,7 +15,7 @@ use std::process::Command;
 
 use client::{Events, get, get_json, send, what_if};
 use fleet::Fleet;
-use joulebus_test_processes::{PATIENCE, end_signals, eventually};
+use joulebus_testkit::{PATIENCE, end_signals, eventually};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 
@@ -359,7 +358,7 @@ fn another_address_needs_a_token_and_clients_must_send_it() {
     let refused = |more: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-serve"));
         command.args(["--config"]).arg(fleet.path()).args(more);
-        let mut ended = joulebus_test_processes::Child::spawn("serve", command);
+        let mut ended = joulebus_testkit::Child::spawn("serve", command);
         let ended = ended.wait();
         assert_eq!(ended.code(), Some(2), "{ended:?}");
         ended.errors()

@@ -7,12 +7,12 @@ use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 
 use joulebus_publisher::Publisher;
-use joulebus_test_processes::{PATIENCE, eventually};
+use joulebus_testkit::{PATIENCE, eventually};
 use rustix::process::{Gid, Uid, geteuid};
 use rustix::thread::{set_thread_groups, set_thread_res_gid, set_thread_res_uid};
 use serde_json::Value;
 
-use crate::fleet::Fleet;
+use super::fleet::Fleet;
 
 /// A group that nobody else has, and two users that are not this one.
 const READERS: u32 = 61_177;

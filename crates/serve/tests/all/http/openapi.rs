@@ -1,10 +1,10 @@
 //! The OpenAPI document and the answers describe each other.
 
-use joulebus_test_processes::eventually;
+use joulebus_testkit::eventually;
 use serde_json::Value;
 
-use crate::client::{Events, answered, get, get_json, has_alarm, what_if};
-use crate::fleet::Fleet;
+use super::client::{Events, answered, get, get_json, has_alarm, what_if};
+use super::fleet::Fleet;
 
 /// What of `value` is not as `schema` says.
 fn differences(

@@ -6,14 +6,14 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::process::Command;
 use std::sync::{Arc, Mutex};
 
-use joulebus_test_processes::{Child, PATIENCE, eventually};
+use joulebus_testkit::{Child, PATIENCE, eventually};
 use rustix::process::Signal;
 use rustls::pki_types::pem::PemObject as _;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 use rustls::{ServerConfig, ServerConnection, StreamOwned};
 use serde_json::Value;
 
-use crate::fleet::Fleet;
+use super::fleet::Fleet;
 
 /// A web server that answers its first requests with errors.
 struct Receiver {

@@ -4,12 +4,12 @@ use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
 use std::time::Duration;
 
-use joulebus_test_processes::eventually;
+use joulebus_testkit::eventually;
 use rustix::process::{Resource, getrlimit, setrlimit};
 use serde_json::{Value, json};
 
-use crate::client::{Events, dial, dial_from, get, get_json, send};
-use crate::fleet::Fleet;
+use super::client::{Events, dial, dial_from, get, get_json, send};
+use super::fleet::Fleet;
 
 /// The worker ticks on, and a client is answered.
 fn assert_live(address: &str) {

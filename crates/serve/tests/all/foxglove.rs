@@ -1,5 +1,4 @@
 //! The Foxglove server from a client's point of view.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
 use std::io::{Read as _, Write as _};
@@ -15,7 +14,7 @@ use joulebus_capture::{Message, MessageKind};
 use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
 use joulebus_publisher::{Pace, Publisher, RobotState};
-use joulebus_test_processes::{Child, PATIENCE, end_signals, eventually, left_behind};
+use joulebus_testkit::{Child, PATIENCE, end_signals, eventually, left_behind};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 use tungstenite::client::IntoClientRequest as _;

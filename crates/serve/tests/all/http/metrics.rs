@@ -4,11 +4,11 @@ use std::io::Write as _;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use joulebus_test_processes::{eventually, free_port};
+use joulebus_testkit::{eventually, free_port};
 use serde_json::Value;
 
-use crate::client::{get, get_json, has_alarm};
-use crate::fleet::Fleet;
+use super::client::{get, get_json, has_alarm};
+use super::fleet::Fleet;
 
 /// A Python with the package `prometheus_client`; skips aloud without one.
 fn python() -> Option<String> {
@@ -151,7 +151,7 @@ fn an_independent_parser_reads_the_metrics_and_finds_the_values_of_the_api() {
 }
 
 /// A running Prometheus and its address; skips aloud without one.
-fn prometheus(fleet: &Fleet, target: &str) -> Option<(joulebus_test_processes::Child, String)> {
+fn prometheus(fleet: &Fleet, target: &str) -> Option<(joulebus_testkit::Child, String)> {
     let program = std::env::var("JOULEBUS_PROMETHEUS").unwrap_or_else(|_| "prometheus".to_owned());
     let mut probe = Command::new(&program);
     probe
@@ -180,7 +180,7 @@ fn prometheus(fleet: &Fleet, target: &str) -> Option<(joulebus_test_processes::C
         fleet.file("tsdb").display()
     ));
     command.arg(format!("--web.listen-address={free}"));
-    let mut child = joulebus_test_processes::Child::spawn("prometheus", command);
+    let mut child = joulebus_testkit::Child::spawn("prometheus", command);
     child.wait_for_line("Server is ready to receive web requests");
     Some((child, free))
 }
