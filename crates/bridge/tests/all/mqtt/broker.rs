@@ -7,7 +7,7 @@ use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use joulebus_test_processes::{Child, eventually, free_port};
+use joulebus_testkit::{Child, eventually, free_port};
 use rumqttc::{Client, Event, MqttOptions, Packet, QoS};
 use serde_json::Value;
 

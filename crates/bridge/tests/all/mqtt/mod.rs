@@ -1,10 +1,7 @@
 //! A bridge to a real Mosquitto, with a real worker. Without a broker the tests are skipped aloud; with CI=true
 //! that is a failure.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-mod broker;
-#[path = "../fleet/mod.rs"]
-mod fleet;
+pub(crate) mod broker;
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -15,9 +12,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use crate::fleet::Fleet;
 use broker::{Broker, Listener, mosquitto};
-use fleet::Fleet;
-use joulebus_test_processes::{Child, eventually};
+use joulebus_testkit::{Child, eventually};
 use rumqttc::{Client, QoS};
 use serde_json::{Value, json};
 

@@ -4,7 +4,7 @@ use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use joulebus_test_processes::{Child, PATIENCE, eventually};
+use joulebus_testkit::{Child, PATIENCE, eventually};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 
@@ -64,7 +64,10 @@ impl Peer {
     pub(crate) fn start(python: &Path, domain: &RosDomain) -> Self {
         let mut command = Command::new(python);
         command
-            .arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/ros2/peer.py"))
+            .arg(concat!(
+                env!("CARGO_MANIFEST_DIR"),
+                "/tests/all/ros2/peer.py"
+            ))
             .arg(domain.id.to_string())
             .env("CYCLONEDDS_URI", CYCLONE)
             .env("PYTHONDONTWRITEBYTECODE", "1");

@@ -6,7 +6,7 @@ use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_config::Config;
-use joulebus_test_processes::{Child, joulebus_beside, left_behind};
+use joulebus_testkit::{Child, joulebus_beside, left_behind};
 
 /// The `joulebus` program of the same build.
 fn joulebus() -> &'static Path {

@@ -1,16 +1,13 @@
 //! A bridge to ROS 2 beside a real worker, with another vendor's DDS as talker and listener. Without it the tests are skipped
 //! aloud; with CI=true that is a failure.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-#[path = "../fleet/mod.rs"]
-mod fleet;
-mod peer;
+pub(crate) mod peer;
 
 use std::net::UdpSocket;
 use std::path::PathBuf;
 
-use fleet::Fleet;
-use joulebus_test_processes::Child;
+use crate::fleet::Fleet;
+use joulebus_testkit::Child;
 use peer::{Peer, RosDomain, cyclonedds};
 use rustix::process::Signal;
 use serde_json::{Value, json};
@@ -280,7 +277,7 @@ fn hostile_messages_are_counted_by_reason_and_disturb_no_other_robot() {
         "too_long: r2",
     ] {
         let seen = |bridge: &Child| bridge.errors().contains(says);
-        joulebus_test_processes::eventually(says, || seen(&bridge));
+        joulebus_testkit::eventually(says, || seen(&bridge));
     }
     // What is no DDS at all, on the ports of the bridge.
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();

@@ -1,24 +1,14 @@
 //! A bridge whose file has a broker and a domain of ROS 2: a robot's power comes over one and its commands over the other.
 //! Without Mosquitto and another vendor's DDS the test is skipped aloud; with CI=true that is a failure.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
-
-#[allow(dead_code, reason = "of the tests of MQTT")]
-#[path = "../mqtt/broker.rs"]
-mod broker;
-#[path = "../fleet/mod.rs"]
-mod fleet;
-#[allow(dead_code, reason = "of the tests of ROS 2")]
-#[path = "../ros2/peer.rs"]
-mod peer;
 
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use broker::{Broker, mosquitto};
-use fleet::Fleet;
-use peer::{Peer, RosDomain, cyclonedds};
+use crate::fleet::Fleet;
+use crate::mqtt::broker::{Broker, mosquitto};
+use crate::ros2::peer::{Peer, RosDomain, cyclonedds};
 use rumqttc::QoS;
 use serde_json::{Value, json};
 
