@@ -16,7 +16,7 @@ fn the_table_in_the_documentation_is_made_from_the_sources() {
 fn made() -> String {
     let mut page = format!(
         "# Layout of shared memory\n\n\
-         Made from `crates/wire` by `JOULEBUS_WRITE=1 cargo test -p joulebus-c --test layouts`, which also compares this page, the C \
+         Made from `crates/wire` by `JOULEBUS_WRITE=1 cargo test -p joulebus-c --test all layouts`, which also compares this page, the C \
          header and a compiled C program with it; `crates/python/tests/test_layout.py` compares NumPy's types. Schema version \
          {SCHEMA_VERSION}.\n\n\
          All structs are `repr(C)`, little endian as the hosts are, aligned to 8 bytes and without padding. Units are those of the \

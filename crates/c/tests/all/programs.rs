@@ -1,6 +1,5 @@
 //! The C library and its C++ layer, as users get them: installed, found by a compiler, run beside a real worker in real
 //! shared memory. Needs `cc` and `c++`; without them the tests skip, and fail with CI=true.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -11,14 +10,13 @@ use joulebus_config::{Config, builtin_model};
 use joulebus_plan_server::PlanServer;
 use joulebus_predictor::{INPUTS, Model, Network};
 use joulebus_predictor_worker::Worker;
-use joulebus_test_processes::{Child, Ended, Member, PATIENCE, eventually, send_to_test};
+use joulebus_testkit::{Child, Ended, Member, PATIENCE, eventually, send_to_test};
 use tempfile::TempDir;
 
 const CONFIG: &str = "JOULEBUS_MEMBER_CONFIG";
 
-/// Not a test: the worker's process.
-#[test]
-fn member() {
+/// The worker's process.
+pub(crate) fn member() {
     let Some(path) = std::env::var_os(CONFIG) else {
         return;
     };
