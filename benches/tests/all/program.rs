@@ -1,11 +1,10 @@
 //! Benchmarks run and report; speed is never tested.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use joulebus_test_processes::{Child, Ended, end_signals, run};
+use joulebus_testkit::{Child, Ended, end_signals, run};
 use serde_json::Value;
 
 fn output<'a>(arguments: impl IntoIterator<Item = &'a str>) -> Ended {
