@@ -1,5 +1,4 @@
 //! Fleets with faults, from fixed seeds, and from those that the environment names.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicBool, Ordering};
