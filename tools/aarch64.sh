@@ -61,20 +61,20 @@ cross=(cargo test --locked --target "$target")
 for crate in predictor fleet capture-verify train; do
     cross+=(-p "joulebus-$crate")
 done
-tests=(--test kernels --test rollouts --test files --test oracle)
+tests=(kernels:: rollouts:: files:: oracle::)
 
 # Records here what is computed again there.
 step cargo test --locked --workspace --test verify what_one_machine_records
 [ -s "$machines/x86_64.mcap" ] || { echo 'aarch64: nothing was recorded' >&2; exit 1; }
-step "${cross[@]}" "${tests[@]}" --test shards --test verify --test train --no-run
+step "${cross[@]}" --test all --test verify --no-run
 # One long test on one processor, beside all that follow.
-"${cross[@]}" --test shards >"$beside" 2>&1 &
+"${cross[@]}" --test all shards:: >"$beside" 2>&1 &
 shards=$!
 step "${cross[@]}" --test verify
 [ -s "$machines/aarch64.mcap" ] || { echo 'aarch64: nothing was recorded there' >&2; exit 1; }
 cmp "$machines/x86_64.mcap" "$machines/aarch64.mcap"
-step "${cross[@]}" --test train the_same_seed_gives_the_same_bytes
-step "${cross[@]}" "${tests[@]}"
+step "${cross[@]}" --test all the_same_seed_gives_the_same_bytes
+step "${cross[@]}" --test all -- "${tests[@]}"
 step wait "$shards" || {
     cat "$beside" >&2
     exit 1

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the model files that crates/model-files/tests/model_files.rs reads, with NumPy and PyTorch.
+"""Writes the model files that crates/model-files/tests/all/model_files.rs reads, with NumPy and PyTorch.
 
 The files are what those programs really write: the published layout (a pickled object array of
 NumPy) in several styles, PyTorch's state dicts, checkpoints and whole modules, zip and legacy, and

@@ -1,6 +1,6 @@
 //! Model files of other programs: refused with the position of the fault, or read as a valid network.
 
-#[path = "../../crates/model-files/tests/wrapped/mod.rs"]
+#[path = "../../crates/model-files/tests/all/wrapped.rs"]
 #[allow(dead_code)] // The tests also embed pickles in other formats.
 pub(crate) mod wrapped;
 
@@ -8,8 +8,7 @@ use std::sync::OnceLock;
 
 use joulebus_model_files::{Checkpoint, EntryValue, to_arrays, to_npz};
 use joulebus_predictor::FeatureSet;
-
-use super::oracle::world::random::network;
+use joulebus_testkit_networks::random::network;
 
 /// Maximum number of values read of a tensor.
 const MOST_VALUES: usize = 1 << 16;

@@ -9,10 +9,10 @@ use std::sync::OnceLock;
 use joulebus_fleet::{Fleet, FleetState};
 use joulebus_predictor::Model;
 use joulebus_settings::FleetSettings;
+use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, Source, healthy};
 use joulebus_wire::{DropReason, Sample, SampleHeader};
 
 use super::input::Input;
-use super::oracle::world::{self, MS, PERIOD_NS, Source, healthy};
 use super::oracle::{Oracle, compare};
 
 /// The oracle's time per sample grows with the history.

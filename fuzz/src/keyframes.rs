@@ -4,10 +4,10 @@
 //! valid head of such a state (format, capacity, hashes), which mutation would not find.
 
 use joulebus_fleet::{Fleet, FleetState};
+use joulebus_testkit_fleets::{PERIOD_NS, Source, bits, healthy};
 
 use super::frames::{encoded, setting};
 use super::input::Input;
-use super::oracle::world::{PERIOD_NS, Source, bits, healthy};
 
 const STEPS: u64 = 8;
 const START_NS: u64 = 61_000_000_000;

@@ -1,14 +1,12 @@
 //! The fuzz targets: one function for each kind of untrusted input. Each asserts the invariants of
 //! the result, not only the absence of panics, and returns whether the input was accepted.
 //!
-//! The programs in `fuzz_targets` run them under libFuzzer; `tests/tests/fuzz_inputs.rs` of the
+//! The programs in `fuzz_targets` run them under libFuzzer; `tests/tests/repository/fuzz_inputs.rs` of the
 //! parent workspace runs every seed and every finding through them on stable.
 
 mod capture;
 mod checkpoints;
 mod config;
-#[path = "../../tests/counting.rs"]
-mod counting;
 mod frames;
 mod input;
 mod keyframes;
@@ -18,6 +16,11 @@ mod oracle;
 mod questions;
 pub mod seeds;
 mod trials;
+
+use joulebus_testkit::counting;
+
+#[global_allocator]
+static ALLOCATOR: counting::Counting = counting::Counting;
 
 /// A fuzz target.
 #[derive(Debug, Clone, Copy)]

@@ -5,10 +5,8 @@
 //! (text up to a zero byte) and weights, repeated up to the size in the header; the file gets a
 //! valid digest, so that mutations pass that check.
 
-#[path = "../../crates/predictor/tests/forged/mod.rs"]
-mod forged;
-
 use joulebus_predictor::{Features, Kernel, Network, Tiling};
+use joulebus_testkit_networks::forged;
 use safetensors::SafeTensors;
 
 /// More weights than any header of ours describes.

@@ -8,6 +8,7 @@ use std::sync::OnceLock;
 use joulebus_capture_format::Query;
 use joulebus_fleet::Fleet;
 use joulebus_plan::{Fleet as PlanFleet, Path, Plan, Point, Question, Refused, Reply, RobotRows};
+use joulebus_testkit_fleets::{MS, PERIOD_NS, Source, healthy};
 use joulebus_wire::{
     ANSWER_WORDS, AnswerHeader, Budget, PlanState, QueryHeader, SCHEMA_VERSION, answer_parts,
     records,
@@ -15,7 +16,6 @@ use joulebus_wire::{
 
 use super::frames::setting;
 use super::input::Input;
-use super::oracle::world::{MS, PERIOD_NS, Source, healthy};
 
 const FLEET: u64 = 7;
 const START_NS: u64 = 60_000 * MS;

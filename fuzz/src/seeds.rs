@@ -13,6 +13,8 @@ use joulebus_dataset::trial::{Column, Row, Trial};
 use joulebus_fleet::Fleet;
 use joulebus_model_files::{to_arrays, to_npz};
 use joulebus_predictor::FeatureSet;
+use joulebus_testkit_fleets::{MS, PERIOD_NS, Source, healthy};
+use joulebus_testkit_networks::random::network;
 use joulebus_wire::{AnswerHeader, AnswerRow, QueryRecord, SampleHeader, answer_flag, push_record};
 use mcap::WriteOptions;
 
@@ -20,8 +22,6 @@ use super::capture::damaged;
 use super::checkpoints::{packed, wrapped};
 use super::frames::{encoded, setting};
 use super::keyframes::beginning;
-use super::oracle::world::random::network;
-use super::oracle::world::{MS, PERIOD_NS, Source, healthy};
 
 /// Directory, name and bytes of every seed.
 #[must_use]

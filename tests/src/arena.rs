@@ -8,7 +8,7 @@ use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_bus::Domain;
-use joulebus_test_processes::left_behind;
+use joulebus_testkit::left_behind;
 
 use crate::{Child, Ended, Planner, ReaderLine, Source};
 

@@ -1,14 +1,15 @@
 //! After warm-up the thread that uses the ports does not allocate, except for one allocation per
 //! loan in iceoryx2.
 
-#[path = "../../../tests/counting.rs"]
-mod counting;
-
 use std::path::Path;
 
-use counting::allocations;
 use joulebus_bus::{Bus, Domain, FrameBuf, Limits, WorkerLock, clock};
+use joulebus_testkit::counting;
+use joulebus_testkit::counting::allocations;
 use joulebus_wire::{Forecast, ForecastHeader, Sample, SampleHeader, WakeEvent};
+
+#[global_allocator]
+static ALLOCATOR: counting::Counting = counting::Counting;
 
 #[test]
 fn only_loans_allocate_and_once_each() {

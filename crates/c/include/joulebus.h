@@ -3,7 +3,7 @@
  * libjoulebus: publisher, planner, questions about plans and predictor of joulebus, a shared-memory energy broker for
  * robot fleets. docs/c.md has the whole picture; joulebus.hpp is a layer above for C++17.
  *
- * This file is made from the sources of joulebus-c and joulebus-wire: cargo test -p joulebus-c --test layouts.
+ * This file is made from the sources of joulebus-c and joulebus-wire: cargo test -p joulebus-c --test all layouts.
  *
  * Errors. Calls return a joulebus_error; joulebus_last_error() has the message. After an error nothing is written to
  * where results go, if not said otherwise. No call aborts the program on what it is given or reads.

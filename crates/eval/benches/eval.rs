@@ -2,7 +2,7 @@
 //! on one and two threads.
 //!
 //! `cargo bench -p joulebus-eval --bench eval [FOLDER]`; without a folder, `../shared/data/robotino`.
-#[path = "../tests/live/mod.rs"]
+#[path = "../tests/all/live.rs"]
 mod live;
 
 use std::path::{Path, PathBuf};

@@ -4,7 +4,7 @@
 //! networks are trained); names after `--`, such as `husky rover robotino simulated`, select cases.
 //! Recordings are looked for in `../shared/data`, beside the repository.
 
-#[path = "../tests/live/mod.rs"]
+#[path = "../tests/all/live.rs"]
 mod live;
 
 use std::path::{Path, PathBuf};

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use joulebus_mission::{CHOSEN, Outcome, Policy, Runs, Scenario, Summary, mission};
-use joulebus_test_processes::run;
+use joulebus_testkit::run;
 
 /// Eight minutes, in which every robot is charged at least once.
 fn short() -> Scenario {

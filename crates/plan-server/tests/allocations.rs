@@ -2,11 +2,6 @@
 //! 0.10 does, once for each of the frames of a tick.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-#[path = "../../../tests/counting.rs"]
-mod counting;
-#[path = "../../../tests/on_drop.rs"]
-mod on_drop;
-
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -17,8 +12,11 @@ use joulebus_plan::{Plan, Question};
 use joulebus_plan_server::PlanServer;
 use joulebus_planner::PlanClient;
 use joulebus_predictor_worker::Worker;
+use joulebus_testkit::{OnDrop, counting};
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader};
-use on_drop::OnDrop;
+
+#[global_allocator]
+static ALLOCATOR: counting::Counting = counting::Counting;
 
 const ROBOTS: u32 = 20;
 /// Timeout of waiting for a condition.

@@ -3,11 +3,6 @@
 //! frames of a tick.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-#[path = "../../../tests/counting.rs"]
-mod counting;
-#[path = "../../../tests/on_drop.rs"]
-mod on_drop;
-
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -15,8 +10,11 @@ use std::time::{Duration, Instant};
 use joulebus_bus::{Bus, Domain, clock};
 use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
+use joulebus_testkit::{OnDrop, counting};
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader};
-use on_drop::OnDrop;
+
+#[global_allocator]
+static ALLOCATOR: counting::Counting = counting::Counting;
 
 /// Timeout of waiting for a condition.
 const PATIENCE: Duration = Duration::from_secs(180);

@@ -1,9 +1,6 @@
 //! After warm-up the tick's thread takes no page fault: its memory has been touched before.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-#[path = "../../../tests/on_drop.rs"]
-mod on_drop;
-
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
@@ -11,8 +8,8 @@ use std::time::Duration;
 use joulebus_bus::{Bus, Domain, clock, page_faults};
 use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
+use joulebus_testkit::OnDrop;
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader};
-use on_drop::OnDrop;
 
 const ROBOTS: u32 = 2_000;
 

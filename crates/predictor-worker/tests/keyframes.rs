@@ -2,9 +2,6 @@
 //! later keyframe; without readers there is no cost.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-#[path = "../../../tests/on_drop.rs"]
-mod on_drop;
-
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -15,11 +12,11 @@ use joulebus_config::Config;
 use joulebus_fleet::{Fleet, FleetState};
 use joulebus_models::load_models;
 use joulebus_predictor_worker::Worker;
+use joulebus_testkit::OnDrop;
 use joulebus_wire::{
     Budget, Forecast, SCHEMA_VERSION, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader,
     tick_flag,
 };
-use on_drop::OnDrop;
 
 const ROBOTS: u32 = 300;
 /// Timeout of waiting for a condition.

@@ -2,9 +2,6 @@
 //! permit has run out.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-#[path = "../../../tests/on_drop.rs"]
-mod on_drop;
-
 use std::fs;
 use std::path::PathBuf;
 use std::sync::Mutex;
@@ -15,8 +12,8 @@ use joulebus_bus::{Bus, clock};
 use joulebus_config::Config;
 use joulebus_predictor_worker::{RunError, Worker};
 use joulebus_standby::{Permit, Places, SavedState};
+use joulebus_testkit::OnDrop;
 use joulebus_wire::{Budget, Forecast, Quality, SCHEMA_VERSION, Sample, SampleHeader};
-use on_drop::OnDrop;
 
 const ROBOTS: u32 = 20;
 const PERIOD_NS: u64 = 33_333_333;

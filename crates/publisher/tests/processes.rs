@@ -4,14 +4,12 @@
 #[path = "../../../examples/controller.rs"]
 #[allow(dead_code, reason = "its `main`")]
 mod controller;
-mod harness;
 
 use std::path::Path;
 
-use harness::{Place, run_member, told};
 use joulebus_bus::{Bus, FrameBuf, SampleReader, Waiter};
 use joulebus_publisher::{Config, PublishError, Publisher, RobotState, clock};
-use joulebus_test_processes::send_to_test;
+use joulebus_testkit::{Place, run_member, send_to_test, told};
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
 /// Not a test: the entry point of the processes that the tests start.

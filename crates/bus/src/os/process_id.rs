@@ -46,7 +46,7 @@ fn emptied_by_fork() -> Option<&'static AtomicU32> {
 mod tests {
     use super::*;
 
-    // In a forked process: `cargo test -p joulebus-c --test programs`, misuse.c.
+    // In a forked process: `cargo test -p joulebus-c --test all programs`, misuse.c.
     #[test]
     fn it_is_what_the_kernel_says() {
         for _ in 0..3 {

@@ -12,7 +12,7 @@ use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::{FileName, FilePath, Path as BusPath, SemanticString, ipc};
 use joulebus_bus::{Bus, Domain, inspect, sweep};
-use joulebus_test_processes::eventually;
+use joulebus_testkit::eventually;
 
 use crate::harness::{Place, limits, must};
 

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use joulebus_bus::inspect;
-use joulebus_test_processes::{Member, eventually};
+use joulebus_testkit::{Member, eventually};
 
 use crate::harness::{Place, must};
 

@@ -11,7 +11,7 @@ use joulebus_bus::{
     ForecastWriter, FrameBuf, Limits, PeerWatch, SampleReader, SampleWriter, StateWriter,
     TickWriter, Waiter, Waker, WorkerLock,
 };
-use joulebus_test_processes::{Member, send_to_test};
+use joulebus_testkit::{Member, send_to_test};
 use joulebus_wire::{
     Budget, BudgetHeader, DiagnosticHeader, Forecast, ForecastHeader, Sample, SampleHeader,
     WakeEvent,

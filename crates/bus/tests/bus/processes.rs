@@ -6,7 +6,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use joulebus_bus::{NodeInfo, Ports, check_capacity, inspect, sweep};
-use joulebus_test_processes::{Member, eventually};
+use joulebus_testkit::{Member, eventually};
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::harness::{Place, limits, must};

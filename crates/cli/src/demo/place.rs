@@ -4,6 +4,7 @@ use std::fs::{self, File};
 use std::io::Write as _;
 use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use anyhow::Context as _;
 use joulebus_bus::{Domain, inspect, sweep};
@@ -14,6 +15,8 @@ use serde::Serialize;
 const FLEET: &str = "demo";
 const PREFIX: &str = "jbd_";
 const CONFIG: &str = "demo.toml";
+/// Longer than it takes to write the config.
+const UNFINISHED_AFTER: Duration = Duration::from_secs(60);
 
 /// The directory and the config of one demo. The config file is locked while it runs, so that
 /// directories of dead demos can be identified.
@@ -81,10 +84,12 @@ impl Place {
         self.root.join(CONFIG)
     }
 
-    /// Removes everything. All processes must have been waited for. Returns what could not be
-    /// removed.
+    /// Removes everything, and the remains of demos killed since. All processes must have been waited for. Returns what
+    /// could not be removed.
     pub(super) fn clear(self) -> anyhow::Result<LeftBehind> {
         clear(&self.domain, &self.root);
+        // Processes of one killed just before this one may still have run when it started.
+        remove_dead();
         let left = inspect(&self.domain)?;
         Ok(LeftBehind {
             objects: left.objects,
@@ -107,9 +112,12 @@ fn clear(domain: &Domain, root: &Path) {
     if let Err(error) = sweep(domain) {
         tracing::warn!(%error, "shared memory could not be cleaned up");
     }
-    let _ = fs::remove_file(root.join(CONFIG));
-    // Fails if it is not empty, which is reported below.
-    let _ = fs::remove_dir(root);
+    // While anything else is left the config stays: by it the next demo recognises the directory, and tries again.
+    let mut left = fs::read_dir(root).into_iter().flatten().flatten();
+    if left.all(|entry| entry.file_name() == CONFIG) {
+        let _ = fs::remove_file(root.join(CONFIG));
+        let _ = fs::remove_dir(root);
+    }
 }
 
 /// Common prefix of the directories of this user's demos.
@@ -139,8 +147,14 @@ fn remove_dead() {
         let name = entry.file_name();
         let number = name.to_str().zip(begin.to_str());
         let number = number.and_then(|(name, begin)| name.strip_prefix(begin));
-        if number.is_some_and(|number| number.parse::<u32>().is_ok()) && is_demo(&entry.path()) {
-            remove_if_dead(&entry.path());
+        if number.is_none_or(|number| number.parse::<u32>().is_err()) {
+            continue;
+        }
+        let root = entry.path();
+        if is_demo(&root) {
+            remove_if_dead(&root);
+        } else {
+            remove_unfinished(&root);
         }
     }
 }
@@ -155,11 +169,11 @@ fn is_demo(root: &Path) -> bool {
 }
 
 fn remove_if_dead(root: &Path) {
-    // Held until the directory is removed: two new demos do not clean up at the same time.
-    let lock = File::open(root.join(CONFIG));
-    if let Ok(file) = &lock
-        && flock(file, FlockOperation::NonBlockingLockExclusive).is_err()
-    {
+    let Ok(config) = File::open(root.join(CONFIG)) else {
+        return;
+    };
+    // A live demo has it exclusively. Shared, so that demos that look at the same time do not take each other for that one.
+    if flock(&config, FlockOperation::NonBlockingLockShared).is_err() {
         return;
     }
     let Ok(domain) = Domain::new(FLEET, root, PREFIX) else {
@@ -169,9 +183,28 @@ fn remove_if_dead(root: &Path) {
     let lives = inspect(&domain).map_or(true, |found| {
         found.worker.is_some() || found.nodes.iter().any(|node| node.alive != Some(false))
     });
-    // A directory without a config may be one under construction.
-    if !lives && lock.is_ok() {
+    if lives {
+        return;
+    }
+    // Held until the directory is removed: who does not get it leaves that to the demo that has it.
+    if let Ok(directory) = File::open(root)
+        && flock(&directory, FlockOperation::NonBlockingLockExclusive).is_ok()
+    {
         tracing::info!(root = %root.display(), "removed the files of a killed demo");
         clear(&domain, root);
+    }
+}
+
+/// Removes a directory without a config, or with an empty one: a demo was killed while it made or removed it. One that is
+/// being made is younger.
+fn remove_unfinished(root: &Path) {
+    let age = fs::symlink_metadata(root).and_then(|found| found.modified());
+    if age.is_ok_and(|since| since.elapsed().is_ok_and(|age| age > UNFINISHED_AFTER)) {
+        let file = root.join(CONFIG);
+        if fs::symlink_metadata(&file).is_ok_and(|found| found.is_file() && found.len() == 0) {
+            let _ = fs::remove_file(&file);
+        }
+        // Fails if it contains anything else, or is no directory.
+        let _ = fs::remove_dir(root);
     }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
-use joulebus_test_processes::eventually;
+use joulebus_testkit::eventually;
 use rustix::process::Signal;
 use serde_json::Value;
 

@@ -3,7 +3,7 @@
 use std::fs;
 use std::process::Output;
 
-use joulebus_test_processes::eventually;
+use joulebus_testkit::eventually;
 use rustix::process::Signal;
 use serde_json::Value;
 

@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use joulebus_capture_format::{Attachments, CaptureSettings, Writer};
+use joulebus_testkit::recordings::shared;
 
 use crate::fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
-use crate::recordings::shared;
 
 fn run(arguments: &[&str]) -> Output {
     output(arguments)

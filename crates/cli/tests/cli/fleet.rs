@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_config::Config;
-use joulebus_test_processes::{Child, PATIENCE, left_behind};
+use joulebus_testkit::{Child, PATIENCE, left_behind};
 use rustix::process::Signal;
 use serde_json::Value;
 

@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use joulebus_test_processes::eventually;
+use joulebus_testkit::eventually;
 use rustix::process::Signal;
 
 use crate::fleet::{Fleet, Program, code, json, stderr, stdout};

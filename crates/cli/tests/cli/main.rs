@@ -6,6 +6,7 @@ mod ask;
 mod calibrate;
 mod captures;
 mod data;
+mod demo;
 mod evaluate;
 mod exits;
 mod external;
@@ -14,8 +15,6 @@ mod from_recordings;
 mod live;
 mod model;
 mod printable;
-#[path = "../../../../tests/recordings.rs"]
-mod recordings;
 mod service;
 mod signals;
 mod special_files;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::time::Duration;
 
-use joulebus_test_processes::{end_signals, eventually, ignores};
+use joulebus_testkit::{end_signals, eventually, ignores};
 use rustix::process::Signal;
 
 use crate::captures::capture;

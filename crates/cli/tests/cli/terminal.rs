@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
-use joulebus_test_processes::eventually;
+use joulebus_testkit::eventually;
 use pty_process::Size;
 use pty_process::blocking::Pty;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -75,7 +75,7 @@ impl Terminal {
         eventually(what, || {
             lines = self.lines();
             let holds = condition(&lines);
-            let is_late = begin.elapsed() > joulebus_test_processes::PATIENCE / 2;
+            let is_late = begin.elapsed() > joulebus_testkit::PATIENCE / 2;
             assert!(holds || !is_late, "{what}:\n{}", lines.join("\n"));
             holds
         });

@@ -10,7 +10,7 @@ mod writing;
 
 use std::path::{Path, PathBuf};
 
-use joulebus_test_processes::{Ended, joulebus_beside, run};
+use joulebus_testkit::{Ended, joulebus_beside, run};
 
 /// The program.
 const EXPORT: &str = env!("CARGO_BIN_EXE_joulebus-export");

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use joulebus_test_processes::joulebus_beside;
+use joulebus_testkit::joulebus_beside;
 
 use crate::{EXPORT, export, parquet, recordings};
 

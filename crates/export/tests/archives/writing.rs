@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use joulebus_dataset::archive::{fields, listings};
-use joulebus_test_processes::{Child, run};
+use joulebus_testkit::{Child, run};
 
 use crate::recordings::{capture, every_kind, full, sparse};
 use crate::{EXPORT, export, files, joulebus, parquet};

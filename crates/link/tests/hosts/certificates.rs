@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::Command;
 use std::time::Duration;
 
-use joulebus_test_processes::{Child, eventually};
+use joulebus_testkit::{Child, eventually};
 use zenoh::Wait as _;
 
 use crate::host::{FOLLOW, Host, SAMPLES, free_address, has_lost_edge, is_asked_by};

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use joulebus_test_processes::{Child, eventually};
+use joulebus_testkit::{Child, eventually};
 use rustix::process::Signal;
 use serde_json::Value;
 

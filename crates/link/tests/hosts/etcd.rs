@@ -6,7 +6,7 @@ use std::net::TcpStream;
 use std::path::PathBuf;
 use std::process::Command;
 
-use joulebus_test_processes::{Child, eventually};
+use joulebus_testkit::{Child, eventually};
 use rustix::process::Signal;
 
 /// A server with data of its own, which survive its restarts.

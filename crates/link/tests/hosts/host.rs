@@ -6,7 +6,7 @@ use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_config::Config;
-use joulebus_test_processes::{Child, eventually, free_port, joulebus_beside, left_behind};
+use joulebus_testkit::{Child, eventually, free_port, joulebus_beside, left_behind};
 use serde_json::Value;
 
 use crate::planner::Reader;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use joulebus_test_processes::{Child, Ended, eventually};
+use joulebus_testkit::{Child, Ended, eventually};
 
 use crate::host::{
     ATTEMPTS, FOLLOW, Host, SAMPLES, free_address, has_lost_edge, is_asked_by, of_other, of_worker,

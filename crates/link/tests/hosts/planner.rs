@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use joulebus_bus::clock;
 use joulebus_consumer::{Event, Planner};
-use joulebus_test_processes::{Member, send_to_test};
+use joulebus_testkit::{Member, send_to_test};
 use joulebus_wire::Forecast;
 use serde::{Deserialize, Serialize};
 

@@ -1,6 +1,6 @@
 //! Links that are clients of a stock zenoh router.
 
-use joulebus_test_processes::{Child, Member, send_to_test};
+use joulebus_testkit::{Child, Member, send_to_test};
 use zenoh::Wait as _;
 
 use crate::host::{FOLLOW, Host, SAMPLES, free_address, of_other};

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use joulebus_test_processes::{Child, eventually};
+use joulebus_testkit::{Child, eventually};
 use serde_json::Value;
 
 use crate::host::{Host, free_address, has_lost_edge, is_asked_by, undisturbed};

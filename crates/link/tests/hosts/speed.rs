@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use joulebus_bus::clock;
 use joulebus_consumer::{Event, Planner};
-use joulebus_test_processes::{Member, send_to_test};
+use joulebus_testkit::{Member, send_to_test};
 use serde::{Deserialize, Serialize};
 use zenoh::Wait as _;
 use zenoh::qos::CongestionControl;
@@ -318,7 +318,7 @@ fn speed_of_a_fleet_on_four_shards() {
             planner.fresh_sample();
         }
         let all = || {
-            let of = |children: &[joulebus_test_processes::Child]| {
+            let of = |children: &[joulebus_testkit::Child]| {
                 spent(&children.iter().map(|it| it.pid()).collect::<Vec<u32>>())
             };
             [

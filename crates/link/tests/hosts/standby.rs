@@ -10,7 +10,7 @@ use std::time::Duration;
 use joulebus_bus::clock;
 use joulebus_config::Config;
 use joulebus_standby::{Places, SavedState};
-use joulebus_test_processes::{Child, eventually, free_port};
+use joulebus_testkit::{Child, eventually, free_port};
 use rustix::process::Signal;
 use serde_json::Value;
 

@@ -10,7 +10,7 @@ use joulebus_ros_messages::{
     BatteryState, Header, Odometry, Pose, PoseWithCovariance, Quaternion, Time, Twist,
     TwistWithCovariance, Vector3,
 };
-use joulebus_test_processes::joulebus_beside;
+use joulebus_testkit::joulebus_beside;
 use rusqlite::{Connection, params};
 use serde::Serialize;
 

@@ -8,9 +8,9 @@ use joulebus_capture_format::inspect::{Severity, inspect};
 use joulebus_capture_format::recover::recover;
 use joulebus_capture_format::scan::{Event, Scan};
 use joulebus_capture_format::{ReadError, Reader};
+use joulebus_testkit::counting;
 use mcap::records::{Record, op};
 
-use crate::counting;
 use crate::damaged::{KINDS, MESSAGES, file, read, recovered};
 
 /// Buffers of one scan, one decompressor and one writer; wrong lengths must not add to it.

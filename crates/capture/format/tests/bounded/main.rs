@@ -2,8 +2,11 @@
 //! these tests have a program of their own.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-#[path = "../../../../../tests/counting.rs"]
-mod counting;
 mod damage;
 mod damaged;
 mod long_files;
+
+use joulebus_testkit::counting;
+
+#[global_allocator]
+static ALLOCATOR: counting::Counting = counting::Counting;

@@ -3,8 +3,8 @@
 use std::fs::{self, File};
 use std::path::Path;
 
-use crate::recordings::shared;
 use joulebus_capture_format::scan::{Event, Scan};
+use joulebus_testkit::recordings::shared;
 use mcap::records::Record;
 use serde_json::{Map, Value, json};
 

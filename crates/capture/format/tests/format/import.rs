@@ -3,11 +3,11 @@
 use std::fs::{self, File};
 
 use crate::bag::{BATTERY, Bag, battery, header, odometry, twist};
-use crate::recordings::shared;
 use byteorder::BigEndian;
 use cdr_encoding::to_vec;
 use joulebus_capture_format::import::{Mapping, import};
 use joulebus_ros_messages::TwistStamped;
+use joulebus_testkit::recordings::shared;
 
 #[test]
 fn a_real_recording_becomes_rows_and_everything_else_is_counted() {

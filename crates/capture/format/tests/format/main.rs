@@ -10,7 +10,5 @@ mod foxglove_layout;
 mod import;
 mod limits;
 mod real;
-#[path = "../../../../../tests/recordings.rs"]
-mod recordings;
 mod schemas;
 mod small_files;

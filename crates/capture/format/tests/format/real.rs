@@ -3,8 +3,8 @@
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-use crate::recordings::shared;
 use joulebus_capture_format::inspect::{Sequence, Severity, StatisticsCheck, inspect};
+use joulebus_testkit::recordings::shared;
 
 fn files(folder: &Path) -> Vec<PathBuf> {
     let mut files: Vec<PathBuf> = fs::read_dir(folder)

@@ -3,14 +3,14 @@
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use crate::world::random::Noise;
-use crate::world::{self, MS, PERIOD_NS, Source, healthy};
 use joulebus_capture_format::{
     Attachments, CaptureSettings, Entry, Message, MessageKind, Query, Reader, Times, Writer,
 };
 use joulebus_capture_verify::{Loss, Verification, Verifier};
 use joulebus_fleet::Fleet;
 use joulebus_plan::{Fleet as PlanFleet, Plan, Question, Refused, RobotRows};
+use joulebus_testkit_fleets::random::Noise;
+use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, Source, healthy};
 use joulebus_wire::{
     AnswerHeader, BudgetHeader, DiagnosticHeader, ForecastHeader, PlanStateHeader, QUERY_STEPS,
     QueryRecord, QueryRefusal, SCHEMA_VERSION, Sample, StateHeader, TakenFrame, TickHeader, fnv1a,

@@ -3,5 +3,3 @@
 
 mod differences;
 mod speed;
-#[path = "../../../../fleet/tests/world/mod.rs"]
-mod world;

@@ -5,13 +5,13 @@
 use std::sync::mpsc::sync_channel;
 use std::time::Instant;
 
-use crate::world::{self, MS, PERIOD_NS, Source, healthy};
 use joulebus_capture_format::{
     Attachments, CaptureSettings, Entry, Message, Reader, Times, Writer,
 };
 use joulebus_capture_verify::{Verification, Verifier};
 use joulebus_fleet::Fleet;
 use joulebus_settings::FleetSettings;
+use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, Source, healthy};
 use joulebus_wire::{
     BudgetHeader, DiagnosticHeader, ForecastHeader, SCHEMA_VERSION, Sample, StateHeader,
     TakenFrame, TickHeader,

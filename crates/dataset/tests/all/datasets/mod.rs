@@ -1,0 +1,5 @@
+//! Datasets: checking, converting and resampling.
+
+mod check;
+mod convert;
+mod resample;

@@ -1,0 +1,7 @@
+//! Recorded trials: reading, refusals, notes and samples.
+
+mod fleet;
+mod read;
+mod real;
+mod samples;
+mod truncation;

@@ -1,0 +1,59 @@
+//! A truncated file is an error, or a shorter trial with a note.
+
+use joulebus_dataset::trial::{Trial, TrialError};
+use joulebus_testkit::trials::{Files, ROWS, csv, gzip, npy_f8};
+
+#[test]
+fn an_array_truncated_at_any_byte_is_reported_as_truncated() {
+    let files = Files::new();
+    let whole = npy_f8(&ROWS);
+    for length in 1..whole.len() {
+        let error = Trial::read(files.write("cut.npy", &whole[..length])).unwrap_err();
+        let expected_rows = length.saturating_sub(whole.len() - 5 * 88) / 88;
+        let TrialError::Truncated { rows, .. } = &error else {
+            panic!("{length} bytes: {error:?}");
+        };
+        assert_eq!(*rows, expected_rows, "{length} bytes");
+        assert!(error.to_string().contains("truncated"));
+    }
+    Trial::read(files.write("cut.npy", &whole)).unwrap();
+}
+
+#[test]
+fn compressed_text_truncated_at_any_byte_is_reported_as_truncated() {
+    let files = Files::new();
+    let whole = gzip(csv(&ROWS).as_bytes());
+    for length in 2..whole.len() {
+        let error = Trial::read(files.write("cut.csv.gz", &whole[..length])).unwrap_err();
+        assert!(
+            matches!(error, TrialError::Truncated { .. }),
+            "{length} bytes: {error:?}"
+        );
+        assert!(error.to_string().contains("truncated"));
+    }
+    Trial::read(files.write("cut.csv.gz", &whole[..1])).unwrap_err();
+    Trial::read(files.write("cut.csv.gz", &whole)).unwrap();
+}
+
+#[test]
+fn plain_text_truncated_at_any_byte_is_an_error_or_a_shorter_trial_with_a_note() {
+    let files = Files::new();
+    let whole = csv(&ROWS);
+    // If truncated at a newline, only the reported number of rows shows it.
+    let mut shorter = 0;
+    for length in 0..whole.len() {
+        let Ok(trial) = Trial::read(files.write("cut.csv", &whole.as_bytes()[..length])) else {
+            continue;
+        };
+        let whole_lines = whole[..length].ends_with('\n');
+        assert_eq!(
+            trial.notes().no_final_line_break,
+            !whole_lines,
+            "{length} bytes"
+        );
+        let lines = whole[..length].lines().count();
+        assert_eq!(trial.notes().rows, lines - 1, "{length} bytes");
+        shorter += usize::from(trial.notes().rows < 5);
+    }
+    assert!(shorter > 0);
+}

@@ -1,0 +1,566 @@
+//! Every kind of refusal: counted once, named, and shown in the robot's quality.
+
+use joulebus_fleet::Fleet;
+use joulebus_testkit_fleets::{
+    MS, PERIOD_NS, SLOW_NS, Source, diagnostic, fleet, forecast, healthy, place, quality,
+};
+use joulebus_wire::{
+    Alarm, DropReason, InvalidReason, Quality, SCHEMA_VERSION, Sample, SampleHeader, forecast_flag,
+    sample_flag,
+};
+
+const ROBOT: u32 = 7;
+
+/// A fleet of two in which robot 7 has sent eight samples, the last one stamped `NOW`.
+fn warm() -> (Fleet, Source) {
+    let (mut fleet, mut source) = (fleet(2), Source::new(1, 5));
+    for step in 0..8 {
+        let stamp_ns = NOW - (7 - step) * PERIOD_NS;
+        let sample = healthy(ROBOT, step, stamp_ns, PERIOD_NS);
+        source.send(&mut fleet, &[sample], stamp_ns);
+        fleet.tick(stamp_ns, false);
+    }
+    assert_eq!(quality(&fleet, ROBOT), Quality::Held);
+    (fleet, source)
+}
+
+const NOW: u64 = 10_000 * MS;
+const NEXT: u64 = NOW + PERIOD_NS;
+
+fn good() -> Sample {
+    healthy(ROBOT, 8, NEXT, PERIOD_NS)
+}
+
+type Case = (
+    &'static str,
+    fn(&mut Sample),
+    DropReason,
+    Option<InvalidReason>,
+);
+
+/// Faults of one sample of a known robot.
+const SAMPLES: [Case; 25] = [
+    (
+        "NaN power",
+        |s| s.power_w = f32::NAN,
+        DropReason::NotFinite,
+        Some(InvalidReason::NotFinite),
+    ),
+    (
+        "infinite power",
+        |s| s.power_w = f32::INFINITY,
+        DropReason::NotFinite,
+        Some(InvalidReason::NotFinite),
+    ),
+    (
+        "NaN velocity",
+        |s| s.v_mps = f32::NAN,
+        DropReason::NotFinite,
+        Some(InvalidReason::NotFinite),
+    ),
+    (
+        "NaN turn rate",
+        |s| s.omega_radps = f32::NAN,
+        DropReason::NotFinite,
+        Some(InvalidReason::NotFinite),
+    ),
+    (
+        "NaN voltage",
+        |s| *s = s.battery(f32::NAN, 0.5),
+        DropReason::NotFinite,
+        Some(InvalidReason::NotFinite),
+    ),
+    (
+        "infinite current",
+        |s| *s = s.battery(7.4, f32::NEG_INFINITY),
+        DropReason::NotFinite,
+        Some(InvalidReason::NotFinite),
+    ),
+    (
+        "power below the platform's",
+        |s| s.power_w = -0.001,
+        DropReason::PowerOutOfRange,
+        Some(InvalidReason::PowerOutOfRange),
+    ),
+    (
+        "power above the platform's",
+        |s| s.power_w = 20.001,
+        DropReason::PowerOutOfRange,
+        Some(InvalidReason::PowerOutOfRange),
+    ),
+    (
+        "huge power",
+        |s| s.power_w = f32::MAX,
+        DropReason::PowerOutOfRange,
+        Some(InvalidReason::PowerOutOfRange),
+    ),
+    (
+        "too fast",
+        |s| s.v_mps = 0.501,
+        DropReason::CommandOutOfRange,
+        Some(InvalidReason::CommandOutOfRange),
+    ),
+    (
+        "reversing too fast",
+        |s| s.v_mps = -0.501,
+        DropReason::CommandOutOfRange,
+        Some(InvalidReason::CommandOutOfRange),
+    ),
+    (
+        "turning too fast",
+        |s| s.omega_radps = -3.001,
+        DropReason::CommandOutOfRange,
+        Some(InvalidReason::CommandOutOfRange),
+    ),
+    (
+        "unknown flag",
+        |s| s.flags |= 1 << 12,
+        DropReason::BadFlags,
+        Some(InvalidReason::BadFlags),
+    ),
+    (
+        "reserved field in use",
+        |s| s.reserved = 1,
+        DropReason::BadFlags,
+        Some(InvalidReason::BadFlags),
+    ),
+    (
+        "full, but not on the charger",
+        |s| s.flags |= sample_flag::FULL,
+        DropReason::BadFlags,
+        Some(InvalidReason::BadFlags),
+    ),
+    (
+        "NaN state of charge",
+        |s| *s = s.soc(f32::NAN),
+        DropReason::NotFinite,
+        Some(InvalidReason::NotFinite),
+    ),
+    (
+        "more than full",
+        |s| *s = s.soc(1.06),
+        DropReason::BatteryOutOfRange,
+        Some(InvalidReason::BatteryOutOfRange),
+    ),
+    (
+        "gains energy by returning",
+        |s| *s = s.return_energy(-1.0),
+        DropReason::BatteryOutOfRange,
+        Some(InvalidReason::BatteryOutOfRange),
+    ),
+    (
+        "measured in the future",
+        |s| s.measured_ns = s.stamp_ns + 1,
+        DropReason::BadTime,
+        Some(InvalidReason::BadTime),
+    ),
+    (
+        "stamp does not advance",
+        |s| {
+            s.stamp_ns = NOW;
+            s.measured_ns = NOW;
+        },
+        DropReason::BadTime,
+        Some(InvalidReason::BadTime),
+    ),
+    (
+        "stamp goes back",
+        |s| {
+            s.stamp_ns = NOW - 1;
+            s.measured_ns = 1;
+        },
+        DropReason::BadTime,
+        Some(InvalidReason::BadTime),
+    ),
+    (
+        "stamp jumps",
+        |s| s.stamp_ns = NOW + 5_000 * MS + 1,
+        DropReason::BadTime,
+        Some(InvalidReason::BadTime),
+    ),
+    ("sent twice", |s| s.seq = 7, DropReason::Duplicate, None),
+    ("overtaken", |s| s.seq = 6, DropReason::OutOfOrder, None),
+    (
+        "of no platform",
+        |s| s.robot = 300,
+        DropReason::UnknownRobot,
+        None,
+    ),
+];
+
+#[test]
+fn each_bad_sample_is_counted_once_named_and_shown_and_the_next_good_one_recovers() {
+    for (what, spoil, reason, invalid) in SAMPLES {
+        let (mut fleet, mut source) = warm();
+        let (before, accepted) = (quality(&fleet, ROBOT), fleet.accepted());
+        let mut sample = good();
+        spoil(&mut sample);
+        source.send(&mut fleet, &[sample], NEXT);
+        fleet.tick(NEXT, false);
+        assert_refused(&fleet, what, sample.robot, reason, 1);
+        assert_eq!(fleet.accepted(), accepted, "{what}");
+        let expected = invalid.map_or(before, Quality::Invalid);
+        assert_eq!(quality(&fleet, ROBOT), expected, "{what}");
+        let shown = forecast(&fleet, ROBOT);
+        assert_eq!(shown.power_w().is_some(), invalid.is_none(), "{what}");
+        assert_eq!(
+            diagnostic(&fleet, ROBOT).refused,
+            u64::from(invalid.is_some()),
+            "{what}"
+        );
+
+        let later = NEXT + PERIOD_NS;
+        source.send(&mut fleet, &[healthy(ROBOT, 9, later, PERIOD_NS)], later);
+        fleet.tick(later, false);
+        assert_eq!(
+            quality(&fleet, ROBOT),
+            Quality::Fresh,
+            "{what}: no recovery"
+        );
+        assert_eq!(fleet.accepted(), accepted + 1, "{what}");
+        assert_eq!(fleet.drops().total(), 1, "{what}");
+    }
+}
+
+/// Checks that only this reason is counted, with robot and source named.
+fn assert_refused(fleet: &Fleet, what: &str, robot: u32, reason: DropReason, count: u32) {
+    let drops: Vec<_> = fleet.drops().iter().collect();
+    assert_eq!(drops, [(reason, u64::from(count))], "{what}");
+    let named: Vec<_> = fleet
+        .refusals()
+        .into_iter()
+        .filter(|refusal| refusal.reason != 0)
+        .map(|refusal| (refusal.robot, refusal.reason(), refusal.count))
+        .collect();
+    assert_eq!(named, [(robot, Some(reason), count)], "{what}");
+}
+
+type FrameCase = (&'static str, fn(&mut SampleHeader), DropReason, bool);
+
+/// Faults of a whole frame; the last column: whether its robot ids are reliable.
+const FRAMES: [FrameCase; 5] = [
+    (
+        "another schema",
+        |h| h.schema = SCHEMA_VERSION + 1,
+        DropReason::Schema,
+        false,
+    ),
+    (
+        "an older run of the source",
+        |h| h.source_epoch = 4,
+        DropReason::OldEpoch,
+        true,
+    ),
+    (
+        "a frame seen before",
+        |h| h.samples_before = 0,
+        DropReason::Duplicate,
+        true,
+    ),
+    (
+        "another source",
+        |h| h.source_id = 2,
+        DropReason::ForeignSource,
+        true,
+    ),
+    (
+        "a newer run of another source",
+        |h| {
+            h.source_id = 2;
+            h.source_epoch = 99;
+        },
+        DropReason::ForeignSource,
+        true,
+    ),
+];
+
+#[test]
+fn each_bad_frame_is_counted_and_affects_no_robot() {
+    for (what, spoil, reason, named) in FRAMES {
+        let (mut fleet, mut source) = warm();
+        let mut header = source.frame(1);
+        spoil(&mut header);
+        if header.source_id == 2 {
+            header.samples_before = 0;
+        }
+        fleet.take(&header, &[good()], NOW + MS);
+        fleet.tick(NOW + MS, false);
+        assert_eq!(quality(&fleet, ROBOT), Quality::Held, "{what}");
+        if named {
+            assert_refused(&fleet, what, ROBOT, reason, 1);
+            assert_eq!(fleet.refusals()[0].pid, header.pid, "{what}");
+        } else {
+            assert_eq!(fleet.drops().get(reason), 1, "{what}");
+            assert_eq!(fleet.drops().total(), 1, "{what}");
+        }
+    }
+}
+
+#[test]
+fn lost_samples_are_counted_from_the_headers() {
+    let (mut fleet, mut source) = (fleet(2), Source::new(1, 5));
+    source.frame(30);
+    source.send(&mut fleet, &[good()], NEXT);
+    assert_eq!(
+        fleet.drops().iter().collect::<Vec<_>>(),
+        [(DropReason::BeforeJoin, 30)]
+    );
+    source.frame(4);
+    let later = NEXT + PERIOD_NS;
+    source.send(&mut fleet, &[healthy(ROBOT, 9, later, PERIOD_NS)], later);
+    let drops: Vec<_> = fleet.drops().iter().collect();
+    assert_eq!(
+        drops,
+        [(DropReason::Overflow, 4), (DropReason::BeforeJoin, 30)]
+    );
+    assert_eq!(fleet.accepted(), 2);
+}
+
+#[test]
+fn a_source_beyond_the_maximum_is_counted_and_named() {
+    let (mut fleet, _) = warm();
+    for id in 2..5 {
+        Source::new(id, 1).send(&mut fleet, &[], NEXT);
+    }
+    let mut extra = Source::new(5, 1);
+    extra.send(&mut fleet, &[healthy(8, 0, NEXT, PERIOD_NS)], NEXT);
+    assert_refused(
+        &fleet,
+        "a source beyond the maximum",
+        8,
+        DropReason::TooManySources,
+        1,
+    );
+    assert_eq!(fleet.refusals()[0].pid, extra.header.pid);
+    assert!(place(&fleet, 8).is_none());
+}
+
+#[test]
+fn a_robot_beyond_the_capacity_is_counted_and_named() {
+    let (mut fleet, mut source) = warm();
+    let robots = [8, 9, 9].map(|robot| healthy(robot, 0, NEXT, PERIOD_NS));
+    source.send(&mut fleet, &robots, NEXT);
+    assert_refused(
+        &fleet,
+        "beyond the capacity",
+        9,
+        DropReason::OverCapacity,
+        2,
+    );
+    assert_eq!(fleet.len(), 2);
+}
+
+#[test]
+fn a_tick_takes_a_limited_number_of_samples_per_robot_and_the_next_tick_continues() {
+    let (mut fleet, mut source) = warm();
+    let burst: Vec<Sample> = (8..14)
+        .map(|step| healthy(ROBOT, step, NOW + (step - 7) * PERIOD_NS, PERIOD_NS))
+        .collect();
+    let now_ns = NOW + 6 * PERIOD_NS;
+    source.send(&mut fleet, &burst, now_ns);
+    fleet.tick(now_ns, false);
+    assert_refused(&fleet, "a burst", ROBOT, DropReason::Backlog, 2);
+    assert_eq!(forecast(&fleet, ROBOT).sample_seq, 11);
+    let later = NOW + 7 * PERIOD_NS;
+    source.send(&mut fleet, &[healthy(ROBOT, 14, later, PERIOD_NS)], later);
+    fleet.tick(later, false);
+    assert_eq!(forecast(&fleet, ROBOT).sample_seq, 14);
+    assert_eq!(fleet.drops().total(), 2);
+}
+
+/// Fails if a reason is added that no test here produces.
+#[test]
+fn every_reason_is_tested() {
+    let elsewhere = [
+        DropReason::Overflow,
+        DropReason::BeforeJoin,
+        DropReason::TooManySources,
+        DropReason::OverCapacity,
+        DropReason::Backlog,
+    ];
+    for reason in DropReason::ALL {
+        let in_tables = SAMPLES.iter().any(|case| case.2 == reason)
+            || FRAMES.iter().any(|case| case.2 == reason);
+        assert!(in_tables != elsewhere.contains(&reason), "{reason:?}");
+    }
+}
+
+#[test]
+fn a_new_run_of_the_source_takes_over_even_when_its_first_sample_is_refused() {
+    for (what, stamp_ns) in [
+        ("clock continues", NOW + 2 * PERIOD_NS),
+        ("clock restarts", 40 * MS),
+    ] {
+        let (mut fleet, _) = warm();
+        let mut source = Source::new(1, 6);
+        let mut first = healthy(ROBOT, 0, stamp_ns, PERIOD_NS);
+        first.power_w = f32::NAN;
+        source.send(&mut fleet, &[first], NEXT);
+        fleet.tick(NEXT, false);
+        let invalid = Quality::Invalid(InvalidReason::NotFinite);
+        assert_eq!(quality(&fleet, ROBOT), invalid, "{what}");
+        for step in 1..6 {
+            let sample = healthy(ROBOT, step, stamp_ns + step * PERIOD_NS, PERIOD_NS);
+            source.send(&mut fleet, &[sample], NEXT + step * PERIOD_NS);
+            fleet.tick(NEXT + step * PERIOD_NS, false);
+        }
+        assert_eq!(fleet.drops().total(), 1, "{what}: {:?}", fleet.drops());
+        assert!(forecast(&fleet, ROBOT).power_w().is_some(), "{what}");
+        assert_eq!(forecast(&fleet, ROBOT).source_epoch, 6, "{what}");
+    }
+}
+
+#[test]
+fn missing_columns_are_missing_and_not_zero() {
+    let cases = [
+        (ROBOT, PERIOD_NS, false, "the model needs velocities"),
+        (107, SLOW_NS, true, "the model reads powers alone"),
+        (207, PERIOD_NS, true, "persistence"),
+    ];
+    for (robot, period_ns, forecasts, what) in cases {
+        let (mut fleet, mut source) = (fleet(2), Source::new(1, 1));
+        for step in 0..12 {
+            let now_ns = NOW + step * period_ns;
+            let full = healthy(robot, step, now_ns, period_ns);
+            let bare = Sample::new(robot, step, now_ns)
+                .reading(full.power_w, full.measured_ns)
+                .with(full.flags & sample_flag::HELD);
+            source.send(&mut fleet, &[bare], now_ns);
+            fleet.tick(now_ns, false);
+            let shown = forecast(&fleet, robot);
+            let expected = match (step, forecasts) {
+                (0..4, _) => Quality::Warmup {
+                    have: step as u16 + 1,
+                },
+                (_, false) => Quality::Invalid(InvalidReason::NoCommand),
+                (_, true) if step % 3 == 0 => Quality::Fresh,
+                (_, true) => Quality::Held,
+            };
+            assert_eq!(shown.quality(), expected, "{what}, step {step}");
+            let known = forecasts && step >= 4;
+            assert_eq!(shown.power_w().is_some(), known, "{what}, step {step}");
+            assert_eq!(shown.power_w.is_nan(), !known, "{what}, step {step}");
+            assert_ne!(
+                shown.flags & forecast_flag::READING,
+                0,
+                "{what}, step {step}"
+            );
+        }
+        let scored = diagnostic(&fleet, robot).scored;
+        assert_eq!(scored, if forecasts { 7 } else { 0 }, "{what}");
+        assert_eq!(fleet.drops().total(), 0, "{what}");
+    }
+}
+
+#[test]
+fn without_readings_there_is_no_forecast_and_the_reason_is_shown() {
+    let (mut fleet, mut source) = (fleet(2), Source::new(1, 1));
+    for step in 0..12 {
+        let now_ns = NOW + step * PERIOD_NS;
+        let sample = Sample::new(ROBOT, step, now_ns).command(0.1, 0.0);
+        source.send(&mut fleet, &[sample], now_ns);
+        fleet.tick(now_ns, false);
+        assert_eq!(
+            quality(&fleet, ROBOT),
+            Quality::Invalid(InvalidReason::NoReading)
+        );
+        assert_eq!(forecast(&fleet, ROBOT).flags & forecast_flag::READING, 0);
+    }
+}
+
+#[test]
+fn silence_is_open_loop_then_stale_and_the_robot_recovers() {
+    let (mut fleet, mut source) = warm();
+    for missing in 1..30u16 {
+        let now_ns = NOW + (u64::from(missing) + 1) * PERIOD_NS;
+        fleet.tick(now_ns, false);
+        let stale = now_ns - NOW > 30 * PERIOD_NS;
+        let expected = if stale {
+            Quality::Invalid(InvalidReason::Stale)
+        } else {
+            Quality::OpenLoop { steps: missing }
+        };
+        assert_eq!(quality(&fleet, ROBOT), expected);
+        assert_eq!(forecast(&fleet, ROBOT).power_w().is_some(), !stale);
+    }
+    let stale = NOW + 31 * PERIOD_NS + 1;
+    fleet.tick(stale, false);
+    assert_eq!(
+        quality(&fleet, ROBOT),
+        Quality::Invalid(InvalidReason::Stale)
+    );
+    assert!(diagnostic(&fleet, ROBOT).alarms().has(Alarm::NoData));
+    let back = NOW + 40 * PERIOD_NS;
+    source.send(&mut fleet, &[healthy(ROBOT, 9, back, PERIOD_NS)], back);
+    fleet.tick(back, false);
+    assert_eq!(quality(&fleet, ROBOT), Quality::Warmup { have: 1 });
+    assert!(!diagnostic(&fleet, ROBOT).alarms().has(Alarm::NoData));
+}
+
+#[test]
+fn a_robot_that_joins_with_a_held_reading_is_not_stuck() {
+    let (mut fleet, mut source) = (fleet(2), Source::new(1, 1));
+    for step in 0..25 {
+        let now_ns = NOW + step * PERIOD_NS;
+        let sample = Sample::new(ROBOT, step, now_ns)
+            .command(0.1, 0.0)
+            .reading(3.6, NOW.max(now_ns - 300 * MS))
+            .with(sample_flag::HELD);
+        source.send(&mut fleet, &[sample], now_ns);
+        fleet.tick(now_ns, false);
+        let alarms = diagnostic(&fleet, ROBOT).alarms();
+        assert!(!alarms.has(Alarm::StuckSensor), "step {step}");
+    }
+}
+
+/// The open-loop limit counts from the last reading, not from the last sample.
+#[test]
+fn missing_readings_and_silence_are_bridged_for_at_most_stale_after() {
+    for (missing, expected) in [
+        (25, Quality::Fresh),
+        (26, Quality::Warmup { have: 1 }),
+        (29, Quality::Warmup { have: 1 }),
+    ] {
+        let (mut fleet, mut source) = warm();
+        for step in 8..13 {
+            let now_ns = NOW + (step - 7) * PERIOD_NS;
+            let mut sample = healthy(ROBOT, step, now_ns, PERIOD_NS);
+            sample.flags &= !(sample_flag::POWER | sample_flag::HELD);
+            source.send(&mut fleet, &[sample], now_ns);
+            fleet.tick(now_ns, false);
+            let steps = step as u16 - 7;
+            assert_eq!(quality(&fleet, ROBOT), Quality::OpenLoop { steps });
+        }
+        let now_ns = NOW + (5 + missing + 1) * PERIOD_NS;
+        let sample = healthy(ROBOT, 15, now_ns, PERIOD_NS);
+        source.send(&mut fleet, &[sample], now_ns);
+        fleet.tick(now_ns, false);
+        assert_eq!(quality(&fleet, ROBOT), expected, "{missing} missing");
+    }
+}
+
+#[test]
+fn a_refused_sample_does_not_delay_the_others_to_the_deadline() {
+    let (mut fleet, mut source) = warm();
+    assert!(!fleet.complete(NEXT), "robot 7 is due and has not reported");
+    let mut poisoned = good();
+    poisoned.power_w = f32::NAN;
+    source.send(&mut fleet, &[poisoned], NEXT);
+    assert!(fleet.complete(NEXT));
+    fleet.tick(NEXT, false);
+    assert!(
+        !fleet.complete(NEXT + PERIOD_NS),
+        "the next tick waits for it again"
+    );
+}
+
+#[test]
+fn the_time_between_two_recordings_is_not_metered() {
+    let (mut fleet, mut source) = warm();
+    let before = fleet.ledger(ROBOT).unwrap();
+    source.send(&mut fleet, &[good().with(sample_flag::DISCONTINUITY)], NEXT);
+    fleet.tick(NEXT, false);
+    let after = fleet.ledger(ROBOT).unwrap();
+    assert_eq!(after.drawn_uj, before.drawn_uj);
+    assert_eq!(after.unmetered_ns, before.unmetered_ns + PERIOD_NS);
+}

@@ -1,0 +1,18 @@
+//! The tests of one tick: against its reference, of its parts, and of its memory.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
+
+mod allocations;
+mod battery;
+mod budgets;
+mod independence;
+mod intake;
+mod left_out;
+mod oracle;
+mod recycling;
+mod shards;
+mod state_cost;
+
+use joulebus_testkit::counting::Counting;
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;

@@ -1,0 +1,14 @@
+//! The tests of plans: what a path needs, what a fleet answers, and what both cost.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
+
+mod allocations;
+mod follower;
+mod question_cost;
+mod questions;
+mod what_if;
+mod world;
+
+use joulebus_testkit::counting::Counting;
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;

@@ -1,0 +1,376 @@
+//! Reports: self-contained, the same numbers in every format, and marked as simulated where they
+//! are.
+
+#[path = "../../../eval/tests/all/live.rs"]
+mod live;
+
+use std::collections::HashSet;
+use std::ops::ControlFlow;
+use std::sync::OnceLock;
+
+use joulebus_eval::score::{Design, Recording};
+use joulebus_figure::{Axis, Colour, Figure, Layer, Mark, Panel};
+use joulebus_predictor::Model;
+use joulebus_report::{
+    Cell, Column, Document, File, Part, Recorded, ReportError, Section, Simulated, SimulatedReport,
+    Table, files, html, recorded, simulated,
+};
+use joulebus_settings::FleetSettings;
+use joulebus_sim::parts::Parts;
+use joulebus_sim::protocol::Protocol;
+use live::settings;
+use serde_json::Value;
+
+fn experiment() -> Simulated {
+    let mut experiment = Simulated::new(3);
+    experiment.draws = 3;
+    (experiment.samples, experiment.robot_steps) = (900, 700);
+    experiment.recipe.max_epochs = 3;
+    experiment
+}
+
+/// Made once and shared by all tests.
+fn made() -> &'static SimulatedReport {
+    static MADE: OnceLock<SimulatedReport> = OnceLock::new();
+    MADE.get_or_init(|| {
+        simulated(&experiment(), &settings(), |_, _| ControlFlow::Continue(())).unwrap()
+    })
+}
+
+fn written() -> &'static [File] {
+    static WRITTEN: OnceLock<Vec<File>> = OnceLock::new();
+    WRITTEN.get_or_init(|| files(&made().document).unwrap())
+}
+
+fn text(path: &str) -> String {
+    let file = written().iter().find(|file| file.path == path).unwrap();
+    String::from_utf8(file.bytes.clone()).unwrap()
+}
+
+/// The tables of a report's JSON, in order.
+fn tables(json: &Value) -> Vec<&Value> {
+    let sections = json["sections"].as_array().unwrap().iter();
+    let parts = sections.flat_map(|section| section["parts"].as_array().unwrap());
+    parts.filter_map(|part| part.get("table")).collect()
+}
+
+#[test]
+fn the_page_needs_no_other_file() {
+    let page = text("report.html");
+    for outside in ["http", "src=", "url(", "@import", "<script", "<link"] {
+        assert!(!page.contains(outside), "{outside}");
+    }
+    let ids: Vec<&str> = page
+        .split(" id=\"")
+        .skip(1)
+        .map(|rest| rest.split('"').next().unwrap())
+        .collect();
+    let different: HashSet<&str> = ids.iter().copied().collect();
+    assert_eq!(ids.len(), different.len(), "an id occurs twice: {ids:?}");
+    for rest in page.split("href=\"").skip(1) {
+        let target = rest.split('"').next().unwrap();
+        let id = target.strip_prefix('#').unwrap();
+        assert!(different.contains(id), "{target} has no target");
+    }
+}
+
+#[test]
+fn every_figure_is_present_in_three_formats_and_well_formed() {
+    let page = text("report.html");
+    let figures: Vec<&Figure> = made().document.figures().collect();
+    assert!(figures.len() >= 8, "{}", figures.len());
+    for figure in figures {
+        let svg = text(&format!("figures/{}.svg", figure.name));
+        roxmltree::Document::parse(&svg).unwrap();
+        let inline = figure.inline_svg().unwrap();
+        roxmltree::Document::parse(&inline).unwrap();
+        assert!(page.contains(&inline), "{}", figure.name);
+        let path = format!("figures/{}.png", figure.name);
+        let png = written().iter().find(|file| file.path == path).unwrap();
+        assert!(png.bytes.starts_with(b"\x89PNG"), "{path}");
+        let nothing = svg.contains("no data");
+        assert!(!nothing, "{} shows nothing", figure.name);
+    }
+}
+
+#[test]
+fn every_output_is_marked_as_simulated() {
+    for path in ["report.html", "report.json", "report.txt"] {
+        let text = text(path);
+        assert!(
+            text.contains("Every number here is of simulated robots"),
+            "{path}"
+        );
+    }
+    for figure in made().document.figures() {
+        let note = format!("simulated robots, seed {}", made().shown_seed);
+        assert_eq!(
+            figure.note.as_deref(),
+            Some(note.as_str()),
+            "{}",
+            figure.name
+        );
+        let svg = text(&format!("figures/{}.svg", figure.name));
+        assert!(svg.contains("simulated robots"), "{}", figure.name);
+    }
+    assert_eq!(made().network.card().source, "simulation");
+    assert!(made().network.card().training_data.contains("simulated"));
+}
+
+#[test]
+fn page_text_and_json_show_the_same_numbers() {
+    let (page, plain) = (text("report.html"), text("report.txt"));
+    let json: Value = serde_json::from_str(&text("report.json")).unwrap();
+    let found = tables(&json);
+    let tables: Vec<&Table> = made().document.tables().collect();
+    assert_eq!(found.len(), tables.len());
+    for (table, found) in tables.iter().zip(found) {
+        assert_eq!(found["id"], table.id);
+        let from = page.find(&format!("<table id=\"{}\"", table.id)).unwrap();
+        let mut rest = &page[from..];
+        rest = &rest[..rest.find("</table>").unwrap()];
+        assert!(plain.contains(&table.caption), "{}", table.caption);
+        for (row, found) in table.rows.iter().zip(found["rows"].as_array().unwrap()) {
+            assert_eq!(row.len(), table.columns.len(), "{}", table.id);
+            for (cell, column) in row.iter().zip(&table.columns) {
+                let shown = format!(">{}</t", escaped(&cell.shown()));
+                let at = rest
+                    .find(&shown)
+                    .unwrap_or_else(|| panic!("{shown} in {}", table.id));
+                rest = &rest[at + shown.len()..];
+                assert!(plain.contains(&cell.shown()));
+                check_json(cell, &found[column.key.as_str()], table);
+            }
+        }
+    }
+}
+
+fn check_json(cell: &Cell, found: &Value, table: &Table) {
+    match cell {
+        Cell::Words(words) => assert_eq!(found, words.as_str(), "{}", table.id),
+        Cell::Count(count) => assert_eq!(found.as_u64(), Some(*count), "{}", table.id),
+        Cell::Number(number, _) if number.is_finite() => {
+            assert_eq!(found.as_f64(), Some(*number), "{}", table.id);
+        }
+        Cell::Range([low, high], _) if low.is_finite() => {
+            assert_eq!(found[0].as_f64(), Some(*low), "{}", table.id);
+            assert_eq!(found[1].as_f64(), Some(*high), "{}", table.id);
+        }
+        Cell::Spread([mean, std], _) if std.is_finite() => {
+            assert_eq!(found["mean"].as_f64(), Some(*mean), "{}", table.id);
+            assert_eq!(
+                found["standard_deviation"].as_f64(),
+                Some(*std),
+                "{}",
+                table.id
+            );
+        }
+        Cell::Spread(..) => assert!(found["standard_deviation"].is_null(), "{}", table.id),
+        Cell::Number(..) | Cell::Nothing => assert!(found.is_null(), "{}", table.id),
+        Cell::Range(..) => assert!(found[0].is_null(), "{}", table.id),
+    }
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+}
+
+#[test]
+fn the_papers_numbers_are_shown_in_the_right_unit() {
+    let json: Value = serde_json::from_str(&text("report.json")).unwrap();
+    let tables = tables(&json);
+    let table = tables
+        .iter()
+        .find(|table| table["id"] == "table-paper")
+        .unwrap();
+    let row = |quantity: &str| {
+        let mut rows = table["rows"].as_array().unwrap().iter();
+        rows.find(|row| row["quantity"] == quantity)
+            .unwrap()
+            .clone()
+    };
+    assert_eq!(row("mean power (mW)")["paper"], 3652.0);
+    assert_eq!(row("MAE on trial 6 (mW)")["paper"], 31.5);
+    // The mean power of the simulated trials of every draw, recomputed.
+    let mean_mw = |seed: u64| {
+        let mut powers_w = Vec::new();
+        for protocol in Protocol::ALL {
+            let trial = protocol.trial_with(Parts::default(), seed, 900);
+            let power = trial.column(joulebus_dataset::trial::Column::Power);
+            powers_w.extend_from_slice(power.unwrap());
+        }
+        1e3 * powers_w.iter().sum::<f64>() / powers_w.len() as f64
+    };
+    let draws = [3, 4, 5].map(mean_mw);
+    let mean = draws.iter().sum::<f64>() / 3.0;
+    let square = draws.iter().map(|draw| (draw - mean).powi(2)).sum::<f64>() / 2.0;
+    let here = row("mean power (mW)")["here"].clone();
+    assert!(
+        (here["mean"].as_f64().unwrap() - mean).abs() < 1e-6,
+        "{here}"
+    );
+    let std = here["standard_deviation"].as_f64().unwrap();
+    assert!((std - square.sqrt()).abs() < 1e-6, "{here}");
+    let ends = row("mean power (mW)")["ends"].clone();
+    let least = draws.iter().copied().fold(f64::MAX, f64::min);
+    assert!((ends[0].as_f64().unwrap() - least).abs() < 1e-6, "{ends}");
+}
+
+#[test]
+fn the_page_begins_with_the_published_forecast_over_all_draws() {
+    let summary = &made().document.summary;
+    assert!(
+        summary[0].starts_with("The forecast that the worker publishes"),
+        "{summary:#?}"
+    );
+    assert!(
+        summary[0].contains("of 21 robots"),
+        "three draws of seven robots: {summary:#?}"
+    );
+    assert!(summary[1].starts_with("The plain network"), "{summary:#?}");
+    let first = &made().document.sections[0];
+    assert_eq!(first.id, "forecasts");
+    // The figures show a draw that is one of those averaged.
+    let shown = format!("show seed {}", made().shown_seed);
+    assert!(summary[2].contains(&shown) && (3..=5).contains(&made().shown_seed));
+}
+
+#[test]
+fn one_draw_is_not_enough() {
+    let mut experiment = experiment();
+    experiment.draws = 1;
+    let error = simulated(&experiment, &settings(), |_, _| ControlFlow::Continue(())).unwrap_err();
+    assert!(matches!(
+        error,
+        ReportError::TooShort {
+            what: "draws",
+            found: 1,
+            least: 2
+        }
+    ));
+}
+
+#[test]
+fn the_same_experiments_give_the_same_bytes() {
+    let again = simulated(
+        &Simulated {
+            threads: 1,
+            ..experiment()
+        },
+        &settings(),
+        |_, _| ControlFlow::Continue(()),
+    )
+    .unwrap();
+    assert_eq!(again.network.hash(), made().network.hash());
+    assert_eq!(html(&again.document).unwrap(), text("report.html"));
+}
+
+fn recordings(count: usize) -> Vec<Recording> {
+    let trials = Protocol::ALL
+        .iter()
+        .take(count)
+        .map(|protocol| protocol.trial_with(Parts::default(), 5, 500));
+    trials.map(|trial| Recording::new(0, trial)).collect()
+}
+
+fn on<'a>(
+    settings: &'a FleetSettings,
+    models: &'a [Model],
+    recordings: &'a [Recording],
+    design: &'a Design,
+) -> Recorded<'a> {
+    Recorded {
+        settings,
+        platform: None,
+        models,
+        recordings,
+        design,
+        published: false,
+    }
+}
+
+#[test]
+fn recordings_are_compared_with_the_baselines_and_without_the_papers_numbers() {
+    let (settings, models) = (settings(), [Model::Network(made().network.clone())]);
+    let recordings = recordings(3);
+    let design = Design::folds(&recordings);
+    let document = recorded(&on(&settings, &models, &recordings, &design)).unwrap();
+    let text = document.to_string();
+    for name in [
+        "network",
+        "persistence",
+        "AR(5) + velocities",
+        "trial2 goal navigation",
+    ] {
+        assert!(text.contains(name), "{name}");
+    }
+    assert!(!text.contains("paper, trial 6"));
+    let warning = document.warning.unwrap();
+    assert!(warning.contains("trained on simulated robots"), "{warning}");
+
+    let published = Recorded {
+        published: true,
+        ..on(&settings, &models, &recordings, &design)
+    };
+    let document = recorded(&published).unwrap();
+    assert!(document.to_string().contains("paper, trial 6"));
+}
+
+#[test]
+fn one_short_recording_is_enough_and_none_is_refused() {
+    let (settings, models) = (settings(), [Model::Network(made().network.clone())]);
+    let one = recordings(1);
+    let document = recorded(&on(&settings, &models, &one, &Design::folds(&one))).unwrap();
+    html(&document).unwrap();
+    let refused = recorded(&on(&settings, &models, &[], &Design::folds(&[]))).unwrap_err();
+    assert!(matches!(refused, ReportError::Score(_)), "{refused}");
+    let short = Simulated {
+        samples: 99,
+        ..experiment()
+    };
+    let refused = simulated(&short, &settings, |_, _| ControlFlow::Continue(())).unwrap_err();
+    assert!(refused.to_string().contains("99 samples"), "{refused}");
+}
+
+#[test]
+fn names_from_files_are_escaped_in_the_page() {
+    let hostile = "<script>alert('1')</script> & \"more\" \u{1}";
+    let panel = Panel {
+        title: hostile.to_owned(),
+        x: Axis::new(hostile),
+        y: Axis::new(hostile),
+        layers: vec![Layer::named(
+            hostile,
+            Colour::Blue,
+            Mark::Points(vec![[1.0, 1.0]]),
+        )],
+    };
+    let table = Table {
+        id: "a-table".to_owned(),
+        caption: hostile.to_owned(),
+        columns: vec![Column::new("name", hostile), Column::new("value", "value")],
+        rows: vec![vec![Cell::words(hostile), Cell::Number(f64::NAN, 1)]],
+        folded: true,
+    };
+    let document = Document {
+        title: hostile.to_owned(),
+        warning: Some(hostile.to_owned()),
+        summary: vec![hostile.to_owned()],
+        sections: vec![Section {
+            id: "a-section".to_owned(),
+            title: hostile.to_owned(),
+            parts: vec![
+                Part::Words(hostile.to_owned()),
+                Part::Table(table),
+                Part::Figure(Figure::new("a-figure", hostile, hostile, vec![panel])),
+            ],
+        }],
+    };
+    let page = html(&document).unwrap();
+    assert!(!page.contains("<script"), "{page}");
+    let json = serde_json::to_value(&document).unwrap();
+    assert!(json["sections"][0]["parts"][1]["table"]["rows"][0]["value"].is_null());
+    assert!(document.to_string().contains('–'), "not known");
+}

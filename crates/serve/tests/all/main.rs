@@ -1,0 +1,5 @@
+//! The tests of the server: the page and its interface, and Foxglove.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
+
+mod foxglove;
+mod http;

@@ -1,0 +1,6 @@
+//! The tests of the simulated host, and those that run on it.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
+
+mod clocks;
+mod saves;
+mod seeds;

@@ -1,0 +1,387 @@
+//! A small fleet for tests: settings, models, sources, and outputs as bits.
+#![forbid(unsafe_code)]
+
+use joulebus_fleet::Fleet;
+use joulebus_predictor::{FeatureSet, Kernel, Model, Persistence, ResidualStats};
+use joulebus_settings::{
+    AlarmSettings, Battery, FleetSettings, Intake, IntervalSettings, Platform,
+};
+pub use joulebus_testkit_networks::random;
+use joulebus_wire::{
+    Budget, Diagnostic, Forecast, PlanState, Quality, SCHEMA_VERSION, Sample, SampleHeader,
+};
+
+/// A millisecond, ns.
+pub const MS: u64 = 1_000_000;
+/// Sample period of robots 0 to 99, whose model needs velocities.
+pub const PERIOD_NS: u64 = 33_333_333;
+/// Sample period of robots 100 to 199, whose model reads powers only.
+pub const SLOW_NS: u64 = 50 * MS;
+
+/// A battery of 10 kJ.
+#[must_use]
+pub fn battery() -> Battery {
+    Battery {
+        initial_soc: 0.9,
+        initial_soc_lo: 0.8,
+        counting_sd: 0.0,
+        ..Battery::new(10_000.0, 0.1)
+    }
+}
+
+fn platform(name: &str, first: u32, period_ns: u64) -> Platform {
+    Platform {
+        name: name.to_owned(),
+        robots: vec![first..=first + 49, first + 50..=first + 99],
+        period_ns,
+        stale_after_ns: 30 * period_ns,
+        hold_max_ns: 400 * MS,
+        stuck_after_ns: 2_000 * MS,
+        power_min_w: 0.0,
+        power_max_w: 20.0,
+        v_max_mps: 0.5,
+        omega_max_radps: 3.0,
+        power_resolution_w: 0.01,
+        battery: None,
+        alarms: None,
+        online: false,
+        energy_online: first < 200,
+    }
+}
+
+/// Robots 0 to 99 need velocities and have a battery, 100 to 199 need none and regenerate, 200 to
+/// 299 use persistence, and their energy is as trained.
+#[must_use]
+pub fn settings(capacity: u32) -> FleetSettings {
+    FleetSettings {
+        capacity,
+        intake: Intake {
+            max_samples_per_tick: 4,
+            max_jump_ns: 5_000 * MS,
+            leave_after_ns: 2_500 * MS,
+            max_sources: 4,
+        },
+        interval: IntervalSettings {
+            coverage: 0.9,
+            rate: 0.05,
+        },
+        alarms: AlarmSettings {
+            bias_weight: 0.01,
+            cusum_slack: 0.5,
+            cusum_limit: 20.0,
+            noise_weight: 0.01,
+            noise_limit: 4.0,
+            mismatch_limit: 2.0,
+            settle_samples: 20,
+            raise_samples: 3,
+            clear_samples: 10,
+            training_margin: 0.1,
+        },
+        platforms: vec![
+            Platform {
+                battery: Some(battery()),
+                ..platform("wheeled", 0, PERIOD_NS)
+            },
+            Platform {
+                power_min_w: -10.0,
+                battery: Some(battery()),
+                ..platform("regenerating", 100, SLOW_NS)
+            },
+            platform("bare", 200, PERIOD_NS),
+        ],
+    }
+}
+
+/// Models with the paper's features.
+#[must_use]
+pub fn models() -> Vec<Model> {
+    models_of([FeatureSet::Full, FeatureSet::PowerOnly])
+}
+
+/// As [`models`], with a given kernel and instruction set; unchanged if this processor does not
+/// support it.
+#[must_use]
+pub fn models_on(kernel: Kernel) -> Vec<Model> {
+    let on = |model: Model| match model {
+        Model::Network(network) => {
+            let moved = network.clone().with_kernel(kernel);
+            Model::Network(moved.unwrap_or(network))
+        }
+        other => other,
+    };
+    models().into_iter().map(on).collect()
+}
+
+/// As [`models`], reading the reading age too.
+#[must_use]
+pub fn fresh_models() -> Vec<Model> {
+    models_of([FeatureSet::Freshness, FeatureSet::PowerFreshness])
+}
+
+fn models_of([first, second]: [FeatureSet; 2]) -> Vec<Model> {
+    let residual = ResidualStats {
+        std_w: 0.1,
+        q05_w: -0.15,
+        q95_w: 0.17,
+    };
+    vec![
+        Model::Network(random::network(1, first)),
+        Model::Network(random::network(2, second)),
+        Model::Persistence(Persistence::new(residual).expect("finite and in order")),
+    ]
+}
+
+/// As [`settings`], with all forecasts learning online.
+#[must_use]
+pub fn learning(capacity: u32) -> FleetSettings {
+    let mut settings = settings(capacity);
+    for platform in &mut settings.platforms {
+        platform.online = true;
+    }
+    settings
+}
+
+/// A fleet with [`settings`] and [`models`].
+#[must_use]
+pub fn fleet(capacity: u32) -> Fleet {
+    fleet_of(capacity, models())
+}
+
+/// As [`fleet`], with other models.
+#[must_use]
+pub fn fleet_of(capacity: u32, models: Vec<Model>) -> Fleet {
+    Fleet::new(settings(capacity), models).expect("the settings are consistent")
+}
+
+/// Numbers the frames of one run of one source like a publisher.
+#[derive(Debug, Clone)]
+pub struct Source {
+    /// Of its next frame.
+    pub header: SampleHeader,
+}
+
+impl Source {
+    /// A run of a source.
+    #[must_use]
+    pub fn new(id: u64, epoch: u64) -> Self {
+        Self {
+            header: SampleHeader {
+                schema: SCHEMA_VERSION,
+                pid: 1000 + id as u32,
+                source_id: id,
+                source_epoch: epoch,
+                ..SampleHeader::default()
+            },
+        }
+    }
+
+    /// The header of the next frame, of so many samples.
+    pub fn frame(&mut self, samples: usize) -> SampleHeader {
+        let header = self.header;
+        self.header.frame_seq += 1;
+        self.header.samples_before += samples as u64;
+        header
+    }
+
+    /// The fleet takes its next frame.
+    pub fn send(&mut self, fleet: &mut Fleet, samples: &[Sample], now_ns: u64) {
+        let header = self.frame(samples.len());
+        fleet.take(&header, samples, now_ns);
+    }
+}
+
+/// The `step`-th sample of a healthy robot: varying command and power, a new measurement every
+/// third sample.
+#[must_use]
+pub fn healthy(robot: u32, step: u64, stamp_ns: u64, period_ns: u64) -> Sample {
+    let phase = |rate: f64| ((step as f64 + f64::from(robot) * 7.3) * rate).sin() as f32;
+    let since = step % 3;
+    let power_w = 3.6
+        + 0.4 * {
+            let measured = (step - since) as f64 + f64::from(robot);
+            (measured * 0.31).sin() as f32
+        };
+    let sample = Sample::new(robot, step, stamp_ns)
+        .command(0.2 * phase(0.11), 1.5 * phase(0.07))
+        .reading(power_w, stamp_ns.saturating_sub(since * period_ns));
+    if since == 0 {
+        sample
+    } else {
+        sample.with(joulebus_wire::sample_flag::HELD)
+    }
+}
+
+/// All outputs of one robot, with floats as their bits.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Bits {
+    /// Those of its forecast.
+    pub forecast: Vec<u64>,
+    /// Those of its diagnostic.
+    pub diagnostic: Vec<u64>,
+    /// Those of its budget.
+    pub budget: Vec<u64>,
+    /// Those of its state for plans.
+    pub plan_state: Vec<u64>,
+}
+
+/// Outputs of a robot; `None` when it is not in the fleet. The slot's generation is omitted: it
+/// belongs to the slot, not to the robot.
+#[must_use]
+pub fn bits(fleet: &Fleet, robot: u32) -> Option<Bits> {
+    let place = place(fleet, robot)?;
+    Some(Bits {
+        forecast: forecast_bits(&fleet.forecast(place)),
+        diagnostic: diagnostic_bits(&fleet.diagnostic(place)),
+        budget: budget_bits(&fleet.budget(place)),
+        plan_state: plan_state_bits(&PlanState {
+            generation: 0,
+            ..fleet.plan_state(place)
+        }),
+    })
+}
+
+/// Place of a robot in the fleet; `None` if it is not there.
+#[must_use]
+pub fn place(fleet: &Fleet, robot: u32) -> Option<usize> {
+    (0..fleet.len()).find(|place| fleet.forecast(*place).robot == robot)
+}
+
+/// Forecast of a robot that is there.
+///
+/// # Panics
+/// It is not.
+#[must_use]
+pub fn forecast(fleet: &Fleet, robot: u32) -> Forecast {
+    fleet.forecast(place(fleet, robot).expect("the robot is in the fleet"))
+}
+
+/// Diagnostic of a robot that is there.
+///
+/// # Panics
+/// It is not.
+#[must_use]
+pub fn diagnostic(fleet: &Fleet, robot: u32) -> Diagnostic {
+    fleet.diagnostic(place(fleet, robot).expect("the robot is in the fleet"))
+}
+
+/// Budget of a robot that is there.
+///
+/// # Panics
+/// It is not.
+#[must_use]
+pub fn budget(fleet: &Fleet, robot: u32) -> Budget {
+    fleet.budget(place(fleet, robot).expect("the robot is in the fleet"))
+}
+
+/// What plans of a robot that is there start from.
+///
+/// # Panics
+/// It is not.
+#[must_use]
+pub fn plan_state(fleet: &Fleet, robot: u32) -> PlanState {
+    fleet.plan_state(place(fleet, robot).expect("the robot is in the fleet"))
+}
+
+/// Quality of the forecast of a robot that is there.
+///
+/// # Panics
+/// It is not.
+#[must_use]
+pub fn quality(fleet: &Fleet, robot: u32) -> Quality {
+    forecast(fleet, robot).quality()
+}
+
+fn word(value: f32) -> u64 {
+    value.to_bits().into()
+}
+
+/// All of a forecast but the generation.
+#[must_use]
+pub fn forecast_bits(it: &Forecast) -> Vec<u64> {
+    vec![
+        it.robot.into(),
+        it.flags.into(),
+        it.quality.into(),
+        it.quality_detail.into(),
+        word(it.reading_w),
+        word(it.power_w),
+        word(it.lo_w),
+        word(it.hi_w),
+        it.sample_seq,
+        it.stamp_ns,
+        it.target_ns,
+        it.reading_age_ns,
+        it.source_epoch,
+    ]
+}
+
+/// All of a diagnostic but the generation.
+#[must_use]
+pub fn diagnostic_bits(it: &Diagnostic) -> Vec<u64> {
+    vec![
+        it.robot.into(),
+        it.flags.into(),
+        it.level.into(),
+        it.alarm.into(),
+        it.alarms.into(),
+        word(it.residual_w),
+        word(it.residual_z),
+        word(it.bias_w),
+        word(it.cusum_up),
+        word(it.cusum_down),
+        word(it.noise_ratio),
+        word(it.coverage),
+        word(it.coverage_recent),
+        it.scored,
+        it.mae_w.to_bits(),
+        it.r2.to_bits(),
+        it.persistence_mae_w.to_bits(),
+        it.persistence_r2.to_bits(),
+        it.skill.to_bits(),
+        it.sample_seq,
+        it.stamp_ns,
+        it.source_epoch,
+        it.refused,
+    ]
+}
+
+/// All of it.
+#[must_use]
+pub fn plan_state_bits(it: &PlanState) -> Vec<u64> {
+    bytemuck::bytes_of(it)
+        .chunks_exact(8)
+        .map(|word| u64::from_ne_bytes(word.try_into().expect("eight bytes")))
+        .collect()
+}
+
+/// All of a budget but the generation.
+#[must_use]
+pub fn budget_bits(it: &Budget) -> Vec<u64> {
+    vec![
+        it.robot.into(),
+        it.flags.into(),
+        it.charge_state.into(),
+        it.drawn_uj as u64,
+        it.drawn_remainder as u64,
+        it.forecast_uj as u64,
+        it.metered_ns,
+        it.unmetered_ns,
+        it.stamp_ns,
+        it.valid_until_ns,
+        word(it.mean_power_w),
+        word(it.left_j),
+        word(it.usable_j),
+        word(it.usable_lo_j),
+        word(it.soc),
+        word(it.soc_lo),
+        word(it.time_to_empty_s),
+        word(it.time_to_empty_lo_s),
+        word(it.time_to_empty_hi_s),
+        it.battery_changes.into(),
+        word(it.soc_hi),
+        word(it.soc_sd),
+        word(it.sensor_bias),
+        word(it.sensor_bias_sd),
+        word(it.sensor_covariance),
+    ]
+}

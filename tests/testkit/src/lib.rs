@@ -1,0 +1,22 @@
+//! What the tests of every crate share: processes, ports, fleets in shared memory, an allocator that counts, recordings.
+//!
+//! Crates beside it have what needs a crate of joulebus: `joulebus-testkit-networks` and `joulebus-testkit-fleets`.
+#![deny(unsafe_code)]
+
+mod child;
+pub mod counting;
+mod end_signals;
+mod member;
+mod on_drop;
+mod place;
+mod ports;
+pub mod recordings;
+#[cfg(feature = "trials")]
+pub mod trials;
+
+pub use child::{Child, Ended, PATIENCE, eventually, joulebus_beside, left_behind, run};
+pub use end_signals::{end_signals, ignores};
+pub use member::{Member, send_to_test};
+pub use on_drop::OnDrop;
+pub use place::{Place, run_member, told};
+pub use ports::free_port;

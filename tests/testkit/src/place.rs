@@ -1,0 +1,130 @@
+//! A fleet of one test, and its members in processes of their own.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use crate::{Member, left_behind};
+
+const ROLE: &str = "JOULEBUS_TEST_ROLE";
+const CONFIG: &str = "JOULEBUS_TEST_CONFIG";
+static PLACES: AtomicU32 = AtomicU32::new(0);
+
+/// The fleet of one test, removed when dropped.
+#[derive(Debug)]
+pub struct Place {
+    config: PathBuf,
+    root: PathBuf,
+    prefix: String,
+}
+
+impl Place {
+    /// A fleet of at most 64 rovers that nobody has joined.
+    ///
+    /// # Panics
+    /// Its config cannot be written.
+    #[must_use]
+    pub fn new() -> Self {
+        let number = PLACES.fetch_add(1, Ordering::Relaxed);
+        let (name, prefix) = names(std::process::id(), number);
+        let root = Path::new("/dev/shm").join(&name);
+        let config = std::env::temp_dir().join(format!("{name}.toml"));
+        let text = format!(
+            r#"
+            [fleet]
+            name = "test"
+            capacity = 64
+            [domain]
+            root = "{}"
+            prefix = "{prefix}"
+            [intake]
+            max_sources = 3
+            [readers]
+            max_planners = 3
+            [[platform]]
+            file = "builtin:rover"
+            robots = ["0-63"]
+            "#,
+            root.display()
+        );
+        fs::write(&config, text).expect("a file for temporary use");
+        Self {
+            config,
+            root,
+            prefix,
+        }
+    }
+
+    /// Its config.
+    #[must_use]
+    pub fn config(&self) -> &Path {
+        &self.config
+    }
+
+    /// Starts a member in a separate process; it runs the function that the test binary's `member`
+    /// selects by name.
+    #[must_use]
+    pub fn start(&self, role: &str) -> Member {
+        let mut command = Member::command();
+        command.env(ROLE, role).env(CONFIG, &self.config);
+        Member::spawn(role, command)
+    }
+
+    /// Asserts that its members have left nothing.
+    ///
+    /// # Panics
+    /// They have.
+    pub fn assert_nothing_left(&self) {
+        let left = left_behind(&self.prefix, &self.root);
+        assert_eq!(left, Vec::<PathBuf>::new());
+    }
+}
+
+impl Default for Place {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        for left in left_behind(&self.prefix, &self.root) {
+            let _ = fs::remove_file(left);
+        }
+        let _ = fs::remove_dir_all(&self.root);
+        let _ = fs::remove_file(&self.config);
+    }
+}
+
+/// The name of a place, and the prefix of its objects: at most eight of a-z, 0-9 and `_`, which no other process has now.
+fn names(pid: u32, number: u32) -> (String, String) {
+    let name = format!("joulebus-test-{pid}-{number}");
+    // A pid has at most 22 bits: five of these digits.
+    let (mut rest, mut prefix) = (
+        u64::from(pid) * 36 * 36 + u64::from(number % (36 * 36)),
+        String::from("j"),
+    );
+    for _ in 0..7 {
+        let digit = (rest % 36) as u32;
+        prefix.extend(char::from_digit(digit, 36));
+        rest /= 36;
+    }
+    (name, prefix)
+}
+
+/// Runs `member` with its role and the config's path, if this process was started as one.
+pub fn run_member(member: impl FnOnce(&str, &Path)) {
+    if let (Ok(role), Some(config)) = (std::env::var(ROLE), std::env::var_os(CONFIG)) {
+        member(&role, Path::new(&config));
+    }
+}
+
+/// In a member: the next line from the test; `None` at the end.
+///
+/// # Panics
+/// stdin cannot be read.
+#[must_use]
+pub fn told() -> Option<String> {
+    let line = std::io::stdin().lines().next();
+    line.map(|line| line.expect("the test writes UTF-8"))
+}

@@ -1,0 +1,6 @@
+//! The tests of the repository itself: dependency rules, packages, and the seeds of the fuzz targets.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
+
+mod dependency_rules;
+mod fuzz_inputs;
+mod packaging;

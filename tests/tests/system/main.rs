@@ -1,0 +1,24 @@
+//! The tests of whole fleets: real processes, real shared memory, real signals, each test in its own domain.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
+
+mod batteries;
+mod captures;
+mod cut_short;
+mod floods;
+mod foreign_files;
+mod full_memory;
+mod joining;
+mod lock_owners;
+mod models;
+mod planners;
+mod publishers;
+mod questions;
+mod recorders;
+mod removed_files;
+mod replays;
+mod same_bits;
+mod samples;
+mod stale_cleanup;
+mod starts;
+mod strangers;
+mod workers;

@@ -1,0 +1,513 @@
+//! A recording of real processes is verified bit by bit, played back into shared memory, and gives
+//! the same bits there.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use joulebus_capture_format::{Entry, Message, Reader};
+use joulebus_predictor::{FeatureSet, Network};
+use joulebus_testkit_networks::random;
+use joulebus_tests::{
+    Arena, Child, Ended, ReaderLine, Setup, alone, eventually, program, script, spoilt,
+    without_loss,
+};
+use joulebus_wire::{Diagnostic, Forecast, Quality, Sample, sample_flag};
+use serde_json::Value;
+
+const ROBOTS: u32 = 12;
+
+fn entries(file: &Path) -> Vec<Entry> {
+    Reader::open(file).unwrap().map(Result::unwrap).collect()
+}
+
+/// Samples and the answers to each, by robot and number.
+#[derive(Default)]
+struct Heard {
+    samples: BTreeMap<(u32, u64), Sample>,
+    forecasts: BTreeMap<(u32, u64), Forecast>,
+    diagnostics: BTreeMap<(u32, u64), Diagnostic>,
+}
+
+fn heard(file: &Path) -> Heard {
+    let mut heard = Heard::default();
+    for entry in entries(file) {
+        match entry.message {
+            Message::Samples(_, rows) => heard
+                .samples
+                .extend(rows.into_iter().map(|row| ((row.robot, row.seq), row))),
+            Message::Forecasts(_, rows) => {
+                // Open-loop forecasts by the worker's clock are provisional.
+                let live = rows.into_iter().filter(|row| {
+                    matches!(
+                        row.quality(),
+                        Quality::Fresh | Quality::Held | Quality::Warmup { .. }
+                    )
+                });
+                heard
+                    .forecasts
+                    .extend(live.map(|row| ((row.robot, row.sample_seq), row)));
+            }
+            Message::Diagnostics(_, rows) => heard.diagnostics.extend(
+                rows.into_iter()
+                    .map(|row| ((row.robot, row.sample_seq), row)),
+            ),
+            _ => {}
+        }
+    }
+    heard
+}
+
+/// All fields except times and runs, as text: floats that differ in a bit have different text.
+fn timeless_sample(row: &Sample, first: &Sample) -> String {
+    let mut row = *row;
+    row.stamp_ns -= first.stamp_ns;
+    if row.has(sample_flag::POWER) {
+        row.measured_ns = row.measured_ns.wrapping_sub(first.stamp_ns);
+    }
+    format!("{row:?}")
+}
+
+fn timeless_forecast(row: &Forecast) -> String {
+    let mut row = *row;
+    row.target_ns -= row.stamp_ns;
+    (row.stamp_ns, row.source_epoch) = (0, 0);
+    format!("{row:?}")
+}
+
+/// The residual and the scores; alarms depend also on the worker's lateness.
+fn timeless_diagnostic(row: &Diagnostic) -> String {
+    let mut row = *row;
+    (row.stamp_ns, row.source_epoch) = (0, 0);
+    (row.alarms, row.alarm, row.level) = (0, 0, 0);
+    format!("{row:?}")
+}
+
+fn same<R>(
+    what: &str,
+    before: &BTreeMap<(u32, u64), R>,
+    after: &BTreeMap<(u32, u64), R>,
+    timeless: impl Fn(&R) -> String,
+) -> usize {
+    let mut compared = 0;
+    for (key, row) in before {
+        if let Some(again) = after.get(key) {
+            assert_eq!(
+                timeless(row),
+                timeless(again),
+                "{what} of (robot, sample) {key:?}"
+            );
+            compared += 1;
+        }
+    }
+    compared
+}
+
+/// Stops a recorder, whose exit code reports losses.
+fn end(recorder: &mut Child) -> Ended {
+    let ended = recorder.end();
+    let lost = ended.json()["messages_lost"].as_u64().unwrap();
+    assert_eq!(
+        ended.code(),
+        Some(if lost > 0 { 3 } else { 0 }),
+        "{}",
+        ended.errors()
+    );
+    ended
+}
+
+/// Records a worker and a simulated fleet from the first sample on, for `frames` frames.
+fn record(arena: &Arena, name: &str, frames: u64) -> PathBuf {
+    let (file, _) = without_loss(|attempt| {
+        let file = arena.files().join(format!("{attempt}-{name}"));
+        let mut worker = arena.worker();
+        let mut recorder = arena.recording(&file, &[]);
+        arena.simulate(ROBOTS, frames);
+        let ended = end(&mut recorder);
+        worker.stop();
+        (file, ended)
+    });
+    file
+}
+
+/// Checks that every tick since the first keyframe was recomputed, except those split by the end of
+/// the capture.
+fn assert_every_tick_verified(report: &Value) {
+    let count = |name: &str| report[name].as_u64().unwrap();
+    let verified = count("ticks_verified");
+    let told = verified + count("ticks_before_first_keyframe") + count("ticks_cut_off");
+    assert_eq!(told, count("ticks"), "{report:#}");
+    assert!(
+        verified > count("ticks_before_first_keyframe"),
+        "{report:#}"
+    );
+}
+
+#[test]
+fn a_recorded_run_is_verified_and_a_flipped_bit_is_reported() {
+    let arena = Arena::new(&Setup::simulated());
+    let file = record(&arena, "run.mcap", 90);
+    let name = file.to_str().unwrap();
+
+    let ended = alone(&["replay", "--verify", name]);
+    let report = ended.json();
+    assert_eq!(ended.code(), Some(0), "{report:#}");
+    assert_eq!(report["differences"], 0, "{report:#}");
+    assert_eq!(report["robots"], 12);
+    assert_every_tick_verified(&report);
+    let text = arena.run(&["replay", "--verify", name]).text();
+    assert!(
+        text.contains(" ticks, 12 robots, 0 differences\n"),
+        "{text}"
+    );
+
+    let flipped = arena.files().join("forecast.mcap");
+    let (mut tick, mut robot) = (0, 0);
+    let place = std::cell::RefCell::new((&mut tick, &mut robot));
+    // Only what follows the first keyframe can be verified; on a busy machine it comes late.
+    let unverified = report["ticks_before_first_keyframe"].as_u64().unwrap();
+    let ticks = std::cell::Cell::new(0);
+    let is_verified = || {
+        ticks.set(ticks.get() + 1);
+        ticks.get() > unverified + 10
+    };
+    spoilt(&file, &flipped, |message| match message {
+        Message::Forecasts(header, rows) if is_verified() && rows.len() == 12 => {
+            rows[7].hi_w = f32::from_bits(rows[7].hi_w.to_bits() ^ 1);
+            let mut place = place.borrow_mut();
+            (*place.0, *place.1) = (header.tick, rows[7].robot);
+            true
+        }
+        _ => false,
+    });
+    let ended = alone(&["replay", "--verify", flipped.to_str().unwrap()]);
+    let report = ended.json();
+    assert_eq!(ended.code(), Some(3), "{report:#}");
+    let first = &report["first"];
+    assert_eq!(
+        (&first["tick"], &first["robot"]),
+        (&tick.into(), &robot.into()),
+        "{report:#}"
+    );
+    assert_eq!(first["field"], "forecast.hi_w");
+    assert_ne!(first["recorded"], first["computed"]);
+
+    let flipped = arena.files().join("sample.mcap");
+    spoilt(&file, &flipped, |message| match message {
+        Message::Samples(header, rows) if header.frame_seq == 80 => {
+            rows[3].power_w = f32::from_bits(rows[3].power_w.to_bits() ^ (1 << 10));
+            true
+        }
+        _ => false,
+    });
+    let ended = alone(&["replay", "--verify", flipped.to_str().unwrap()]);
+    assert_eq!(ended.code(), Some(3), "{}", ended.text());
+    assert_eq!(ended.json()["first"]["robot"], 3, "{}", ended.text());
+    arena.close();
+}
+
+#[test]
+fn a_run_with_a_model_that_reads_freshness_is_verified() {
+    let arena = Arena::new(&Setup::simulated());
+    let path = arena.files().join("fresh.safetensors");
+    // The weights are random, so every forecast depends on the freshness of the newest reading.
+    let model = random::network(1, FeatureSet::Freshness);
+    std::fs::write(&path, model.to_safetensors().unwrap()).unwrap();
+    arena.configure(&Setup {
+        model: Some(path),
+        ..Setup::simulated()
+    });
+    let file = record(&arena, "fresh.mcap", 90);
+    let report = alone(&["replay", "--verify", file.to_str().unwrap()]).json();
+    assert_eq!(report["differences"], 0, "{report:#}");
+    assert_every_tick_verified(&report);
+    let mut counts = [0; 2];
+    for entry in entries(&file) {
+        let Message::Forecasts(_, rows) = entry.message else {
+            continue;
+        };
+        for row in rows {
+            let known = row.power_w().is_some();
+            match row.quality() {
+                Quality::Fresh => counts[0] += usize::from(known),
+                Quality::Held => counts[1] += usize::from(known),
+                _ => {}
+            }
+        }
+    }
+    // Two of three readings are held.
+    let [fresh, held] = counts;
+    assert!(fresh > 100 && held > fresh, "{counts:?}");
+    arena.close();
+}
+
+/// The recording of a replay at twice the speed, and the report of the replay.
+fn replayed_and_recorded(arena: &Arena, first: &Path) -> (PathBuf, Value) {
+    let (recorded, _) = without_loss(|attempt| {
+        let second = arena.files().join(format!("{attempt}-second.mcap"));
+        let mut worker = arena.worker();
+        let mut recorder = arena.recording(&second, &[]);
+        let ended = alone(&["replay", first.to_str().unwrap(), "--rate", "2"]);
+        let report = ended.json();
+        assert_eq!(ended.code(), Some(0), "{report:#} {}", ended.errors());
+        let ended = end(&mut recorder);
+        worker.stop();
+        ((second, report), ended)
+    });
+    recorded
+}
+
+#[test]
+fn the_recording_of_a_replay_equals_the_original() {
+    let arena = Arena::new(&Setup::simulated());
+    let first = record(&arena, "first.mcap", 90);
+    let (second, report) = replayed_and_recorded(&arena, &first);
+
+    let (before, after) = (heard(&first), heard(&second));
+    assert!(before.samples.len() >= 90 * 12, "{}", before.samples.len());
+    assert_eq!(before.samples.len(), after.samples.len());
+    assert_eq!(report["samples"], before.samples.len());
+    let starts = |heard: &Heard| {
+        *heard
+            .samples
+            .values()
+            .min_by_key(|row| row.stamp_ns)
+            .unwrap()
+    };
+    let (one, other) = (starts(&before), starts(&after));
+    for (key, row) in &before.samples {
+        let again = &after.samples[key];
+        assert_eq!(
+            timeless_sample(row, &one),
+            timeless_sample(again, &other),
+            "{key:?}"
+        );
+    }
+    let forecasts = same(
+        "forecast",
+        &before.forecasts,
+        &after.forecasts,
+        timeless_forecast,
+    );
+    let residuals = same(
+        "diagnostic",
+        &before.diagnostics,
+        &after.diagnostics,
+        timeless_diagnostic,
+    );
+    assert!(
+        forecasts > 200 && residuals > 200,
+        "{forecasts} forecasts, {residuals} residuals"
+    );
+    let ended = alone(&["replay", "--verify", second.to_str().unwrap()]);
+    assert_eq!(ended.code(), Some(0), "{}", ended.text());
+    arena.close();
+}
+
+#[test]
+fn a_recording_started_in_the_middle_and_split_is_verified_from_its_keyframes() {
+    let arena = Arena::new(&Setup::simulated());
+    let mut worker = arena.worker();
+    let mut source = arena.controller("source", 0, 12, 30.0);
+    let mut planner = arena.planner();
+    planner.quality("a forecast", 3, |quality| quality == Quality::Fresh);
+    let _ = planner.leave();
+    let (split, _) = without_loss(|attempt| {
+        let name = format!("split{attempt}");
+        let file = arena.files().join(format!("{name}.mcap"));
+        let mut recorder = arena.recording(&file, &["--max-bag-duration", "4"]);
+        let third = arena.files().join(format!("{name}_2.mcap"));
+        eventually("the third file", || third.exists());
+        (attempt, end(&mut recorder))
+    });
+    source.finish();
+    worker.stop();
+
+    let files = [".mcap", "_1.mcap", "_2.mcap"].map(|end| {
+        let file = arena.files().join(format!("split{split}{end}"));
+        file.to_str().unwrap().to_owned()
+    });
+    let ended = alone(&["replay", "--verify", &files[0], &files[1], &files[2]]);
+    let report = ended.json();
+    assert_eq!(ended.code(), Some(0), "{report:#}");
+    assert_every_tick_verified(&report);
+    // The second file alone: it contains a keyframe every five seconds.
+    let report = alone(&["replay", "--verify", &files[1]]).json();
+    assert_eq!(report["differences"], 0, "{report:#}");
+    assert!(report["ticks_verified"].as_u64().unwrap() > 0, "{report:#}");
+    // Without the second file, the state for the third is missing: it continues from its own
+    // keyframe.
+    let ended = alone(&["replay", "--verify", &files[0], &files[2]]);
+    assert_eq!(ended.json()["differences"], 0);
+    assert_eq!(ended.code(), Some(3), "{}", ended.text());
+    arena.close();
+}
+
+#[test]
+fn another_model_is_compared_robot_by_robot() {
+    let arena = Arena::new(&Setup::simulated());
+    // Stamps of a script: the number of scored readings does not depend on the machine's speed.
+    let robots: Vec<u32> = (0..ROBOTS).collect();
+    let frames = script(&robots, 90, Setup::simulated().period_ns());
+    let (file, _) = without_loss(|attempt| {
+        let file = arena.files().join(format!("{attempt}-run.mcap"));
+        let mut worker = arena.worker();
+        let mut recorder = arena.recording(&file, &[]);
+        let mut planner = arena.planner();
+        let mut source = arena.source("controller");
+        planner.play(&mut source, &frames);
+        // Ticks that are late leave diagnostics out: the last ones state the scores of all readings.
+        let answered = planner.forecasts().last().map(|frame| frame.tick);
+        planner.until("diagnostics", |line| match line {
+            ReaderLine::Diagnostics(frame) => (Some(frame.tick) >= answered).then_some(()),
+            _ => None,
+        });
+        source.leave();
+        planner.leave();
+        let ended = end(&mut recorder);
+        worker.stop();
+        (file, ended)
+    });
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/models");
+    let other = models.join("gternal-sim-power.safetensors");
+    let arguments = [
+        "replay",
+        file.to_str().unwrap(),
+        "--model",
+        other.to_str().unwrap(),
+    ];
+    let ended = alone(&arguments);
+    let report = ended.json();
+    assert_eq!(ended.code(), Some(0), "{report:#} {}", ended.errors());
+    // The same text as in `joulebus model info`.
+    let hash_of = |name: &str| {
+        let file = models.join(format!("{name}.safetensors"));
+        let network = Network::from_safetensors(&std::fs::read(file).unwrap()).unwrap();
+        format!("{:016x}", network.hash())
+    };
+    assert_eq!(report["recorded_model_hash"], hash_of("gternal-sim"));
+    assert_eq!(report["other_model_hash"], hash_of("gternal-sim-power"));
+    let robots = report["robots"].as_array().unwrap();
+    assert_eq!(robots.len(), 12, "{report:#}");
+    for robot in robots {
+        let (recorded, other) = (&robot["recorded"], &robot["other"]);
+        assert!(recorded["scored"].as_u64().unwrap() > 40, "{robot:#}");
+        assert_ne!(recorded["mae_w"], other["mae_w"], "{robot:#}");
+        assert!(other["coverage"].as_f64().unwrap() > 0.5, "{robot:#}");
+    }
+    // The reported errors of the recorded model are those of the worker's output.
+    let heard = heard(&file);
+    let last = |robot: u32| {
+        heard
+            .diagnostics
+            .range((robot, 0)..=(robot, u64::MAX))
+            .next_back()
+    };
+    for robot in robots {
+        let id = robot["robot"].as_u64().unwrap() as u32;
+        let (_, published) = last(id).unwrap();
+        assert_eq!(robot["recorded"]["mae_w"], published.mae_w, "robot {id}");
+        assert_eq!(robot["recorded"]["scored"], published.scored, "robot {id}");
+    }
+    arena.close();
+}
+
+#[test]
+fn planners_can_be_developed_without_a_worker_and_from_the_middle() {
+    let arena = Arena::new(&Setup::simulated());
+    let file = record(&arena, "run.mcap", 90);
+    let name = file.to_str().unwrap();
+    let outputs = ["--topics", "forecasts", "diagnostics", "budgets"];
+
+    // Refused beside a worker: planners could not distinguish them.
+    let mut worker = arena.worker();
+    let ended = alone(&[&["replay", name][..], &outputs].concat());
+    assert_eq!(ended.code(), Some(1), "{}", ended.text());
+    assert!(
+        ended.errors().contains("already has a worker"),
+        "{}",
+        ended.errors()
+    );
+    worker.stop();
+
+    let second = arena.files().join("second.mcap");
+    let mut recorder = arena.recording(&second, &[]);
+    let span = [
+        "--start-offset",
+        "1.5",
+        "--playback-duration",
+        "1",
+        "--delay",
+        "0.5",
+    ];
+    let ended = alone(&[&["replay", name][..], &outputs, &span].concat());
+    let report = ended.json();
+    assert_eq!(ended.code(), Some(0), "{report:#} {}", ended.errors());
+    assert_eq!(report["frames_before"], 3, "{report:#}");
+    // Enough is left on a busy machine too.
+    recorder.end();
+
+    let frames = |file: &Path| -> Vec<(u64, Vec<String>)> {
+        let frame = |entry: Entry| match entry.message {
+            Message::Forecasts(header, rows) => {
+                Some((header.tick, rows.iter().map(timeless_forecast).collect()))
+            }
+            _ => None,
+        };
+        entries(file).into_iter().filter_map(frame).collect()
+    };
+    let (before, after) = (frames(&file), frames(&second));
+    assert!(after.len() > 10, "{} frames", after.len());
+    for (tick, rows) in &after {
+        let (_, recorded) = before
+            .iter()
+            .find(|(recorded, _)| recorded == tick)
+            .unwrap();
+        assert_eq!(rows, recorded, "tick {tick}");
+    }
+    // Budgets from before the offset were sent first.
+    let first = entries(&second)
+        .into_iter()
+        .find_map(|entry| match entry.message {
+            Message::Budgets(header, _) => Some(header.tick),
+            _ => None,
+        });
+    assert!(
+        first.unwrap() <= after[0].0,
+        "budgets {first:?}, forecasts {}",
+        after[0].0
+    );
+    arena.close();
+}
+
+#[test]
+fn a_replay_can_be_stepped() {
+    let arena = Arena::new(&Setup::simulated());
+    let file = record(&arena, "run.mcap", 60);
+    let mut planner = arena.recorder();
+    let arguments = [
+        "replay",
+        "--step",
+        "--no-wait",
+        "--format",
+        "json",
+        file.to_str().unwrap(),
+    ];
+    let mut command = Command::new(program("joulebus-under-test"));
+    command.args(arguments);
+    let mut replay = Child::spawn("replay", command);
+    let mut frames = || {
+        let lines = planner.seen().iter();
+        let samples = lines.filter(|line| matches!(line, ReaderLine::Samples { .. }));
+        samples.count()
+    };
+    for step in 1..=3 {
+        replay.send_line("");
+        eventually("the step", || frames() >= step);
+    }
+    let report = replay.stop().json();
+    assert_eq!(report["frames"]["samples"], 3, "{report:#}");
+    assert_eq!(frames(), 3);
+    let _ = planner.leave();
+    arena.close();
+}
