@@ -13,5 +13,6 @@ mod telling;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    joulebus_bus::trace_iceoryx2();
     joulebus_program::verb::main("bridge", bridge::run)
 }

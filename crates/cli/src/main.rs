@@ -4,5 +4,6 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    joulebus_bus::trace_iceoryx2();
     joulebus_cli::main()
 }

@@ -24,6 +24,7 @@ mod wall_clock;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    joulebus_bus::trace_iceoryx2();
     joulebus_program::verb::main("link", link::run)
 }
 

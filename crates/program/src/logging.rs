@@ -22,7 +22,7 @@ pub enum LogFormat {
     Json,
 }
 
-/// Starts logging to stderr, of iceoryx2's messages too, at the level of `JOULEBUS_LOG`, or else of the number of `--verbose`.
+/// Starts logging to stderr at the level of `JOULEBUS_LOG`, or else of the number of `--verbose`.
 pub fn start(verbose: u8, format: LogFormat) {
     let told = std::env::var(VARIABLE).ok().filter(|told| !told.is_empty());
     let asked = told.and_then(|told| match told.parse() {
@@ -34,7 +34,6 @@ pub fn start(verbose: u8, format: LogFormat) {
     });
     let levels = asked.unwrap_or_else(|| by_verbosity(verbose));
     let levels = levels.with_target(SAID, LevelFilter::INFO);
-    joulebus_bus::trace_iceoryx2();
     let registry = tracing_subscriber::registry().with(levels);
     let layer = fmt::layer()
         .with_writer(io::stderr)

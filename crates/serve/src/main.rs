@@ -10,5 +10,6 @@ mod webhook;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
+    joulebus_bus::trace_iceoryx2();
     joulebus_program::verb::main("serve", serve::run)
 }
