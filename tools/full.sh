@@ -1,17 +1,22 @@
 #!/usr/bin/env bash
-# Everything that is too long for the gate, each step from a fresh clone of the commit: every program of tools/ and every long check.
+# Everything that is too long for the gate: every program of tools/ and every long check, each step
+# in a fresh clone of the commit.
 #
 #     tools/full.sh                      # all steps, hours
-#     tools/full.sh --list               # the steps, what they need, and how they ended on this commit
+#     tools/full.sh --list               # the steps, what they need, how they ended on this commit
 #     tools/full.sh --only deny,wheel    # these steps
 #     tools/full.sh --except gate,soak   # the others
-#     tools/full.sh --here …             # in this work tree, with what is compiled in it; uncommitted changes: nothing is recorded
+#     tools/full.sh --here …             # in this work tree, with what is compiled in it
 #     tools/full.sh --again …            # also what passed on this commit
-#     tools/full.sh --check              # only whether each file of tools/ is run by the gate or by a step
+#     tools/full.sh --check              # whether the gate, a test or a step runs each file of tools/
+#     tools/full.sh --names              # the steps' names, one a line
 #
-# Can be interrupted: a step that passed on this commit is not repeated. Logs and records are in target/full/COMMIT, the clone with its
-# builds in target/full/clone. What a step changes in the clone (a picture, a table) is kept as NAME.patch and undone. At the end it prints
-# a table, says what was skipped and why, and ends with 1 if a step failed. With CI=true what is missing is a failure instead.
+# It can be interrupted: a step that passed on this commit is not repeated, not even if it skipped a
+# part (partial). With --here and uncommitted changes all steps are repeated. Logs and records are in
+# target/full/COMMIT, the clone with its builds in target/full/clone. What a step changes in the clone
+# (a picture, a table) is kept as NAME.patch and undone. At the end a table has each step's time and
+# result, and why it was skipped. Ends with 1 if a step failed. With CI=true what is missing is a
+# failure.
 set -uo pipefail
 cd "$(dirname "$0")/.."
 root=$PWD
@@ -53,7 +58,7 @@ step fuzz nightly 'tools/fuzz.sh 60'
 step mutations - 'python3 tools/mutations.py'
 step simulator - 'cargo run --release --locked -p joulebus-simulator --bin joulebus-sim -- --seeds 1000'
 step ignored - 'tested cargo test --workspace --locked --no-fail-fast -- --ignored --nocapture'
-# With the witness, read_capture.py and read_fleet.py run beside the faults.
+# With a witness, read_capture.py and read_fleet.py run beside the faults.
 step random-fleets - 'JOULEBUS_RANDOM_FLEETS=20 JOULEBUS_SEED=7 JOULEBUS_WITNESS=1 tested cargo test --locked -p joulebus-tests --test random_faults -- --nocapture'
 # Eight hours before a release: CONTRIBUTING.md.
 step soak - 'JOULEBUS_SOAK_S=${JOULEBUS_SOAK_S:-1800} cargo test --locked -p joulebus-tests --test soak -- --nocapture'
@@ -146,7 +151,6 @@ if [ -n "$list" ]; then
     exit
 fi
 
-mkdir -p "$records"
 place=$root
 clean() { [ -z "$(git -C "$place" status --porcelain)" ]; }
 if [ -z "$here" ]; then
@@ -155,20 +159,22 @@ if [ -z "$here" ]; then
     [ -d "$place" ] || git clone --quiet --no-checkout "$root" "$place" || exit 1
     [ ! -d ../shared ] || ln -sfn "$(realpath ../shared)" "$root/target/full/shared"
     git -C "$place" fetch --quiet "$root" "$commit" || exit 1
+elif ! clean; then
+    records=$root/target/full/uncommitted
+    rm -rf "$records"
 fi
+mkdir -p "$records"
 cd "$place" || exit 1
 trap 'table results; exit 130' INT TERM
 bad=0
 for at in "${chosen[@]}"; do
     name=${names[at]}
     row=$records/$name.row log=$records/$name.log
-    [ -n "$again" ] || ! grep -qs '^passed' "$row" || continue
+    [ -n "$again" ] || ! grep -qsE '^(passed|partial)' "$row" || continue
     if [ -z "$here" ]; then
         # As cloned now, but for what was compiled.
         git reset --quiet --hard "$commit" && git clean -fdxq -e /target || exit 1
     fi
-    recorded=$row
-    clean || recorded=/dev/null
     rm -f "$row"
     printf '== %s: %s\n' "$name" "${commands[at]}"
     why=$(lacks "${needs[at]}")
@@ -178,22 +184,18 @@ for at in "${chosen[@]}"; do
         continue
     fi
     begun=$SECONDS
-    WORK=$(mktemp -d)
-    export WORK
     if bash -euo pipefail -c "${commands[at]}" >"$log" 2>&1 </dev/null; then
-        # A step of which a part was skipped did not pass: another time the part may be there.
         why=$(grep -E '^([A-Za-z0-9 _.-]+: )?(SKIPPED|skipped)[:,] ' "$log" | head -c 300 | tr '\n\t' '; ')
-        if [ -n "$why" ]; then result=skipped; else result=passed; fi
+        if [ -n "$why" ]; then result=partial; else result=passed; fi
     else
         result=failed bad=1 why="see $log"
         tail -n 20 "$log"
     fi
-    rm -rf "$WORK"
     if [ -z "$here" ] && ! clean; then
         git add --all && git diff --binary --cached >"$records/$name.patch"
         why+=" changed: $(git diff --cached --name-only | head -n 5 | tr '\n' ' ')"
     fi
-    printf '%s\t%d\t%s\n' "$result" $((SECONDS - begun)) "$why" | tee "$recorded"
+    printf '%s\t%d\t%s\n' "$result" $((SECONDS - begun)) "$why" | tee "$row"
 done
 table results
 exit "$bad"

@@ -60,8 +60,9 @@ fn third_party(package: &str) -> usize {
 
 #[test]
 fn no_program_and_no_library_of_the_sdk_gets_more_crates_of_others() {
-    let path = crates().parent().unwrap().to_owned();
-    let path = path.join("tests/tests/repository/dependency_rules/third_party.txt");
+    // Beside this file, which the compiler names from the root.
+    let path = crates().parent().unwrap().join(file!());
+    let path = path.with_extension("txt");
     let mut names = programs();
     names.extend(SDK.map(str::to_owned));
     names.sort();
@@ -84,7 +85,7 @@ fn no_program_and_no_library_of_the_sdk_gets_more_crates_of_others() {
         "crates of others, as held in {}:\n{}as found:\n{}\
          Which: `cargo tree -p PACKAGE -e normal,build --prefix none --no-dedupe | sort -u`, here \
          and on the commit before. Why: `cargo tree -p PACKAGE -e normal,build -i CRATE`.\n\
-         Fewer: `JOULEBUS_WRITE=1 cargo test -p joulebus-tests --test repository third_party` \
+         Fewer: `JOULEBUS_WRITE=1 cargo test -p joulebus-tests third_party` \
          holds them. More: only with a reason in the commit.",
         path.display(),
         other(&held, &found),
