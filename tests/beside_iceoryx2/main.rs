@@ -112,11 +112,16 @@ fn work(joulebus: &str, config: &Path) -> Done<Child> {
 }
 
 fn main() -> Done {
-    let joulebus = env::args().nth(1).ok_or("the path of joulebus is missing")?;
+    let joulebus = env::args()
+        .nth(1)
+        .ok_or("the path of joulebus is missing")?;
     let own = Own::open()?;
     own.exchange(1)?;
     let root = PathBuf::from(format!("/dev/shm/joulebus-beside-{}", id()));
-    let mut fleets = [Fleet::start(&joulebus, &root, 1)?, Fleet::start(&joulebus, &root, 2)?];
+    let mut fleets = [
+        Fleet::start(&joulebus, &root, 1)?,
+        Fleet::start(&joulebus, &root, 2)?,
+    ];
     own.exchange(2)?;
     for fleet in &mut fleets {
         fleet.forecast()?;
@@ -131,10 +136,11 @@ fn main() -> Done {
         own.exchange(4)?;
     }
     let name = root.file_name().unwrap_or_default().to_owned();
-    let left = fs::read_dir("/dev/shm")?.flatten().map(|entry| entry.file_name());
-    let is_ours = |found: &std::ffi::OsString| {
-        *found == name || found.to_string_lossy().starts_with(PREFIX)
-    };
+    let left = fs::read_dir("/dev/shm")?
+        .flatten()
+        .map(|entry| entry.file_name());
+    let is_ours =
+        |found: &std::ffi::OsString| *found == name || found.to_string_lossy().starts_with(PREFIX);
     let left: Vec<_> = left.filter(is_ours).collect();
     assert!(left.is_empty(), "left behind: {left:?}");
     Ok(())
