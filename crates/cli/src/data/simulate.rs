@@ -8,9 +8,10 @@ use anyhow::Context as _;
 use joulebus_dataset::trial::{MAX_ROWS, Trial};
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
-use joulebus_sim::arena::STEP_S;
-use joulebus_sim::parts::Parts;
-use joulebus_sim::protocol::{Protocol, SAMPLES};
+use joulebus_plant::arena::STEP_S;
+use joulebus_plant::parts::Parts;
+use joulebus_plant::protocol::{Protocol, SAMPLES};
+use joulebus_sim::protocol::drive;
 use joulebus_sim::scenario;
 use serde::Serialize;
 
@@ -72,7 +73,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         Ok(())
     };
     for protocol in Protocol::ALL {
-        write(&protocol.trial(args.seed), &protocol.file_stem())?;
+        write(&drive(protocol, args.seed), &protocol.file_stem())?;
     }
     let steps = args.steps as usize;
     let run = scenario::run(Parts::default(), args.seed, steps);

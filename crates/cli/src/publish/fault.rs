@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use joulebus_sim::plant::Fault;
+use joulebus_plant::Fault;
 
 use super::number;
 

@@ -10,7 +10,7 @@ use joulebus_program::output::Output;
 use joulebus_program::stop::Stop;
 use joulebus_publisher::{Grid, PublishError};
 use joulebus_settings::Platform;
-use joulebus_sim::plant::{Plant, SimReading};
+use joulebus_plant::{Plant, SimReading};
 use joulebus_wire::{Sample, sample_flag};
 
 use super::fault::{self, FaultArgument};

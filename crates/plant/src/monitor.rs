@@ -20,10 +20,13 @@ const RESISTANCE_OHM: f64 = 0.09;
 
 /// One reading of the power monitor.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Measurement {
-    pub(super) power_w: f64,
-    pub(super) voltage_v: f64,
-    pub(super) current_a: f64,
+pub struct Measurement {
+    /// Power, W.
+    pub power_w: f64,
+    /// Terminal voltage, V.
+    pub voltage_v: f64,
+    /// Current, A.
+    pub current_a: f64,
 }
 
 /// A discharging battery.

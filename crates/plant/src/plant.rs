@@ -10,7 +10,7 @@
 
 use crate::arena::{Command, saturated};
 use crate::body::Body;
-pub use crate::fault::Fault;
+use crate::fault::Fault;
 use crate::parts::Parts;
 use crate::protocol::{Driver, Protocol, TRIAL_S};
 use joulebus_statistics::noise::Noise;

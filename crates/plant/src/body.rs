@@ -12,12 +12,13 @@ const MOST_DRAWN_J: f64 = 6_000.0;
 
 /// A robot: pose, loads, battery and monitor.
 #[derive(Clone, Debug)]
-pub(super) struct Body {
-    pub(super) pose: Pose,
+pub struct Body {
+    /// Where it is.
+    pub pose: Pose,
     /// The monitor's output.
-    pub(super) measured: Measurement,
+    pub measured: Measurement,
     /// When it was measured, ns.
-    pub(super) measured_ns: u64,
+    pub measured_ns: u64,
     noise: Noise,
     monitor_noise_w: f64,
     loads: Loads,
@@ -27,8 +28,10 @@ pub(super) struct Body {
 }
 
 impl Body {
-    /// A robot at rest at time 0. Parameters as in [`Loads::new`].
-    pub(super) fn new(
+    /// A robot at rest at time 0. `extra_w` is a constant additional load, W; `neighbours` share its
+    /// radio channel; `made` draws its manufacturing variation, `noise` everything else.
+    #[must_use]
+    pub fn new(
         parts: Parts,
         extra_w: f64,
         neighbours: usize,
@@ -55,17 +58,18 @@ impl Body {
     }
 
     /// Adds a fault from a time on, s.
-    pub(super) fn fail(&mut self, fault: Fault, from_s: f64) {
+    pub fn fail(&mut self, fault: Fault, from_s: f64) {
         self.faults.push((fault, from_s));
     }
 
     /// Energy drawn from the battery, J.
-    pub(super) const fn drawn_j(&self) -> f64 {
+    #[must_use]
+    pub const fn drawn_j(&self) -> f64 {
         self.battery.drawn_j()
     }
 
     /// Simulates from `now_ns` to `end_ns` under a command.
-    pub(super) fn run(&mut self, now_ns: u64, end_ns: u64, command: Command) {
+    pub fn run(&mut self, now_ns: u64, end_ns: u64, command: Command) {
         self.loads.command(command, &mut self.noise);
         self.pose = self
             .pose

@@ -1,11 +1,54 @@
 //! The Robotarium: arena, control period, and robot kinematics.
 
 use std::f64::consts::TAU;
-
-use nalgebra::Vector2;
+use std::ops::{Add, Mul, Sub};
 
 /// A position in m, or a velocity in m/s: (x, y), x along the long side.
-pub type Vector = Vector2<f64>;
+#[derive(Clone, Copy, Debug, PartialEq, Default)]
+pub struct Vector {
+    /// Component along the long side.
+    pub x: f64,
+    /// Component along the short side.
+    pub y: f64,
+}
+
+impl Vector {
+    /// The vector of two components.
+    #[must_use]
+    pub const fn new(x: f64, y: f64) -> Self {
+        Self { x, y }
+    }
+
+    /// Its length.
+    #[must_use]
+    pub fn norm(self) -> f64 {
+        libm::sqrt(self.x * self.x + self.y * self.y)
+    }
+}
+
+impl Add for Vector {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self::new(self.x + other.x, self.y + other.y)
+    }
+}
+
+impl Sub for Vector {
+    type Output = Self;
+
+    fn sub(self, other: Self) -> Self {
+        Self::new(self.x - other.x, self.y - other.y)
+    }
+}
+
+impl Mul<f64> for Vector {
+    type Output = Self;
+
+    fn mul(self, factor: f64) -> Self {
+        Self::new(self.x * factor, self.y * factor)
+    }
+}
 
 /// Maximum commanded linear velocity, m/s.
 pub const V_MAX_MPS: f64 = 0.2;
@@ -56,7 +99,8 @@ pub fn saturated(command: Command) -> Command {
 }
 
 /// The unit vector of an angle from the x axis.
-pub(crate) fn direction(angle_rad: f64) -> Vector {
+#[must_use]
+pub fn direction(angle_rad: f64) -> Vector {
     let (sin, cos) = libm::sincos(angle_rad);
     Vector::new(cos, sin)
 }
