@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use anyhow::{Context as _, bail};
 use joulebus_predictor::{Features, INPUTS, Kernel, Model, Network, Tiling};
-use joulebus_program::verbs::bench::BenchOptions;
+use crate::arguments::BenchOptions;
 
 use crate::figure::robots;
 use crate::peak::Isa;

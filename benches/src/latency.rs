@@ -24,7 +24,7 @@ use joulebus_bus::Scheduling;
 use joulebus_predictor::{Model, Network};
 use joulebus_predictor_worker::Spread;
 use joulebus_program::stop::Stop;
-use joulebus_program::verbs::bench::BenchOptions;
+use crate::arguments::BenchOptions;
 use joulebus_publisher::Pace;
 
 use crate::{Report, threads};

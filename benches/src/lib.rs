@@ -5,6 +5,7 @@
 //! JSON, and can be [compared](Comparison) with an earlier one.
 #![forbid(unsafe_code)]
 
+mod arguments;
 mod callgrind;
 mod compare;
 mod counted;
@@ -44,4 +45,17 @@ pub use run::main;
 pub fn histogram() -> Histogram<u64> {
     Histogram::new_with_bounds(1, 60_000_000_000, 3)
         .expect("1 ns to 1 min in three digits is valid")
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Args as _;
+
+    use crate::arguments::BenchArguments;
+
+    #[test]
+    fn the_main_program_shows_these_options() {
+        let verb = BenchArguments::augment_args(clap::Command::new("bench"));
+        joulebus_program::described::check("bench", &[verb]);
+    }
 }

@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::Context as _;
 use joulebus_energy::{CommandModel, EnergyModel, EnergySample, EnergyState, TERMS};
 use joulebus_plan::{Answer, Candidates, Fleet, Frames, Platform, Robot};
-use joulebus_program::verbs::bench::BenchOptions;
+use crate::arguments::BenchOptions;
 use joulebus_wire::{
     Budget, BudgetHeader, PlanState, PlanStateHeader, Quality, budget_flag, plan_state_flag,
 };

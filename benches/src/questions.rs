@@ -11,7 +11,7 @@ use joulebus_config::Config;
 use joulebus_plan::{Plan, PlanClient, Planner, Question};
 use joulebus_plan_server::PlanServer;
 use joulebus_predictor_worker::{Spread, Worker};
-use joulebus_program::verbs::bench::BenchOptions;
+use crate::arguments::BenchOptions;
 use joulebus_publisher::{Pace, Publisher, RobotState};
 use joulebus_wire::{QUERY_STEPS, Sample};
 

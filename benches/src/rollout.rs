@@ -7,7 +7,7 @@ use std::time::Instant;
 use joulebus_predictor::{
     FEATURE_NAMES, FeatureSet, Features, Model, Network, ReadingAge, RolloutStart, Rollouts,
 };
-use joulebus_program::verbs::bench::BenchOptions;
+use crate::arguments::BenchOptions;
 
 use crate::callgrind::collected;
 use crate::figure::grouped;

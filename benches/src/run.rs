@@ -10,7 +10,7 @@ use clap::Parser;
 use joulebus_program::exit::{self, Outcome};
 use joulebus_program::output::{Output, say, text};
 use joulebus_program::verb;
-use joulebus_program::verbs::bench::{BenchArguments, BenchOptions, Benchmark};
+use crate::arguments::{BenchArguments, BenchOptions, Benchmark};
 use serde::Serialize;
 
 use crate::counted::Count;

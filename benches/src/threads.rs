@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use crate::Distribution;
 use joulebus_bus::Scheduling;
-use joulebus_program::verbs::bench::BenchOptions;
+use crate::arguments::BenchOptions;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 /// The processors available to this process, ascending; empty if unknown.

@@ -7,7 +7,7 @@ use std::thread;
 use anyhow::{Context as _, anyhow};
 use clap::ValueEnum as _;
 use joulebus_predictor::Network;
-use joulebus_program::verbs::bench::{BenchOptions, TickFleet};
+use crate::arguments::{BenchOptions, TickFleet};
 use joulebus_settings::FleetSettings;
 
 use crate::callgrind::collected;

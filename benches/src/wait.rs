@@ -8,7 +8,7 @@ use std::os::unix::net::UnixDatagram;
 
 use anyhow::Context;
 use joulebus_bus::clock;
-use joulebus_program::verbs::bench::BenchOptions;
+use crate::arguments::BenchOptions;
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::{
     ClockId, Itimerspec, TimerfdClockId, TimerfdFlags, TimerfdTimerFlags, Timespec, clock_gettime,
@@ -129,7 +129,7 @@ fn thread_ns() -> u64 {
 #[cfg(test)]
 mod tests {
     use clap::{Args as _, FromArgMatches as _};
-    use joulebus_program::verbs::bench::BenchArguments;
+    use crate::arguments::BenchArguments;
 
     use super::*;
 

@@ -11,7 +11,7 @@ use joulebus_config::{Config, Demo};
 use joulebus_fleet::{Accounts, Batch, Fleet, Outputs};
 use joulebus_predictor::{Features, Model, Network};
 use joulebus_predictor_worker::TickPool;
-use joulebus_program::verbs::bench::TickFleet;
+use crate::arguments::TickFleet;
 use joulebus_publisher::Pace;
 use joulebus_settings::{FleetSettings, Platform};
 use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState};

@@ -13,7 +13,7 @@ use joulebus_config::Config;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
-use joulebus_program::verbs::bridge::BridgeArguments;
+use crate::arguments::BridgeArguments;
 use serde::Serialize;
 use serde_json::json;
 

@@ -16,7 +16,7 @@ use joulebus_predictor_worker::Places;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
-use joulebus_program::verbs::link::LinkArguments;
+use crate::arguments::LinkArguments;
 use serde::Serialize;
 
 use crate::config::{Mode, Settings, Side};

@@ -23,7 +23,7 @@ use joulebus_capture::record::{Options, Recorder, Target};
 use joulebus_capture::{Attachments, CaptureSettings, Clock, Entry, Preset, ReadError, Reader};
 use joulebus_config::Config;
 use joulebus_program::output::say;
-use joulebus_program::verbs::serve::ServeArguments;
+use crate::arguments::ServeArguments;
 use serde::Serialize;
 
 use crate::guard::{Guard, hidden_address};

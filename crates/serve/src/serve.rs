@@ -6,7 +6,7 @@ use std::time::Duration;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
-use joulebus_program::verbs::serve::ServeArguments;
+use crate::arguments::ServeArguments;
 use serde::Serialize;
 
 use crate::foxglove::{Foxglove, FoxgloveReport};

@@ -1,0 +1,108 @@
+//! `joulebus eval`: offline evaluation of recorded trials against the baselines.
+
+mod part;
+mod subject;
+
+use std::path::{Path, PathBuf};
+
+use joulebus_eval::EvalReport;
+use joulebus_eval::score::{ScoreError, score_reported};
+use joulebus_predictor::Model;
+use joulebus_models::load_models;
+use joulebus_program::exit::Outcome;
+use joulebus_program::model_source;
+use joulebus_program::output::{Output, say};
+
+use part::PartArguments;
+pub(crate) use subject::{Selection, usage};
+
+/// Evaluate recorded trials offline: the same bits as playing them live, compared with the
+/// baselines
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus eval recordings/*.csv.gz\n  \
+    joulebus eval --model my.safetensors recordings/ --split trial\n  \
+    joulebus eval --model my.safetensors husky/ --split group --leave-out ICE\n  \
+    joulebus eval --model my.safetensors t6.npy --fit t1.npy t2.npy t3.npy t4.npy\n  \
+    joulebus eval --config configs/mixed.toml robotino/@robotino husky/@husky\n  \
+    joulebus eval --model my.safetensors recordings/ --split trial --energy\n  \
+    joulebus eval --model my.safetensors recordings/ --partition 2/7 -o 2.part\n  \
+    joulebus eval --merge *.part\n\n\
+    Corrected: each forecast is based on real readings, one tick ahead. Open loop: a forecaster is fed \
+    with its own forecasts and the true commands. MAE in W; skill is 1 - squared error over \
+    that of persistence: above 0 is better than repeating the last reading. [lo, hi] are confidence \
+    intervals by block bootstrap. All forecasters are scored on the same rows: those with five \
+    gapless readings before them.\n\n\
+    With --model and no config, period and limits are those of each recording; else those of the \
+    config's platforms. Rows that a model was trained on, as its file states, are recognised by their \
+    readings and scored apart; the tables are of the others. --split evaluates what `joulebus train trials` with the same recordings, \
+    split and seed holds out.\n\n\
+    --partition I/N runs every N-th recording, on any host, and --merge makes of the N files what one run reports, to \
+    the bit. Each part reads all recordings, because baselines are fitted on them.")]
+pub(crate) struct Args {
+    #[command(flatten)]
+    asked: Selection,
+    /// A model file, for all platforms [default: as in the config]
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    #[command(flatten)]
+    parts: PartArguments,
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    if args.parts.merge {
+        return part::merge(args.asked.arguments(), output);
+    }
+    let config = args.asked.config()?;
+    let named = args.model.as_deref().map(load).transpose()?;
+    let models = match &named {
+        None => load_models(&config)?,
+        Some(model) => vec![model.clone(); config.settings().platforms.len()],
+    };
+    let sections = args.asked.sections(config.settings(), named.is_some())?;
+    if let Some(asked) = args.parts.asked() {
+        return part::run(args, &asked, (&sections, &models), output);
+    }
+    let mut evaluations = Vec::new();
+    let options = args.asked.options()?;
+    let mut refused = None;
+    for section in &sections {
+        let model = &models[section.place];
+        let models = std::slice::from_ref(model);
+        let design = args.asked.design(section, models)?;
+        let subject = section.subject(models, &design);
+        match score_reported(subject, &options).map_err(usage) {
+            Ok(reported) => {
+                warn(&reported.report.warnings);
+                evaluations.push(reported);
+            }
+            // A platform without rows must not hide the others.
+            Err(error) if sections.len() > 1 && is_without_rows(&error) => {
+                say(&format!("warning: platform {}: {error:#}", section.name()));
+                refused = Some(error);
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    if let (true, Some(error)) = (evaluations.is_empty(), refused) {
+        return Err(error);
+    }
+    output.report(&EvalReport::of_reported(evaluations))?;
+    Ok(Outcome::Done)
+}
+
+/// Prints warnings on stderr.
+pub(crate) fn warn(warnings: &[String]) {
+    for warning in warnings {
+        say(&format!("warning: {warning}"));
+    }
+}
+
+fn is_without_rows(error: &anyhow::Error) -> bool {
+    matches!(error.downcast_ref(), Some(ScoreError::NoRows { .. }))
+}
+
+/// The model of a file, or a built-in one.
+pub(crate) fn load(path: &Path) -> anyhow::Result<Model> {
+    Ok(Model::Network(model_source::load(path)?))
+}
