@@ -38,6 +38,7 @@ mod readme {
         PredictorWorker = "../../crates/predictor-worker/README.md",
         Capture = "../../crates/capture/README.md",
         Dataset = "../../crates/dataset/README.md",
+        Plant = "../../crates/plant/README.md",
         Sim = "../../crates/sim/README.md",
         Train = "../../crates/train/README.md",
         Eval = "../../crates/eval/README.md",

@@ -2,14 +2,16 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-use std::ffi::OsStr;
+use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use joulebus_test_processes::{Ended, run};
 
 fn output<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Ended {
-    run(env!("CARGO_BIN_EXE_joulebus-report"), arguments)
+    let arguments = arguments.into_iter().map(|word| word.as_ref().to_owned());
+    let words = [OsString::from("report")].into_iter().chain(arguments);
+    run(env!("CARGO_BIN_EXE_joulebus-lab"), words)
 }
 
 /// A recording of `rows` rows at 30 Hz whose power changes in each of them.

@@ -13,20 +13,20 @@ use std::path::{Path, PathBuf};
 use joulebus_test_processes::{Ended, joulebus_beside, run};
 
 /// The program.
-const EXPORT: &str = env!("CARGO_BIN_EXE_joulebus-export");
+const LAB: &str = env!("CARGO_BIN_EXE_joulebus-lab");
 
 /// Exports recordings into a folder.
 fn export(paths: &[&Path], folder: &Path) -> Ended {
-    let words = ["--format", "json"].map(PathBuf::from);
+    let words = ["export", "--format", "json"].map(PathBuf::from);
     let paths = paths.iter().map(PathBuf::from);
     let to = ["--to", "parquet"].map(PathBuf::from);
     let words = words.into_iter().chain(paths).chain(to);
-    run(EXPORT, words.chain([folder.to_owned()]))
+    run(LAB, words.chain([folder.to_owned()]))
 }
 
 /// Runs `joulebus` with these words and paths.
 fn joulebus(words: &str, paths: &[&Path]) -> Ended {
-    let program = joulebus_beside(EXPORT).display().to_string();
+    let program = joulebus_beside(LAB).display().to_string();
     let words = words.split_whitespace().map(PathBuf::from);
     run(&program, words.chain(paths.iter().map(PathBuf::from)))
 }

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use joulebus_test_processes::joulebus_beside;
 
-use crate::{EXPORT, export, parquet, recordings};
+use crate::{LAB, export, parquet, recordings};
 
 /// Largest resident set of a process so far, bytes; none once it has ended.
 fn peak_bytes(pid: u32) -> Option<u64> {
@@ -46,8 +46,8 @@ fn an_export_of_a_long_capture_holds_a_part_of_its_samples() {
     let place = tempfile::tempdir().unwrap();
     let run = recordings::capture(place.path(), "long.mcap", FRAMES, ROBOTS);
     let archive = place.path().join("archive");
-    let mut command = Command::new(EXPORT);
-    command.arg(&run).args(["--to", "parquet"]).arg(&archive);
+    let mut command = Command::new(LAB);
+    command.arg("export").arg(&run).args(["--to", "parquet"]).arg(&archive);
     let peak = peak_of(&mut command);
     // One run of each robot, and another of the one that began again.
     assert_eq!(parquet(&archive).len(), ROBOTS as usize + 1);
@@ -111,7 +111,7 @@ fn verbs_that_read_an_archive_hold_no_more_of_more_trials() {
     let archives = [TRIALS, 2 * TRIALS].map(|trials| archive_of(trials, ROWS, place.path()));
     for verb in verbs {
         let [few, many] = archives.each_ref().map(|archive| {
-            let mut command = Command::new(joulebus_beside(EXPORT));
+            let mut command = Command::new(joulebus_beside(LAB));
             // The buffers of one thread.
             command.env("RAYON_NUM_THREADS", "1").args(verb);
             peak_of(command.arg(archive))

@@ -131,7 +131,7 @@ fn parts_of_an_evaluation_of_an_archive_merge_into_the_report_of_the_recordings(
         .args([&model, &archive])
         .env(
             "JOULEBUS",
-            joulebus_test_processes::joulebus_beside(crate::EXPORT),
+            joulebus_test_processes::joulebus_beside(crate::LAB),
         )
         .output()
         .unwrap();

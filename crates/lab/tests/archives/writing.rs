@@ -7,7 +7,7 @@ use joulebus_dataset::archive::{fields, listings};
 use joulebus_test_processes::{Child, run};
 
 use crate::recordings::{capture, every_kind, full, sparse};
-use crate::{EXPORT, export, files, joulebus, parquet};
+use crate::{LAB, export, files, joulebus, parquet};
 
 #[test]
 fn a_folder_with_other_files_is_refused_and_left_as_it_is() {
@@ -83,8 +83,8 @@ fn an_export_killed_at_any_time_leaves_whole_recordings_and_the_next_one_finishe
     assert_eq!(export(&[&from], &whole).code(), Some(0));
     for files_first in [1, 3, 6] {
         let folder = place.path().join(format!("killed-{files_first}"));
-        let mut command = std::process::Command::new(EXPORT);
-        command.arg(&from).args(["--to", "parquet"]).arg(&folder);
+        let mut command = std::process::Command::new(LAB);
+        command.arg("export").arg(&from).args(["--to", "parquet"]).arg(&folder);
         let mut export_process = Child::spawn("export", command);
         while export_process.is_running()
             && (!folder.exists() || files(&folder).len() < files_first)
@@ -186,7 +186,7 @@ fn wrong_words_are_refused_with_what_is_allowed() {
             "nonsense",
         ),
     ] {
-        let ended = run(EXPORT, words);
+        let ended = run(LAB, ["export"].iter().chain(words));
         assert_eq!(ended.code(), Some(2), "{words:?}: {}", ended.errors());
         assert!(
             ended.errors().contains(part),
