@@ -5,13 +5,13 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
+use crate::arguments::BenchOptions;
 use anyhow::Context as _;
 use joulebus_bus::clock;
 use joulebus_config::Config;
 use joulebus_plan::{Plan, PlanClient, Planner, Question};
 use joulebus_plan_server::PlanServer;
 use joulebus_predictor_worker::{Spread, Worker};
-use crate::arguments::BenchOptions;
 use joulebus_publisher::{Pace, Publisher, RobotState};
 use joulebus_wire::{QUERY_STEPS, Sample};
 

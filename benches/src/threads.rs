@@ -6,8 +6,8 @@ use std::thread;
 use std::time::Instant;
 
 use crate::Distribution;
-use joulebus_bus::Scheduling;
 use crate::arguments::BenchOptions;
+use joulebus_bus::Scheduling;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 /// The processors available to this process, ascending; empty if unknown.

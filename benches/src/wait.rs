@@ -6,9 +6,9 @@ use std::num::NonZeroU64;
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::net::UnixDatagram;
 
+use crate::arguments::BenchOptions;
 use anyhow::Context;
 use joulebus_bus::clock;
-use crate::arguments::BenchOptions;
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::{
     ClockId, Itimerspec, TimerfdClockId, TimerfdFlags, TimerfdTimerFlags, Timespec, clock_gettime,
@@ -128,8 +128,8 @@ fn thread_ns() -> u64 {
 
 #[cfg(test)]
 mod tests {
-    use clap::{Args as _, FromArgMatches as _};
     use crate::arguments::BenchArguments;
+    use clap::{Args as _, FromArgMatches as _};
 
     use super::*;
 

@@ -1,8 +1,8 @@
 //! The verbs and global options.
 
 use clap::{CommandFactory as _, Parser, Subcommand};
-use joulebus_program::options::GlobalOptions;
 use joulebus_program::described::Verb;
+use joulebus_program::options::GlobalOptions;
 
 use crate::{
     alarms, ask, completions, config, demo, doctor, external, info, man, publish, record, recover,

@@ -8,8 +8,8 @@ use joulebus_config::{Config, ConfigError, Explanation, Problem, explain, explan
 use joulebus_predictor::Model;
 use joulebus_predictor_worker::load_models;
 use joulebus_program::config_file::ConfigFile;
-use joulebus_program::model_range;
 use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::model_range;
 use joulebus_program::output::{self, Format, Output, say};
 use serde::Serialize;
 

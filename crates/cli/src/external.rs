@@ -36,6 +36,16 @@ pub(crate) fn rosbag() -> clap::Command {
     verbs[0].command().version(env!("CARGO_PKG_VERSION"))
 }
 
+/// The program `joulebus-lab`, whose verbs are shown as those of `joulebus`.
+pub(crate) fn lab() -> clap::Command {
+    clap::Command::new("joulebus-lab")
+        .version(env!("CARGO_PKG_VERSION"))
+        .about("The verbs of joulebus that work on recordings and models; joulebus VERB runs them")
+        .after_help(
+            "Examples:\n  joulebus eval recordings/ --model my.safetensors\n  joulebus help eval",
+        )
+}
+
 fn described(text: &str) -> Vec<Verb> {
     // A test reads each of them.
     serde_json::from_str(text).expect("the description of a verb is valid")

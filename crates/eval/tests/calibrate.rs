@@ -11,10 +11,10 @@ use joulebus_eval::calibrate::{
     Basis, CalibrateError, Calibration, Delays, Fault, Request, calibrate,
 };
 use joulebus_fleet::Fleet;
-use joulebus_predictor::{Model, Network};
-use joulebus_settings::{AlarmLimits, FleetSettings};
 use joulebus_plant::parts::Parts;
 use joulebus_plant::protocol::Protocol;
+use joulebus_predictor::{Model, Network};
+use joulebus_settings::{AlarmLimits, FleetSettings};
 use joulebus_sim::protocol::drive_with;
 use joulebus_statistics::poisson::{at_most, upper_mean};
 use joulebus_wire::{Alarm, SCHEMA_VERSION, Sample, SampleHeader};

@@ -15,10 +15,10 @@ use joulebus_program::output::{Output, say};
 use joulebus_settings::bounds;
 use serde::Serialize;
 
-use joulebus_program::model_range;
 use crate::next_command::{recordings, word};
 use crate::recordings::{ColumnArguments, find_recordings};
 use crate::train::train_recordings;
+use joulebus_program::model_range;
 
 /// Write a platform's and a fleet's config from recordings, and train its model if asked
 #[derive(Debug, clap::Args)]

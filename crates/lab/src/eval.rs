@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 
 use joulebus_eval::EvalReport;
 use joulebus_eval::score::{ScoreError, score_reported};
-use joulebus_predictor::Model;
 use joulebus_models::load_models;
+use joulebus_predictor::Model;
 use joulebus_program::exit::Outcome;
 use joulebus_program::model_source;
 use joulebus_program::output::{Output, say};

@@ -116,12 +116,6 @@ impl Verb {
         }
     }
 
-    /// Its name.
-    #[must_use]
-    pub fn name(&self) -> &str {
-        &self.name
-    }
-
     /// The verb as a parser that accepts what the program may accept: values are texts, and what
     /// options require of each other is left to the program.
     #[must_use]
@@ -382,7 +376,10 @@ mod tests {
         let verbs: &'static [Verb] = Vec::leak(vec![Verb::new(&Everything::command())]);
         for (words, accepted) in [
             (vec!["p", "-a", "--c", "--d", "y"], true),
-            (vec!["p", "q", "--b", "1,2", "--g", "a", "b", "--", "-x"], true),
+            (
+                vec!["p", "q", "--b", "1,2", "--g", "a", "b", "--", "-x"],
+                true,
+            ),
             (vec!["-a"], false),
             (vec!["p"], false),
             (vec!["p", "-a", "--b", "1"], false),
@@ -392,7 +389,12 @@ mod tests {
             let words = || ["verb"].into_iter().chain(words.iter().copied());
             let own = Everything::command().try_get_matches_from(words()).is_ok();
             let made = verbs[0].command().try_get_matches_from(words()).is_ok();
-            assert_eq!((own, made), (accepted, accepted), "{words:?}", words = words().collect::<Vec<_>>());
+            assert_eq!(
+                (own, made),
+                (accepted, accepted),
+                "{words:?}",
+                words = words().collect::<Vec<_>>()
+            );
         }
     }
 

@@ -4,10 +4,10 @@ use std::ops::ControlFlow;
 
 use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_eval::score::{Contents, Design, Options, Recording, Scored, Subject, score};
-use joulebus_predictor::{Model, Network};
-use joulebus_settings::FleetSettings;
 use joulebus_plant::parts::Parts;
 use joulebus_plant::protocol::Protocol;
+use joulebus_predictor::{Model, Network};
+use joulebus_settings::FleetSettings;
 use joulebus_sim::protocol::drive_with;
 use joulebus_sim::scenario;
 use joulebus_statistics::metrics::Tally;

@@ -10,6 +10,8 @@ use std::ops::ControlFlow;
 use std::sync::OnceLock;
 
 use joulebus_eval::score::{Design, Recording};
+use joulebus_plant::parts::Parts;
+use joulebus_plant::protocol::Protocol;
 use joulebus_predictor::Model;
 use joulebus_report::figure::{Axis, Colour, Figure, Layer, Mark, Panel};
 use joulebus_report::{
@@ -17,8 +19,6 @@ use joulebus_report::{
     Table, files, html, recorded, simulated,
 };
 use joulebus_settings::FleetSettings;
-use joulebus_plant::parts::Parts;
-use joulebus_plant::protocol::Protocol;
 use joulebus_sim::protocol::drive_with;
 use live::settings;
 use serde_json::Value;

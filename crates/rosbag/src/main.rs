@@ -11,13 +11,13 @@ use std::os::fd::AsFd as _;
 use std::path::Path;
 use std::process::ExitCode;
 
+use crate::arguments::RosbagArguments;
 use anyhow::{Context as _, bail};
 use clap::Parser as _;
 use joulebus_capture::RosFile;
 use joulebus_program::exit::{self, Outcome};
 use joulebus_program::exit_with_parent;
 use joulebus_program::output::say;
-use crate::arguments::RosbagArguments;
 
 use bag::Bag;
 use convert::LeftOut;

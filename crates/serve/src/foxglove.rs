@@ -13,6 +13,7 @@ use std::sync::mpsc::channel;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use crate::arguments::ServeArguments;
 use ::foxglove::websocket::ShutdownHandle;
 use ::foxglove::{
     ChannelBuilder, Context, PartialMetadata, RawChannel, Schema, WebSocketServer,
@@ -23,7 +24,6 @@ use joulebus_capture::record::{Options, Recorder, Target};
 use joulebus_capture::{Attachments, CaptureSettings, Clock, Entry, Preset, ReadError, Reader};
 use joulebus_config::Config;
 use joulebus_program::output::say;
-use crate::arguments::ServeArguments;
 use serde::Serialize;
 
 use crate::guard::{Guard, hidden_address};

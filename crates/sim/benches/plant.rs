@@ -6,9 +6,9 @@
 use std::hint::black_box;
 use std::time::Instant;
 
+use joulebus_plant::Plant;
 use joulebus_plant::arena::STEP_S;
 use joulebus_plant::parts::Parts;
-use joulebus_plant::Plant;
 use joulebus_plant::protocol::{Protocol, SAMPLES};
 use joulebus_sim::protocol::drive;
 use joulebus_sim::scenario;

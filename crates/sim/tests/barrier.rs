@@ -2,8 +2,8 @@
 //! slow solver; robots never collide.
 
 use joulebus_plant::arena::{HALF_ARENA_M, ROBOT_M};
-use joulebus_sim::barrier::{Answer, Barrier, BarrierError, Vector};
 use joulebus_plant::parts::Parts;
+use joulebus_sim::barrier::{Answer, Barrier, BarrierError, Vector};
 use joulebus_sim::scenario;
 use proptest::prelude::*;
 

@@ -1,13 +1,13 @@
 //! The simulated fleet: reproducible, within its limits, and close to the published figures.
 
 use joulebus_dataset::trial::{Column, Trial};
+use joulebus_plant::Fault;
 use joulebus_plant::arena::{Command, HALF_ARENA_M, STEP_S, saturated, wheels_mps};
 use joulebus_plant::arena::{OMEGA_MAX_RADPS, V_MAX_MPS};
 use joulebus_plant::driven::Driven;
 use joulebus_plant::parts::Parts;
-use joulebus_plant::Fault;
-use joulebus_plant::{Plant, PlantError, SimReading};
 use joulebus_plant::protocol::{Protocol, SAMPLES, TRIAL_S, UnknownTrial};
+use joulebus_plant::{Plant, PlantError, SimReading};
 use joulebus_sim::protocol::{drive, trial};
 use joulebus_sim::scenario::{self, seven_robots};
 

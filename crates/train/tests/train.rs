@@ -2,10 +2,10 @@
 //! origin.
 
 use joulebus_dataset::rows::{Dataset, Row, sample_rows};
+use joulebus_plant::protocol::SAMPLES;
 use joulebus_predictor::{
     FEATURES, FeatureSet, Features, Kernel, ModelCard, Network, ResidualStats, Scores,
 };
-use joulebus_plant::protocol::SAMPLES;
 use joulebus_sim::training_data::{SimulatedData, dataset_from_plant};
 use joulebus_train::{
     Epoch, TrainError, TrainSettings, Trained, Training, scored, settings_for_sim, train,

@@ -139,7 +139,10 @@ fn link(fleet: &Fleet) -> PathBuf {
 
 #[test]
 fn every_verb_that_runs_until_stopped_ends_cleanly_at_each_signal_with_its_code() {
-    for (expected, row, says) in RUNS.iter().filter(|(_, row, _)| crate::fleet::is_built(row)) {
+    for (expected, row, says) in RUNS
+        .iter()
+        .filter(|(_, row, _)| crate::fleet::is_built(row))
+    {
         for signal in end_signals() {
             let fleet = Fleet::new();
             let mut program = Program::start(command(&fleet, row));

@@ -6,11 +6,11 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use joulebus_dataset::trial::{MAX_ROWS, Trial};
-use joulebus_program::exit::Outcome;
-use joulebus_program::output::Output;
 use joulebus_plant::arena::STEP_S;
 use joulebus_plant::parts::Parts;
 use joulebus_plant::protocol::{Protocol, SAMPLES};
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::Output;
 use joulebus_sim::protocol::drive;
 use joulebus_sim::scenario;
 use serde::Serialize;

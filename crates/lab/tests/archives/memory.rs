@@ -47,7 +47,11 @@ fn an_export_of_a_long_capture_holds_a_part_of_its_samples() {
     let run = recordings::capture(place.path(), "long.mcap", FRAMES, ROBOTS);
     let archive = place.path().join("archive");
     let mut command = Command::new(LAB);
-    command.arg("export").arg(&run).args(["--to", "parquet"]).arg(&archive);
+    command
+        .arg("export")
+        .arg(&run)
+        .args(["--to", "parquet"])
+        .arg(&archive);
     let peak = peak_of(&mut command);
     // One run of each robot, and another of the one that began again.
     assert_eq!(parquet(&archive).len(), ROBOTS as usize + 1);

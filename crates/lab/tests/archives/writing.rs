@@ -84,7 +84,11 @@ fn an_export_killed_at_any_time_leaves_whole_recordings_and_the_next_one_finishe
     for files_first in [1, 3, 6] {
         let folder = place.path().join(format!("killed-{files_first}"));
         let mut command = std::process::Command::new(LAB);
-        command.arg("export").arg(&from).args(["--to", "parquet"]).arg(&folder);
+        command
+            .arg("export")
+            .arg(&from)
+            .args(["--to", "parquet"])
+            .arg(&folder);
         let mut export_process = Child::spawn("export", command);
         while export_process.is_running()
             && (!folder.exists() || files(&folder).len() < files_first)
