@@ -30,7 +30,7 @@ else
     rm -rf "$wheels"
     "$python" -m maturin build --quiet --locked --profile dev --manifest-path crates/python/Cargo.toml \
         --interpreter "$python" --out "$wheels"
-    [ -n "${JOULEBUS_PROGRAM:-}" ] || cargo build --quiet --locked --package joulebus --package joulebus-report
+    [ -n "${JOULEBUS_PROGRAM:-}" ] || cargo build --quiet --locked --package joulebus --package joulebus-lab
     # The wheel, not the sources: a file that it lacks is found missing.
     "$python" -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall "$wheels"/joulebus-*.whl
 fi

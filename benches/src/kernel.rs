@@ -3,9 +3,9 @@
 use std::hint::black_box;
 use std::time::Instant;
 
+use crate::arguments::BenchOptions;
 use anyhow::{Context as _, bail};
 use joulebus_predictor::{Features, INPUTS, Kernel, Model, Network, Tiling};
-use joulebus_program::verbs::bench::BenchOptions;
 
 use crate::figure::robots;
 use crate::peak::Isa;

@@ -18,13 +18,13 @@ use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use crate::arguments::BenchOptions;
 use anyhow::{Context, bail};
 use hdrhistogram::Histogram;
 use joulebus_bus::Scheduling;
 use joulebus_latency::Spread;
 use joulebus_predictor::{Model, Network};
 use joulebus_program::stop::Stop;
-use joulebus_program::verbs::bench::BenchOptions;
 use joulebus_publisher::Pace;
 
 use crate::{Report, threads};

@@ -5,6 +5,7 @@
 //! JSON, and can be [compared](Comparison) with an earlier one.
 #![forbid(unsafe_code)]
 
+mod arguments;
 mod callgrind;
 mod compare;
 mod counted;
@@ -34,3 +35,16 @@ pub use figure::{Better, Figure};
 pub use machine::{Build, Machine};
 pub use report::{Report, SCHEMA, Suite};
 pub use run::main;
+
+#[cfg(test)]
+mod tests {
+    use clap::Args as _;
+
+    use crate::arguments::BenchArguments;
+
+    #[test]
+    fn the_main_program_shows_these_options() {
+        let verb = BenchArguments::augment_args(clap::Command::new("bench"));
+        joulebus_program::described::check("bench", &[verb]);
+    }
+}

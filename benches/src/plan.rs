@@ -3,10 +3,10 @@
 use std::hint::black_box;
 use std::time::Instant;
 
+use crate::arguments::BenchOptions;
 use anyhow::Context as _;
 use joulebus_energy::{CommandModel, EnergyModel, EnergySample, EnergyState, TERMS};
 use joulebus_plan::{Answer, Candidates, Fleet, Frames, Platform, Robot};
-use joulebus_program::verbs::bench::BenchOptions;
 use joulebus_wire::{
     Budget, BudgetHeader, PlanState, PlanStateHeader, Quality, budget_flag, plan_state_flag,
 };

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
+use crate::arguments::BenchOptions;
 use anyhow::Context as _;
 use joulebus_bus::clock;
 use joulebus_config::Config;
@@ -13,7 +14,6 @@ use joulebus_plan::{Plan, Question};
 use joulebus_plan_server::PlanServer;
 use joulebus_planner::{PlanClient, Planner};
 use joulebus_predictor_worker::Worker;
-use joulebus_program::verbs::bench::BenchOptions;
 use joulebus_publisher::{Pace, Publisher, RobotState};
 use joulebus_wire::{QUERY_STEPS, Sample};
 

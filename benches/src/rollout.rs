@@ -4,10 +4,10 @@ use std::hint::black_box;
 use std::ops::Range;
 use std::time::Instant;
 
+use crate::arguments::BenchOptions;
 use joulebus_predictor::{
     FEATURE_NAMES, FeatureSet, Features, Model, Network, ReadingAge, RolloutStart, Rollouts,
 };
-use joulebus_program::verbs::bench::BenchOptions;
 
 use crate::callgrind::collected;
 use crate::figure::grouped;

@@ -5,12 +5,12 @@ use std::fs;
 use std::path::Path;
 use std::process::ExitCode;
 
+use crate::arguments::{BenchArguments, BenchOptions, Benchmark};
 use anyhow::Context as _;
 use clap::Parser;
 use joulebus_program::exit::{self, Outcome};
 use joulebus_program::output::{Output, say, text};
 use joulebus_program::verb;
-use joulebus_program::verbs::bench::{BenchArguments, BenchOptions, Benchmark};
 use serde::Serialize;
 
 use crate::counted::Count;

@@ -6,8 +6,8 @@ use std::thread;
 use std::time::Instant;
 
 use crate::Distribution;
+use crate::arguments::BenchOptions;
 use joulebus_bus::Scheduling;
-use joulebus_program::verbs::bench::BenchOptions;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 /// The processors available to this process, ascending; empty if unknown.

@@ -4,10 +4,10 @@ mod bench;
 
 use std::thread;
 
+use crate::arguments::{BenchOptions, TickFleet};
 use anyhow::{Context as _, anyhow};
 use clap::ValueEnum as _;
 use joulebus_predictor::Network;
-use joulebus_program::verbs::bench::{BenchOptions, TickFleet};
 use joulebus_settings::FleetSettings;
 
 use crate::callgrind::collected;

@@ -6,9 +6,9 @@ use std::num::NonZeroU64;
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::net::UnixDatagram;
 
+use crate::arguments::BenchOptions;
 use anyhow::Context;
 use joulebus_bus::{clock, schedule_thread};
-use joulebus_program::verbs::bench::BenchOptions;
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::time::{
     ClockId, Itimerspec, TimerfdClockId, TimerfdFlags, TimerfdTimerFlags, Timespec, clock_gettime,
@@ -128,8 +128,8 @@ fn thread_ns() -> u64 {
 
 #[cfg(test)]
 mod tests {
+    use crate::arguments::BenchArguments;
     use clap::{Args as _, FromArgMatches as _};
-    use joulebus_program::verbs::bench::BenchArguments;
 
     use super::*;
 

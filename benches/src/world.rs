@@ -1,6 +1,6 @@
 //! Input of a fleet: the samples of all robots, tick by tick.
 
-use joulebus_program::verbs::bench::TickFleet;
+use crate::arguments::TickFleet;
 use joulebus_settings::{FleetSettings, Platform};
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 

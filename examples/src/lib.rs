@@ -37,6 +37,7 @@ mod readme {
         PredictorWorker = "../../crates/predictor-worker/README.md",
         Capture = "../../crates/capture/format/README.md",
         Dataset = "../../crates/dataset/README.md",
+        Plant = "../../crates/plant/README.md",
         Sim = "../../crates/sim/README.md",
         Train = "../../crates/train/README.md",
         Eval = "../../crates/eval/README.md",

@@ -5,13 +5,13 @@ use std::hint::black_box;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use crate::arguments::TickFleet;
 use anyhow::Context as _;
 use joulebus_bus::{Scheduling, clock};
 use joulebus_config::{Config, Demo};
 use joulebus_fleet::{Accounts, Batch, Fleet, Outputs};
 use joulebus_predictor::{Features, Model, Network};
 use joulebus_predictor_worker::TickPool;
-use joulebus_program::verbs::bench::TickFleet;
 use joulebus_publisher::Pace;
 use joulebus_settings::{FleetSettings, Platform};
 use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState};

@@ -7,13 +7,13 @@ use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
+use crate::arguments::BridgeArguments;
 use anyhow::{Context as _, anyhow};
 use joulebus_bus::yield_to_the_worker;
 use joulebus_config::Config;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
-use joulebus_program::verbs::bridge::BridgeArguments;
 use serde::Serialize;
 use serde_json::json;
 

@@ -1,6 +1,7 @@
 //! `joulebus bridge` as a separate program: a source of samples, and a planner that tells other systems.
 #![forbid(unsafe_code)]
 
+mod arguments;
 mod bridge;
 mod config;
 mod mapping;
@@ -15,4 +16,17 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     joulebus_bus::trace_iceoryx2();
     joulebus_program::verb::main("bridge", bridge::run)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Args as _;
+
+    use crate::arguments::BridgeArguments;
+
+    #[test]
+    fn the_main_program_shows_these_options() {
+        let verb = BridgeArguments::augment_args(clap::Command::new("bridge"));
+        joulebus_program::described::check("bridge", &[verb]);
+    }
 }

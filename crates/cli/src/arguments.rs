@@ -1,18 +1,12 @@
 //! The verbs and global options.
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
+use joulebus_program::described::Verb;
 use joulebus_program::options::GlobalOptions;
-use joulebus_program::verbs::bench::BenchArguments;
-use joulebus_program::verbs::bridge::BridgeArguments;
-use joulebus_program::verbs::export::ExportArguments;
-use joulebus_program::verbs::link::LinkArguments;
-use joulebus_program::verbs::mission::MissionArguments;
-use joulebus_program::verbs::report::ReportArguments;
-use joulebus_program::verbs::serve::ServeArguments;
 
 use crate::{
-    alarms, analyze, ask, calibrate, cat, completions, config, data, demo, doctor, eval, import,
-    info, man, model, publish, record, recover, replay, run, train, watch,
+    alarms, ask, completions, config, demo, doctor, external, info, man, publish, record, recover,
+    replay, run, watch,
 };
 
 /// Power forecasts for robot fleets over shared memory: one worker, any number of sources and
@@ -43,7 +37,7 @@ pub(crate) struct Cli {
     pub(crate) command: Option<Command>,
 }
 
-/// What to do.
+/// What to do. Verbs without arguments here are other programs' ([`external`]).
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
     Demo(demo::Args),
@@ -55,42 +49,45 @@ pub(crate) enum Command {
     Alarms(alarms::Args),
     Ask(ask::Args),
     Info(info::Args),
-    Cat(cat::Args),
+    Cat,
     Recover(recover::Args),
-    Serve(ServeArguments),
-    Bridge(BridgeArguments),
-    Link(LinkArguments),
-    Import(import::Args),
-    Data(data::Args),
-    Export(ExportArguments),
+    Serve,
+    Bridge,
+    Link,
+    Import,
+    Data,
+    Export,
     Doctor(doctor::Args),
     Config(config::Args),
-    Train(train::Args),
-    Analyze(analyze::Args),
-    Eval(eval::Args),
-    Calibrate(calibrate::Args),
-    Report(ReportArguments),
-    Model(model::Args),
-    Bench(BenchArguments),
-    Mission(MissionArguments),
+    Train,
+    Analyze,
+    Eval,
+    Calibrate,
+    Report,
+    Model,
+    Bench,
+    Mission,
     Completions(completions::Args),
     Man(man::Args),
 }
 
+/// The whole parser, with the verbs of other programs.
+pub(crate) fn command() -> clap::Command {
+    Verb::complete(external::verbs(), Cli::command())
+}
+
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory as _;
-
-    use super::Cli;
+    use super::command;
 
     #[test]
     fn the_arguments_do_not_contradict_each_other() {
-        Cli::command().debug_assert();
+        command().debug_assert();
     }
 
     #[test]
     fn every_verb_shows_examples() {
-        let mut verbs = vec![Cli::command()];
+        let mut verbs = vec![command()];
         while let Some(verb) = verbs.pop() {
             let shown = verb.get_subcommands().filter(|verb| !verb.is_hide_set());
             verbs.extend(shown.cloned());

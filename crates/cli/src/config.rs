@@ -1,8 +1,5 @@
 //! `joulebus config`: make, check, show and explain configs.
 
-mod init;
-mod model_range;
-
 use std::fmt;
 use std::path::PathBuf;
 
@@ -12,8 +9,11 @@ use joulebus_models::load_models;
 use joulebus_predictor::Model;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::model_range;
 use joulebus_program::output::{self, Format, Output, say};
 use serde::Serialize;
+
+use crate::external;
 
 /// Make configs from recordings; check, show and explain configs
 #[derive(Debug, clap::Args)]
@@ -29,7 +29,7 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    Init(init::Args),
+    Init,
     /// Check fleets' configs and the platform files and models they name; exit 2 if one is refused
     #[command(after_help = "Example:\n  joulebus config check configs/fleet.toml")]
     Check {
@@ -56,7 +56,7 @@ enum Verb {
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     match &args.verb {
-        Verb::Init(args) => init::run(args, output),
+        Verb::Init => external::run_lab("config init"),
         Verb::Check { files } => check(files, output),
         Verb::Show { file } => show(file.clone(), output),
         Verb::Explain { key } => explain_key(key.as_deref(), output),

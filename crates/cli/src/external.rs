@@ -1,16 +1,55 @@
-//! Verbs that are separate programs. `joulebus VERB` executes `joulebus-VERB`, which is searched
-//! like git's subcommands: in the directory of the running program, then in the directories of
-//! `PATH`.
+//! Verbs that are separate programs: `joulebus VERB` executes `joulebus-VERB`, or `joulebus-lab` for
+//! the offline verbs. What their options are is described in `verbs/*.json`, which those programs'
+//! tests compare with their own.
 
 use std::env;
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt as _;
-use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context as _, anyhow};
+use anyhow::Context as _;
+use joulebus_program::described::Verb;
 use joulebus_program::exit::Outcome;
-use rustix::fs::{Access, access};
+use joulebus_program::installed::find_program;
+
+/// Descriptions of the verbs of all other programs.
+const DESCRIBED: [&str; 5] = [
+    include_str!("../verbs/lab.json"),
+    include_str!("../verbs/serve.json"),
+    include_str!("../verbs/bridge.json"),
+    include_str!("../verbs/link.json"),
+    include_str!("../verbs/bench.json"),
+];
+
+/// Description of the program that `joulebus import` runs.
+const ROSBAG: &str = include_str!("../verbs/rosbag.json");
+
+/// The verbs of other programs.
+pub(crate) fn verbs() -> &'static [Verb] {
+    let verbs: Vec<Verb> = DESCRIBED.iter().flat_map(|text| described(text)).collect();
+    Vec::leak(verbs)
+}
+
+/// The program `joulebus-rosbag`, which is no verb.
+pub(crate) fn rosbag() -> clap::Command {
+    let verbs: &'static [Verb] = Vec::leak(described(ROSBAG));
+    verbs[0].command().version(env!("CARGO_PKG_VERSION"))
+}
+
+/// The program `joulebus-lab`, whose verbs are shown as those of `joulebus`.
+pub(crate) fn lab() -> clap::Command {
+    clap::Command::new("joulebus-lab")
+        .version(env!("CARGO_PKG_VERSION"))
+        .about("The verbs of joulebus that work on recordings and models; joulebus VERB runs them")
+        .after_help(
+            "Examples:\n  joulebus eval recordings/ --model my.safetensors\n  joulebus help eval",
+        )
+}
+
+fn described(text: &str) -> Vec<Verb> {
+    // A test reads each of them.
+    serde_json::from_str(text).expect("the description of a verb is valid")
+}
 
 /// Executes the program of `verb`, with the same arguments, replacing this process; so signals and
 /// the exit code need no forwarding. Returns only on failure.
@@ -18,38 +57,23 @@ use rustix::fs::{Access, access};
 /// # Errors
 /// There is no such program, or it cannot be started.
 pub(crate) fn run(verb: &str) -> anyhow::Result<Outcome> {
-    let program = find_program(&format!("joulebus-{verb}"))
-        .with_context(|| format!("`joulebus {verb}` is a separate program"))?;
     let arguments = without(verb, env::args_os().skip(1));
-    let error = Command::new(&program).args(arguments).exec();
-    Err(error).with_context(|| format!("cannot start {}", program.display()))
+    execute(verb, &format!("joulebus-{verb}"), arguments)
 }
 
-/// The program `name`: beside this one, or in a directory of `PATH`.
+/// Executes `joulebus-lab`, which has the verb under the same name, as [`run`] does.
 ///
 /// # Errors
-/// There is none.
-pub(crate) fn find_program(name: &str) -> anyhow::Result<PathBuf> {
-    let beside = env::current_exe().context("cannot find the program's own file")?;
-    let beside = beside.parent().unwrap_or(Path::new("/"));
-    let path = env::var_os("PATH").unwrap_or_default();
-    find(name, beside, env::split_paths(&path)).ok_or_else(|| {
-        let place = beside.display();
-        anyhow!(
-            "neither {place} nor a directory of PATH has the program {name}: build it with `cargo \
-             build --release -p {name}`, or install it with `cargo install {name}`"
-        )
-    })
+/// As [`run`].
+pub(crate) fn run_lab(verb: &str) -> anyhow::Result<Outcome> {
+    execute(verb, "joulebus-lab", env::args_os().skip(1).collect())
 }
 
-/// The first executable file of that name. Relative entries of `PATH` are skipped: files in the
-/// current directory were not installed.
-fn find(name: &str, beside: &Path, path: impl Iterator<Item = PathBuf>) -> Option<PathBuf> {
-    [beside.to_owned()]
-        .into_iter()
-        .chain(path.filter(|directory| directory.is_absolute()))
-        .map(|directory| directory.join(name))
-        .find(|file| file.is_file() && access(file, Access::EXEC_OK).is_ok())
+fn execute(verb: &str, program: &str, arguments: Vec<OsString>) -> anyhow::Result<Outcome> {
+    let program = find_program(program)
+        .with_context(|| format!("`joulebus {verb}` is a separate program"))?;
+    let error = Command::new(&program).args(arguments).exec();
+    Err(error).with_context(|| format!("cannot start {}", program.display()))
 }
 
 /// The arguments without the verb, the first word equal to its name: only global options precede
@@ -64,9 +88,6 @@ fn without(verb: &str, arguments: impl Iterator<Item = OsString>) -> Vec<OsStrin
 
 #[cfg(test)]
 mod tests {
-    use std::fs;
-    use std::os::unix::fs::PermissionsExt;
-
     use super::*;
 
     #[test]
@@ -77,37 +98,8 @@ mod tests {
     }
 
     #[test]
-    fn the_programs_directory_precedes_path_and_relative_entries_are_skipped() -> std::io::Result<()>
-    {
-        let place = tempfile::tempdir()?;
-        let directory = |name: &str, mode| -> std::io::Result<PathBuf> {
-            let directory = place.path().join(name);
-            fs::create_dir(&directory)?;
-            fs::write(directory.join("joulebus-x"), "")?;
-            fs::set_permissions(
-                directory.join("joulebus-x"),
-                PermissionsExt::from_mode(mode),
-            )?;
-            Ok(directory)
-        };
-        let (beside, installed) = (directory("beside", 0o755)?, directory("installed", 0o755)?);
-        let (data, empty) = (directory("data", 0o644)?, place.path().to_owned());
-        let found = |beside: &Path, path: &[&Path]| {
-            let path = path.iter().map(|directory| directory.to_path_buf());
-            find("joulebus-x", beside, path)
-        };
-        let in_both = found(&beside, &[&installed]);
-        assert_eq!(in_both, Some(beside.join("joulebus-x")));
-        // A file without execute permission is not a program.
-        let installed_alone = found(&empty, &[&data, &installed]);
-        assert_eq!(installed_alone, Some(installed.join("joulebus-x")));
-        // Tests run in the package's directory, from which a relative path leads to the installed
-        // program.
-        let here = env::current_dir()?;
-        let up: PathBuf = here.components().skip(1).map(|_| "..").collect();
-        let relative = up.join(installed.strip_prefix("/").unwrap_or(&installed));
-        assert!(relative.join("joulebus-x").is_file(), "{relative:?}");
-        assert_eq!(found(&empty, &[&relative, Path::new("")]), None);
-        Ok(())
+    fn every_description_is_valid() {
+        assert_eq!(rosbag().get_name(), "joulebus-rosbag");
+        assert!(verbs().len() >= DESCRIBED.len());
     }
 }

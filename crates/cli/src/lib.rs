@@ -1,46 +1,33 @@
 //! The `joulebus` program as a library, so that other packages can build the same program.
 //!
-//! Heavy verbs are separate programs, `joulebus-VERB`, which this one executes; `joulebus_program`
-//! has the code shared by all programs.
+//! Heavy verbs are separate programs, which this one executes: `joulebus-VERB`, and `joulebus-lab` for
+//! all verbs that work on recordings and models. `joulebus_program` has the code shared by all programs.
 #![forbid(unsafe_code)]
 
 mod alarms;
-mod analyze;
 mod arguments;
 mod ask;
-mod calibrate;
-mod cat;
 mod completions;
 mod config;
-mod data;
 mod demo;
 mod doctor;
-mod eval;
 mod external;
-mod import;
 mod info;
 mod keys;
 mod man;
-mod model;
-mod next_command;
 mod publish;
 mod record;
-mod recordings;
 mod recover;
 mod replay;
 mod run;
 mod service_manager;
-mod split_unit;
 mod supervisor;
-mod train;
-mod trials;
-mod utc;
 mod view;
 mod watch;
 
 use std::process::ExitCode;
 
-use clap::{Args as _, CommandFactory as _, FromArgMatches as _, Parser as _};
+use clap::{Args as _, FromArgMatches as _};
 use joulebus_program::exit::{self, Outcome};
 use joulebus_program::output::Output;
 
@@ -56,12 +43,12 @@ pub fn main() -> ExitCode {
 }
 
 fn parse() -> Result<(Command, Output), clap::Error> {
-    let cli = Cli::try_parse()?;
+    let cli = Cli::from_arg_matches(&arguments::command().try_get_matches()?)?;
     let command = match cli.command {
         Some(command) => command,
         None => Command::Demo(default_demo()?),
     };
-    let has_rows = matches!(command, Command::Cat(_));
+    let has_rows = matches!(command, Command::Cat);
     Ok((command, cli.options.start(has_rows)?))
 }
 
@@ -82,25 +69,25 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Alarms(args) => alarms::run(args, output),
         Command::Ask(args) => ask::run(args, output),
         Command::Info(args) => info::run(args, output),
-        Command::Cat(args) => cat::run(args, output),
+        Command::Cat => external::run_lab("cat"),
         Command::Recover(args) => recover::run(args, output),
-        Command::Serve(_) => external::run("serve"),
-        Command::Bridge(_) => external::run("bridge"),
-        Command::Link(_) => external::run("link"),
-        Command::Import(args) => import::run(args, output),
-        Command::Data(args) => data::run(args, output),
-        Command::Export(_) => external::run("export"),
+        Command::Serve => external::run("serve"),
+        Command::Bridge => external::run("bridge"),
+        Command::Link => external::run("link"),
+        Command::Import => external::run_lab("import"),
+        Command::Data => external::run_lab("data"),
+        Command::Export => external::run_lab("export"),
         Command::Doctor(args) => doctor::run(args, output),
         Command::Config(args) => config::run(args, output),
-        Command::Train(args) => train::run(args, output),
-        Command::Analyze(args) => analyze::run(args, output),
-        Command::Eval(args) => eval::run(args, output),
-        Command::Calibrate(args) => calibrate::run(args, output),
-        Command::Report(_) => external::run("report"),
-        Command::Model(args) => model::run(args, output),
-        Command::Bench(_) => external::run("bench"),
-        Command::Mission(_) => external::run("mission"),
-        Command::Completions(args) => completions::run(args, Cli::command()),
-        Command::Man(args) => man::run(args, Cli::command()),
+        Command::Train => external::run_lab("train"),
+        Command::Analyze => external::run_lab("analyze"),
+        Command::Eval => external::run_lab("eval"),
+        Command::Calibrate => external::run_lab("calibrate"),
+        Command::Report => external::run_lab("report"),
+        Command::Model => external::run_lab("model"),
+        Command::Bench => external::run("bench"),
+        Command::Mission => external::run_lab("mission"),
+        Command::Completions(args) => completions::run(args, arguments::command()),
+        Command::Man(args) => man::run(args, arguments::command()),
     }
 }

@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 
 use anyhow::Context as _;
-use clap::CommandFactory as _;
 use joulebus_program::exit::Outcome;
 use joulebus_program::file::write;
-use joulebus_program::verbs::rosbag::RosbagArguments;
+
+use crate::external;
 
 /// Write the manual pages of all verbs into a folder
 #[derive(Debug, clap::Args)]
@@ -24,11 +24,10 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, program: clap::Command) -> anyhow::Result<Outcome> {
     let folder = args.folder.display();
     std::fs::create_dir_all(&args.folder).with_context(|| format!("cannot make {folder}"))?;
-    // No verb, but a program of its own.
-    let rosbag = RosbagArguments::command();
     let failed = || format!("cannot write the pages into {folder}");
     let made = tempfile::tempdir().with_context(failed)?;
-    for program in [program, rosbag] {
+    // Programs of their own beside the verbs.
+    for program in [program, external::rosbag(), external::lab()] {
         clap_mangen::generate_to(program, made.path()).with_context(failed)?;
     }
     // What clap_mangen writes it writes in place, through links and into pipes.

@@ -8,6 +8,7 @@ use std::sync::mpsc::sync_channel;
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
+use crate::arguments::LinkArguments;
 use anyhow::{Context as _, anyhow};
 use joulebus_bus::{WorkerLock, clock, yield_to_the_worker};
 use joulebus_config::Config;
@@ -15,7 +16,6 @@ use joulebus_plan_server::PlanServer;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
-use joulebus_program::verbs::link::LinkArguments;
 use joulebus_standby::Places;
 use serde::Serialize;
 

@@ -1,6 +1,7 @@
 //! `joulebus link` as a separate program: a source and a planner like any other, that speak to their like on other hosts.
 #![forbid(unsafe_code)]
 
+mod arguments;
 mod config;
 mod etcd;
 mod follow;
@@ -31,6 +32,16 @@ fn main() -> ExitCode {
 #[cfg(test)]
 mod tests {
     use std::path::Path;
+
+    use clap::Args as _;
+
+    use crate::arguments::LinkArguments;
+
+    #[test]
+    fn the_main_program_shows_these_options() {
+        let verb = LinkArguments::augment_args(clap::Command::new("link"));
+        joulebus_program::described::check("link", &[verb]);
+    }
 
     #[test]
     fn the_seed_of_the_fuzz_target_is_the_one_that_tests_take() {

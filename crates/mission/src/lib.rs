@@ -1,6 +1,6 @@
 //! Missions of simulated robots under several charging policies: what energy forecasts are worth.
 //!
-//! Robots of `joulebus-sim` with true batteries do tasks; the fleet's core reads their power
+//! Robots of `joulebus-plant` with true batteries do tasks; the fleet's core reads their power
 //! monitors, and policies decide by what planners read: never by the true state. All of a mission
 //! but the [`Policy`] is the same for all of them; the same seed gives the same bits.
 #![forbid(unsafe_code)]

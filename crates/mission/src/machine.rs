@@ -1,8 +1,8 @@
 //! A robot with its true battery.
 
 use joulebus_plan::{Follower, Point, Pose};
-use joulebus_sim::arena::Command;
-use joulebus_sim::driven::Driven;
+use joulebus_plant::arena::Command;
+use joulebus_plant::driven::Driven;
 use joulebus_wire::{Sample, sample_flag};
 
 use crate::scenario::{Made, SPEED_MPS};

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 
 use joulebus_plan::{Point, Pose};
-use joulebus_sim::arena::Command;
+use joulebus_plant::arena::Command;
 use joulebus_wire::Sample;
 use serde::Serialize;
 

@@ -1,10 +1,10 @@
 //! The mission: floor, robots, batteries, chargers, tasks.
 
 use joulebus_plan::Point;
-use joulebus_sim::arena::{HALF_ARENA_M, Pose, Vector};
-use joulebus_sim::driven::Driven;
-use joulebus_sim::parts::Parts;
-use joulebus_sim::plant::Fault;
+use joulebus_plant::Fault;
+use joulebus_plant::arena::{HALF_ARENA_M, Pose, Vector};
+use joulebus_plant::driven::Driven;
+use joulebus_plant::parts::Parts;
 use joulebus_statistics::noise::Noise;
 use serde::Serialize;
 

@@ -2,7 +2,6 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use joulebus_mission::{CHOSEN, Outcome, Policy, Runs, Scenario, Summary, mission};
-use joulebus_testkit::run;
 
 /// Eight minutes, in which every robot is charged at least once.
 fn short() -> Scenario {
@@ -109,35 +108,6 @@ fn the_best_baseline_is_the_one_with_most_tasks_that_strands_at_most_as_many() {
         Summary::of(short(), 1, &all).verdict.unwrap().baseline,
         None
     );
-}
-
-#[test]
-fn the_program_reports_as_json_and_draws_a_picture() {
-    let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("run.svg");
-    let picture = file.to_str().unwrap();
-    let program = env!("CARGO_BIN_EXE_joulebus-mission");
-    let arguments = [
-        "--seeds",
-        "2",
-        "--hours",
-        "0.05",
-        "--format",
-        "json",
-        "--picture",
-        picture,
-    ];
-    let made = run(program, arguments);
-    assert_eq!(made.exit_code(), 0, "{}", made.errors());
-    let report = made.json();
-    let policies = report["policies"].as_array().unwrap();
-    assert_eq!(policies.len(), 4);
-    assert_eq!(policies[3]["name"], "joulebus");
-    assert_eq!(policies[0]["outcomes"].as_array().unwrap().len(), 2);
-    // Two seeds give no interval: null, not a number.
-    assert!(policies[0]["tasks_per_h"]["lo"].is_null(), "{report}");
-    assert!(std::fs::read_to_string(&file).unwrap().starts_with("<svg"));
-    assert_eq!(run(program, ["--hours", "NaN"]).exit_code(), 2);
 }
 
 #[test]

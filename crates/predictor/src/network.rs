@@ -1,7 +1,5 @@
 //! The network's parameters, and its slow reference evaluation.
 
-use nalgebra::{DMatrix, DVector};
-
 use crate::card::ModelCard;
 use crate::check::{check_card, check_parameters};
 use crate::error::ModelError;
@@ -175,20 +173,22 @@ impl Network {
         });
         let [first, second, third, last] = &self.parameters.layers;
         let activation = self.parameters.activation;
-        let mut values = DVector::from_iterator(self.feature_set().inputs(), normalised);
+        let mut values: Vec<f64> = normalised.collect();
         for layer in [first, second, third] {
-            values = affine(layer, &values).map(|sum| activation.value_f64(sum));
+            let sums = affine(layer, &values);
+            values = sums.map(|sum| activation.value_f64(sum)).collect();
         }
-        let forecast = affine(last, &values)[0];
+        let forecast: f64 = affine(last, &values).sum();
         forecast * f64::from(power_std_w) + f64::from(power_mean_w)
     }
 }
 
-/// Weights times values, plus bias.
-fn affine(layer: &Layer, values: &DVector<f64>) -> DVector<f64> {
-    let (outputs, inputs) = (layer.bias.len(), values.len());
-    let weights = layer.weights.iter().copied().map(f64::from);
-    let weights = DMatrix::from_row_iterator(outputs, inputs, weights);
-    let bias = layer.bias.iter().copied().map(f64::from);
-    weights * values + DVector::from_iterator(outputs, bias)
+/// Weights times values, summed in the order of the inputs, plus bias; one for each output.
+fn affine(layer: &Layer, values: &[f64]) -> impl Iterator<Item = f64> {
+    let rows = layer.weights.chunks_exact(values.len());
+    rows.zip(&layer.bias).map(move |(weights, bias)| {
+        let products = weights.iter().zip(values);
+        let products = products.map(|(weight, value)| f64::from(*weight) * value);
+        products.sum::<f64>() + f64::from(*bias)
+    })
 }

@@ -39,9 +39,15 @@ fn parse<A: clap::Args>(
 mod tests {
     use super::*;
     use crate::output::OutputFormat;
-    use crate::verbs::serve::ServeArguments;
 
-    fn parsed(words: &[&str]) -> Result<(ServeArguments, Output), clap::Error> {
+    /// A verb's arguments.
+    #[derive(Debug, clap::Args)]
+    struct Arguments {
+        #[arg(long, required = true)]
+        foxglove: bool,
+    }
+
+    fn parsed(words: &[&str]) -> Result<(Arguments, Output), clap::Error> {
         parse("serve", words.iter().map(OsString::from))
     }
 

@@ -131,8 +131,8 @@ def test_an_analysis_has_the_programs_numbers(run, files):
 
 
 def test_a_report_is_the_programs_and_its_figures_are_drawn_by_matplotlib(program, files, tmp_path):
-    if not program.with_name("joulebus-report").is_file():
-        needed("program joulebus-report beside joulebus")
+    if not program.with_name("joulebus-lab").is_file():
+        needed("program joulebus-lab beside joulebus")
     command = [program, "report", *files[:2], "--model", MODEL, "--out", tmp_path / "program"]
     subprocess.run(list(map(str, command)), check=True, capture_output=True)
     found = joulebus.report(files[:2], MODEL)

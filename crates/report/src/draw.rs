@@ -4,10 +4,11 @@ use std::ops::ControlFlow;
 
 use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_eval::score::{Contents, Design, Options, Recording, Scored, Subject, score};
+use joulebus_plant::parts::Parts;
+use joulebus_plant::protocol::Protocol;
 use joulebus_predictor::{Model, Network};
 use joulebus_settings::FleetSettings;
-use joulebus_sim::parts::Parts;
-use joulebus_sim::protocol::Protocol;
+use joulebus_sim::protocol::drive_with;
 use joulebus_sim::scenario;
 use joulebus_statistics::metrics::Tally;
 use joulebus_train::{Epoch, TrainSettings, Trained, Training};
@@ -30,7 +31,7 @@ pub(super) struct Recordings {
 impl Recordings {
     pub(super) fn simulated(experiment: &Simulated, seed: u64) -> Self {
         let trial =
-            |protocol: &Protocol| protocol.trial_with(Parts::default(), seed, experiment.samples);
+            |protocol: &Protocol| drive_with(*protocol, Parts::default(), seed, experiment.samples);
         let trials = (0..).zip(Protocol::ALL.iter().map(trial));
         let robots = (1..).zip(scenario::seven_robots(seed, experiment.robot_steps));
         let recording = |(id, trial)| Recording::new(id, trial);

@@ -1,6 +1,6 @@
 //! Configuration of the simulated experiments.
 
-use joulebus_sim::protocol::SAMPLES;
+use joulebus_plant::protocol::SAMPLES;
 use joulebus_train::TrainSettings;
 
 /// Draws by default.

@@ -1,6 +1,7 @@
 //! The program `joulebus-rosbag`: a bag of rosbag2 in an SQLite file as MCAP.
 #![forbid(unsafe_code)]
 
+mod arguments;
 mod bag;
 mod convert;
 
@@ -10,13 +11,13 @@ use std::os::fd::AsFd as _;
 use std::path::Path;
 use std::process::ExitCode;
 
+use crate::arguments::RosbagArguments;
 use anyhow::{Context as _, bail};
 use clap::Parser as _;
 use joulebus_capture_format::RosFile;
 use joulebus_program::exit::{self, Outcome};
 use joulebus_program::exit_with_parent;
 use joulebus_program::output::say;
-use joulebus_program::verbs::rosbag::RosbagArguments;
 
 use bag::Bag;
 use convert::LeftOut;
@@ -61,4 +62,16 @@ fn standard_output() -> anyhow::Result<File> {
         );
     }
     Ok(file)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+
+    use crate::arguments::RosbagArguments;
+
+    #[test]
+    fn the_main_program_shows_these_options() {
+        joulebus_program::described::check("rosbag", &[RosbagArguments::command()]);
+    }
 }

@@ -13,6 +13,7 @@ use std::sync::mpsc::channel;
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use crate::arguments::ServeArguments;
 use ::foxglove::websocket::ShutdownHandle;
 use ::foxglove::{
     ChannelBuilder, Context, PartialMetadata, RawChannel, Schema, WebSocketServer,
@@ -23,7 +24,6 @@ use joulebus_capture_format::{CaptureSettings, Entry, Preset, ReadError, Reader}
 use joulebus_capture_recorder::{Options, Recorder, Target, attach, host_clock};
 use joulebus_config::Config;
 use joulebus_program::output::say;
-use joulebus_program::verbs::serve::ServeArguments;
 use serde::Serialize;
 
 use crate::guard::{Guard, hidden_address};

@@ -3,10 +3,10 @@
 use std::fmt;
 use std::time::Duration;
 
+use crate::arguments::ServeArguments;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
-use joulebus_program::verbs::serve::ServeArguments;
 use serde::Serialize;
 
 use crate::foxglove::{Foxglove, FoxgloveReport};

@@ -6,10 +6,11 @@
 use std::hint::black_box;
 use std::time::Instant;
 
-use joulebus_sim::arena::STEP_S;
-use joulebus_sim::parts::Parts;
-use joulebus_sim::plant::Plant;
-use joulebus_sim::protocol::{Protocol, SAMPLES};
+use joulebus_plant::Plant;
+use joulebus_plant::arena::STEP_S;
+use joulebus_plant::parts::Parts;
+use joulebus_plant::protocol::{Protocol, SAMPLES};
+use joulebus_sim::protocol::drive;
 use joulebus_sim::scenario;
 
 const REPEATS: u32 = 5;
@@ -27,7 +28,7 @@ fn main() {
     });
     let trials = median(|seed| {
         for protocol in Protocol::ALL {
-            black_box(protocol.trial(seed));
+            black_box(drive(protocol, seed));
         }
         Protocol::ALL.len() * SAMPLES
     });

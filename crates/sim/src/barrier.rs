@@ -18,7 +18,10 @@ use clarabel::solver::{
     DefaultSettings, DefaultSolver, IPSolver as _, NonnegativeConeT, SolverStatus,
 };
 
-use super::arena::{HALF_ARENA_M, Vector};
+use joulebus_plant::arena::HALF_ARENA_M;
+
+/// A position in m, or a velocity in m/s: (x, y).
+pub type Vector = nalgebra::Vector2<f64>;
 
 /// Allowed violation of a condition, m/s or m²/s: the solver's accuracy.
 const TOLERANCE: f64 = 1e-7;

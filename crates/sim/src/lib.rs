@@ -1,15 +1,8 @@
-//! Simulated robots: the paper's protocols and scenario, and a live fleet that drives them.
+//! Recordings of simulated robots: the paper's six trials, its seven robots, and training data.
+//! The robots themselves are those of [`joulebus_plant`].
 #![forbid(unsafe_code)]
 
-pub mod arena;
 pub mod barrier;
-mod body;
-pub mod driven;
-mod fault;
-mod loads;
-mod monitor;
-pub mod parts;
-pub mod plant;
 pub mod protocol;
 mod recorder;
 pub mod scenario;

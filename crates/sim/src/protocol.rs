@@ -1,106 +1,61 @@
-//! The six motion protocols: one robot alone in the arena, 8,000 samples each.
-//!
-//! What each trial drives is the paper's (arXiv 2603.13908): the eight phases of trial 1 in turn,
-//! goals with proportional control, ramps of several slopes, the greatest and least velocities with
-//! rapid reversals, uniform velocities reached smoothly, long segments at constant velocity; commands
-//! from −0.15 to 0.16 m/s and up to ±3.14 rad/s. The order and length of the segments within a trial
-//! are not published; they are chosen so that mean and deviation of all commands are about the
-//! published ones (v 0.0279 ± 0.0736 m/s, ω 0.0479 ± 1.0187 rad/s).
+//! The six trials: one robot driven through each protocol, alone in the arena.
 
-mod drive;
-mod motion;
-mod plan;
-mod segment;
+use std::path::PathBuf;
 
-use std::fmt;
+use joulebus_dataset::trial::Trial;
+use joulebus_plant::arena::{STEP_S, saturated};
+use joulebus_plant::body::Body;
+use joulebus_plant::parts::Parts;
+use joulebus_plant::protocol::{Driver, Protocol, SAMPLES, UnknownTrial};
+use joulebus_statistics::noise::Noise;
 
-use crate::arena::STEP_S;
-pub(crate) use drive::{Driver, MADE};
-pub use drive::{trial, trials};
+use crate::recorder::Recorder;
 
-/// Samples of a trial.
-pub const SAMPLES: usize = 8_000;
-/// Length of a trial, s.
-pub const TRIAL_S: f64 = SAMPLES as f64 * STEP_S;
+/// Random streams: manufacturing variation of a robot, its state in a trial, its motion.
+pub(crate) const MADE: u64 = 1 << 32;
+const STATE: u64 = 2 << 32;
+const MOTION: u64 = 3 << 32;
+
 /// Id of the robot that drives all six trials; the scenario's seven have other ids.
-pub(crate) const TRIAL_ROBOT: u32 = 8;
+const TRIAL_ROBOT: u32 = 8;
 
-/// A motion protocol.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Protocol {
-    /// Trial 1, eight phases in turn: idle, forward and backward, lateral movement, circular arcs,
-    /// sinusoidal paths, velocity ramps, step changes, figures of eight.
-    Structured,
-    /// Trial 2: from one random goal to the next by proportional control, with a rest at each.
-    GoalNavigation,
-    /// Trial 3: v and ω rise and fall at several rates.
-    Acceleration,
-    /// Trial 4: greatest and least velocities, with rapid reversals.
-    Extremes,
-    /// Trial 5: velocities drawn uniformly, reached smoothly.
-    RandomWalk,
-    /// Trial 6: long segments at constant velocity.
-    SteadyState,
+/// Drives the robot of `seed` through a protocol: [`SAMPLES`] rows, [`STEP_S`] apart.
+///
+/// A row holds the command during a step, and pose and reading at its end. The six trials of a
+/// seed are of the same robot; its battery, its temperature and all random state restart in
+/// each. `Trial::path` marks it as simulated; no file is read or written.
+#[must_use]
+pub fn drive(protocol: Protocol, seed: u64) -> Trial {
+    drive_with(protocol, Parts::default(), seed, SAMPLES)
 }
 
-/// The number of no trial.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("trial {found}: allowed are 1 to 6")]
-pub struct UnknownTrial {
-    /// The number.
-    pub found: usize,
+/// As [`drive`], with other parameters and length, at least two samples.
+#[must_use]
+pub fn drive_with(protocol: Protocol, parts: Parts, seed: u64, samples: usize) -> Trial {
+    let mut made = Noise::new(seed, MADE + u64::from(TRIAL_ROBOT));
+    let state = Noise::new(seed, STATE + protocol.number() as u64);
+    let motion = Noise::new(seed, MOTION + protocol.number() as u64);
+    let (mut driver, pose) = Driver::new(protocol, motion);
+    let mut body = Body::new(parts, 0.0, 0, pose, &mut made, state);
+    let mut recorder = Recorder::with_capacity(samples);
+    for step in 0..samples.max(2) {
+        let (phase, command) = driver.next(STEP_S, body.pose);
+        recorder.step(&mut body, step, phase, saturated(command));
+    }
+    let path = PathBuf::from(format!("simulated/{}.npy", protocol.file_stem()));
+    recorder.finish(&path, TRIAL_ROBOT)
 }
 
-impl Protocol {
-    /// All six, in the order of their numbers.
-    pub const ALL: [Self; 6] = [
-        Self::Structured,
-        Self::GoalNavigation,
-        Self::Acceleration,
-        Self::Extremes,
-        Self::RandomWalk,
-        Self::SteadyState,
-    ];
-
-    /// The protocol of a trial's number, 1 to 6.
-    ///
-    /// # Errors
-    /// [`UnknownTrial`].
-    pub fn of_trial(number: usize) -> Result<Self, UnknownTrial> {
-        number
-            .checked_sub(1)
-            .and_then(|index| Self::ALL.get(index).copied())
-            .ok_or(UnknownTrial { found: number })
-    }
-
-    /// The trial's number, 1 to 6.
-    #[must_use]
-    pub const fn number(self) -> usize {
-        self as usize + 1
-    }
-
-    /// The name used in the published files' names.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Structured => "structured",
-            Self::GoalNavigation => "goal_navigation",
-            Self::Acceleration => "acceleration",
-            Self::Extremes => "extremes",
-            Self::RandomWalk => "random_walk",
-            Self::SteadyState => "steady_state",
-        }
-    }
-
-    /// The trial's file name without extension, as published.
-    #[must_use]
-    pub fn file_stem(self) -> String {
-        format!("energy_data_trial{}_{}", self.number(), self.name())
-    }
+/// Trial `number` (1 to 6) of `seed`: see [`drive`].
+///
+/// # Errors
+/// [`UnknownTrial`].
+pub fn trial(number: usize, seed: u64) -> Result<Trial, UnknownTrial> {
+    Ok(drive(Protocol::of_trial(number)?, seed))
 }
 
-impl fmt::Display for Protocol {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(self.name())
-    }
+/// All six trials of `seed`, in order.
+#[must_use]
+pub fn trials(seed: u64) -> Vec<Trial> {
+    Protocol::ALL.map(|protocol| drive(protocol, seed)).into()
 }

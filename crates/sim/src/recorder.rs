@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use super::arena::{Command, STEP_S};
-use super::body::Body;
 use joulebus_dataset::trial::{Column, Row, Trial};
+use joulebus_plant::arena::{Command, STEP_S};
+use joulebus_plant::body::Body;
 
 /// Length of a step in whole ns.
 const STEP_NS: u64 = 33_000_000;

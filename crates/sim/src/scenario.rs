@@ -9,13 +9,14 @@
 
 use std::path::PathBuf;
 
-use super::arena::{Command, HALF_ARENA_M, Pose, STEP_S, V_MAX_MPS, Vector, direction, saturated};
-use super::barrier::{Answer, Barrier};
-use super::body::Body;
-use super::parts::Parts;
-use super::protocol::{MADE, SAMPLES};
+use super::barrier::{Answer, Barrier, Vector};
+use super::protocol::MADE;
 use super::recorder::Recorder;
 use joulebus_dataset::trial::Trial;
+use joulebus_plant::arena::{self, Command, HALF_ARENA_M, Pose, STEP_S, V_MAX_MPS, saturated};
+use joulebus_plant::body::Body;
+use joulebus_plant::parts::Parts;
+use joulebus_plant::protocol::SAMPLES;
 use joulebus_statistics::noise::Noise;
 use std::f64::consts::PI;
 
@@ -105,7 +106,7 @@ impl Fleet {
         let mut pose = |robot: usize| {
             let (column, line) = (robot % 4, robot / 4);
             Pose {
-                at_m: Vector::new(
+                at_m: arena::Vector::new(
                     -1.2 + 0.8 * column as f64 + places.between(-0.1, 0.1),
                     -0.5 + line as f64 + places.between(-0.1, 0.1),
                 ),
@@ -171,7 +172,16 @@ impl Fleet {
 
 /// The projected point of a robot.
 fn point(pose: Pose) -> Vector {
-    pose.at_m + direction(pose.theta_rad) * PROJECTION_M
+    vector(pose.at_m) + direction(pose.theta_rad) * PROJECTION_M
+}
+
+fn direction(angle_rad: f64) -> Vector {
+    vector(arena::direction(angle_rad))
+}
+
+/// With what barriers compute.
+fn vector(of: arena::Vector) -> Vector {
+    Vector::new(of.x, of.y)
 }
 
 /// The command that moves the projected point at a velocity.

@@ -1,8 +1,8 @@
 //! Training data from the simulated robots.
 
-use crate::plant::{Plant, SimReading};
-use crate::protocol::{Protocol, SAMPLES};
 use joulebus_dataset::rows::{Dataset, Row};
+use joulebus_plant::protocol::{Protocol, SAMPLES};
+use joulebus_plant::{Plant, SimReading};
 use joulebus_predictor::{LAGS, ReadingAge, features};
 use std::collections::VecDeque;
 

@@ -49,17 +49,27 @@ pub fn left_behind(prefix: &str, root: &Path) -> Vec<PathBuf> {
 #[must_use]
 pub fn joulebus_beside(program: &str) -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
-    PROGRAM.get_or_init(|| {
-        let found = Path::new(program).with_file_name("joulebus");
-        if !found.exists() {
-            let mut build = Command::new(env!("CARGO"));
-            build.args(["build", "--quiet", "--locked"]);
-            build.args(["--package", "joulebus", "--bin", "joulebus"]);
-            let built = build.status().is_ok_and(|status| status.success());
-            assert!(built, "{build:?}");
-        }
-        found
-    })
+    PROGRAM.get_or_init(|| beside(program, "joulebus"))
+}
+
+/// The program `joulebus-lab` beside `program`, which `joulebus` runs for the verbs on recordings and models; built as
+/// [`joulebus_beside`] is.
+#[must_use]
+pub fn lab_beside(program: &str) -> &'static Path {
+    static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
+    PROGRAM.get_or_init(|| beside(program, "joulebus-lab"))
+}
+
+fn beside(program: &str, name: &str) -> PathBuf {
+    let found = Path::new(program).with_file_name(name);
+    if !found.exists() {
+        let mut build = Command::new(env!("CARGO"));
+        build.args(["build", "--quiet", "--locked"]);
+        build.args(["--package", name, "--bin", name]);
+        let built = build.status().is_ok_and(|status| status.success());
+        assert!(built, "{build:?}");
+    }
+    found
 }
 
 /// Runs a program until it exits, without additional log output.

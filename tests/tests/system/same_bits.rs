@@ -221,7 +221,8 @@ fn start_worker(config: &Path) -> Child {
 }
 
 fn start_source(config: &Path, fleet: &[(u32, PathBuf)]) -> Child {
-    let mut command = Command::new(program("joulebus-under-test"));
+    let tested = program("joulebus-under-test").display().to_string();
+    let mut command = Command::new(joulebus_testkit::lab_beside(&tested));
     command.args([
         "publish",
         "trial",

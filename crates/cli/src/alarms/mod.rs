@@ -14,7 +14,7 @@ use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-use crate::utc::Utc;
+use joulebus_program::utc::Utc;
 
 pub(crate) use log::{AlarmLog, AlarmReport};
 

@@ -6,7 +6,7 @@ use joulebus_bus::clock;
 use joulebus_program::exit::UsageError;
 use serde::{Deserialize, Serialize};
 
-use crate::utc::Utc;
+use joulebus_program::utc::Utc;
 
 /// Path of the capture.
 ///

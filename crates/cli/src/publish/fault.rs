@@ -2,9 +2,9 @@
 
 use std::str::FromStr;
 
-use joulebus_sim::plant::Fault;
+use joulebus_plant::Fault;
 
-use super::number;
+use joulebus_source::rate::number;
 
 /// Syntax of `--fault`.
 pub(super) const HELP: &str = "ROBOT=KIND[@SECONDS]";

@@ -4,19 +4,19 @@ use std::time::Duration;
 
 use joulebus_bus::{clock, set_timer_slack};
 use joulebus_config::Config;
+use joulebus_plant::{Plant, SimReading};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 use joulebus_program::stop::Stop;
 use joulebus_publisher::{Grid, PublishError};
 use joulebus_settings::Platform;
-use joulebus_sim::plant::{Plant, SimReading};
+use joulebus_source::link::{Link, warn_without_worker};
+use joulebus_source::rate::{Hertz, seconds};
+use joulebus_source::report::PublishReport;
 use joulebus_wire::{Sample, sample_flag};
 
 use super::fault::{self, FaultArgument};
-use super::link::{Link, warn_without_worker};
-use super::report::PublishReport;
-use super::{Hertz, seconds};
 use joulebus_program::platform::platform;
 
 /// Maximum step of the simulation, ns.

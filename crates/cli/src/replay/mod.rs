@@ -17,7 +17,7 @@ use joulebus_capture_format::MessageKind;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 
-use crate::publish::{Passes, Rate, seconds};
+use joulebus_source::rate::{Passes, Rate, seconds};
 
 /// Play a capture into shared memory, or recompute its forecasts and compare them bit by bit
 #[derive(Debug, clap::Args)]

@@ -10,7 +10,7 @@ use joulebus_bus::clock;
 use joulebus_program::stop::Stop;
 
 use crate::keys::{PATIENCE, asks_for_the_end, pressed};
-use crate::publish::Rate;
+use joulebus_source::rate::Rate;
 
 /// Interval at which keys are polled, ns.
 const KEY_POLL_NS: u64 = 20_000_000;

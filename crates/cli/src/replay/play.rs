@@ -18,9 +18,9 @@ use super::ports::{Ports, Sent, now};
 use super::rebase::{Moment, Rebase};
 use super::report::PlayReport;
 use super::span::Place;
-use crate::publish::flow::{Flow, SendWindow};
-use crate::publish::window::Window;
-use crate::publish::{Passes, Rate};
+use joulebus_source::flow::{Flow, SendWindow};
+use joulebus_source::rate::{Passes, Rate};
+use joulebus_source::window::Window;
 
 /// Frames in flight when the source is faster than the worker's ticks.
 const DEFAULT_WINDOW: usize = 4;

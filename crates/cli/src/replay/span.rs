@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use joulebus_capture_format::Entry;
 
-use crate::publish::number;
+use joulebus_source::rate::number;
 
 /// Start and length in recorded time.
 #[derive(Debug, Clone, Copy, clap::Args)]
@@ -13,7 +13,7 @@ pub(super) struct Span {
     #[arg(long, value_name = "SECONDS", default_value = "0", value_parser = offset)]
     start_offset: Duration,
     /// Length of recorded time to play, s [default: to the end]
-    #[arg(long, value_name = "SECONDS", value_parser = crate::publish::seconds)]
+    #[arg(long, value_name = "SECONDS", value_parser = joulebus_source::rate::seconds)]
     playback_duration: Option<Duration>,
 }
 

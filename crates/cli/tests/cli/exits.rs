@@ -207,7 +207,9 @@ fn every_subcommand_ends_with_the_code_that_its_help_states() {
     let fleet = Fleet::new();
     prepare(&fleet);
     let mut wrong = Vec::new();
-    for (place, (expected, words)) in CASES.iter().enumerate() {
+    // What options of a program require of each other only that program knows.
+    let cases = CASES.iter().enumerate();
+    for (place, (expected, words)) in cases.filter(|(_, (_, words))| is_built(words)) {
         let new = fleet.path(&format!("new-{place}"));
         let arguments = words.split(' ').map(|word| file(&fleet, word, &new));
         let ended = joulebus(arguments).output().unwrap();

@@ -90,12 +90,40 @@ fn without_one_the_executable_is_looked_up_in_path_but_not_in_the_current_direct
 }
 
 #[test]
+fn the_verbs_on_recordings_are_one_executable_which_gets_all_arguments() {
+    let installed = Installed::new();
+    for words in [
+        "-v publish trial a.csv --rate max",
+        "train sim --seed 1 --out x",
+        "cat a --format csv",
+    ] {
+        let missing = installed.joulebus("", words);
+        assert_eq!(code(&missing), 1, "{words}: {}", stdout(&missing));
+        let said = stderr(&missing);
+        assert!(
+            said.contains("cargo build --release -p joulebus-lab`"),
+            "{said}"
+        );
+        write_program(installed.0.path(), "lab", "exit 3");
+        let lab = installed.0.path().join("joulebus-lab");
+        let ended = installed.joulebus("", words);
+        assert_eq!(code(&ended), 3, "{words}: {}", stderr(&ended));
+        assert_eq!(stdout(&ended), format!("{} {words}\n", lab.display()));
+        fs::remove_file(lab).unwrap();
+    }
+}
+
+#[test]
 fn help_and_usage_errors_need_no_executable() {
     let installed = Installed::new();
     for (words, exit, says) in [
         ("help serve", 0, "--foxglove"),
         ("bench --help", 0, "--fail-above"),
         ("mission --help", 0, "--battery-wh"),
+        ("help train trials", 0, "--leave-out"),
+        ("publish --help", 0, "trial"),
+        ("publish trial", 2, "PATH"),
+        ("config init", 2, "--from"),
         ("serve", 2, "--foxglove"),
         ("bench abacus", 2, "kernel"),
         ("serve --foxglove --format csv", 2, "--format json"),
@@ -106,7 +134,12 @@ fn help_and_usage_errors_need_no_executable() {
         assert!(said.contains(says), "{words}: {said}");
     }
     let script = output(["completions", "bash"]);
-    for option in ["--per-robot", "--fail-above", "--worker-cpus"] {
+    for option in [
+        "--per-robot",
+        "--fail-above",
+        "--worker-cpus",
+        "--false-alarms",
+    ] {
         assert!(stdout(&script).contains(option), "{option}");
     }
 }

@@ -7,12 +7,15 @@ use std::process::{Command, Output};
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_config::Config;
-use joulebus_testkit::{Child, PATIENCE, left_behind};
+use joulebus_testkit::{Child, PATIENCE, lab_beside, left_behind};
 use rustix::process::Signal;
 use serde_json::Value;
 
 pub(crate) fn joulebus<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus"));
+    let program = env!("CARGO_BIN_EXE_joulebus");
+    // It runs this one for the verbs on recordings and models.
+    let _ = lab_beside(program);
+    let mut command = Command::new(program);
     command.args(arguments).env_remove("JOULEBUS_LOG");
     command
 }
@@ -38,6 +41,26 @@ pub(crate) fn code(output: &Output) -> i32 {
 
 pub(crate) fn json(output: &Output) -> Value {
     serde_json::from_str(&stdout(output)).unwrap_or_else(|error| panic!("{error}: {output:?}"))
+}
+
+/// Whether the program of a row is there: some verbs are programs of their own, which are built with the workspace.
+pub(crate) fn is_built(row: &str) -> bool {
+    let verb = row.split(' ').next().unwrap_or_default();
+    if !["serve", "bridge", "link", "bench"].contains(&verb) {
+        return true;
+    }
+    let program =
+        Path::new(env!("CARGO_BIN_EXE_joulebus")).with_file_name(format!("joulebus-{verb}"));
+    let is_there = program.exists();
+    if !is_there {
+        println!("skipped: {verb}: {} is not built", program.display());
+        assert_ne!(
+            std::env::var("CI").as_deref(),
+            Ok("true"),
+            "{verb} is missing"
+        );
+    }
+    is_there
 }
 
 pub(crate) struct Fleet {

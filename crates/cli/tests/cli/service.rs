@@ -95,6 +95,8 @@ fn every_verb_has_a_manual_page() {
         "joulebus-publish-sim.1",
         "joulebus-alarms.1",
         "joulebus-rosbag.1",
+        "joulebus-lab.1",
+        "joulebus-train-trials.1",
     ] {
         let text = std::fs::read_to_string(folder.join(page)).unwrap();
         assert!(

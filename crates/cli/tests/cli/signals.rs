@@ -137,29 +137,12 @@ fn link(fleet: &Fleet) -> PathBuf {
     path
 }
 
-/// Whether the program of a row is there: some verbs are programs of their own, which are built with the workspace.
-fn is_built(row: &str) -> bool {
-    let verb = row.split(' ').next().unwrap_or_default();
-    if !["serve", "bridge", "link", "mission", "report", "bench"].contains(&verb) {
-        return true;
-    }
-    let program =
-        Path::new(env!("CARGO_BIN_EXE_joulebus")).with_file_name(format!("joulebus-{verb}"));
-    let is_there = program.exists();
-    if !is_there {
-        println!("skipped: {verb}: {} is not built", program.display());
-        assert_ne!(
-            std::env::var("CI").as_deref(),
-            Ok("true"),
-            "{verb} is missing"
-        );
-    }
-    is_there
-}
-
 #[test]
 fn every_verb_that_runs_until_stopped_ends_cleanly_at_each_signal_with_its_code() {
-    for (expected, row, says) in RUNS.iter().filter(|(_, row, _)| is_built(row)) {
+    for (expected, row, says) in RUNS
+        .iter()
+        .filter(|(_, row, _)| crate::fleet::is_built(row))
+    {
         for signal in end_signals() {
             let fleet = Fleet::new();
             let mut program = Program::start(command(&fleet, row));
@@ -181,7 +164,7 @@ fn a_signal_ends_what_computes_at_once_and_leaves_only_whole_files() {
     if !ignored.is_empty() {
         println!("skipped: {ignored:?} is ignored here, and by children that do not handle it");
     }
-    for row in COMPUTES.iter().filter(|row| is_built(row)) {
+    for row in COMPUTES.iter().filter(|row| crate::fleet::is_built(row)) {
         for signal in signals.iter().copied() {
             let (fleet, ended) = interrupted(row, signal);
             let by = ended.status.signal();

@@ -12,7 +12,7 @@ mod statistics;
 
 use std::process::ExitCode;
 
-use joulebus_sim::parts::Parts;
+use joulebus_plant::parts::Parts;
 use joulebus_sim::scenario::SCENARIO_STEPS;
 use statistics::{Averaged, Figure, TARGETS, Target, measure};
 

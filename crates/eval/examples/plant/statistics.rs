@@ -13,8 +13,9 @@ use joulebus_predictor::{FeatureSet, Network};
 use joulebus_dataset::rows::trial_rows;
 use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_dataset::trial::{Column, Trial};
-use joulebus_sim::parts::Parts;
-use joulebus_sim::protocol::{Protocol, SAMPLES};
+use joulebus_plant::parts::Parts;
+use joulebus_plant::protocol::{Protocol, SAMPLES};
+use joulebus_sim::protocol::drive_with;
 use joulebus_sim::scenario;
 use joulebus_statistics::metrics::{Tally, quantile, sorted};
 use joulebus_train::linear::{Linear, Terms};
@@ -198,7 +199,7 @@ fn residuals(rows: &[Row], forecasts_w: &[f64]) -> Vec<f64> {
 pub(crate) fn six_trials(parts: Parts, seed: u64) -> (Vec<Trial>, Vec<Vec<Row>>) {
     let trials: Vec<Trial> = Protocol::ALL
         .iter()
-        .map(|protocol| protocol.trial_with(parts, seed, SAMPLES))
+        .map(|protocol| drive_with(protocol, parts, seed, SAMPLES))
         .collect();
     let rows = trials.iter().map(|trial| trial_rows(trial).rows).collect();
     (trials, rows)
@@ -284,7 +285,7 @@ pub(crate) fn measure(
 ) -> Result<Measured, TrainError> {
     let (trials, rows) = six_trials(parts, seed);
     let network = trained(&rows, seed)?;
-    let step_s = joulebus_sim::arena::STEP_S;
+    let step_s = joulebus_plant::arena::STEP_S;
     let run = scenario::run(parts, seed, scenario_steps);
     let robots = run.trials.iter().map(|trial| {
         let rows = trial_rows(trial).rows;

@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use joulebus_config::{Config, builtin_model};
 use joulebus_fleet::Fleet;
+use joulebus_plant::{Fault, Plant, SimReading};
 use joulebus_predictor::{Model, Network};
-use joulebus_sim::plant::{Fault, Plant, SimReading};
 use joulebus_wire::{Alarm, AlarmSet, SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
 /// The plant starts here: stamps of 0 are none.

@@ -9,10 +9,11 @@ use joulebus_eval::calibrate::{
     Basis, CalibrateError, Calibration, Delays, Fault, Request, calibrate,
 };
 use joulebus_fleet::Fleet;
+use joulebus_plant::parts::Parts;
+use joulebus_plant::protocol::Protocol;
 use joulebus_predictor::{Model, Network};
 use joulebus_settings::{AlarmLimits, FleetSettings};
-use joulebus_sim::parts::Parts;
-use joulebus_sim::protocol::Protocol;
+use joulebus_sim::protocol::drive_with;
 use joulebus_statistics::poisson::{at_most, upper_mean};
 use joulebus_wire::{Alarm, SCHEMA_VERSION, Sample, SampleHeader};
 
@@ -39,7 +40,7 @@ fn model() -> Model {
 /// Healthy recordings of 99 s, 3,000 rows, of each of the six protocols for every seed.
 fn trials(seeds: Range<u64>) -> Vec<Trial> {
     let each = seeds.flat_map(|seed| Protocol::ALL.map(|protocol| (seed, protocol)));
-    let trials = each.map(|(seed, protocol)| protocol.trial_with(Parts::default(), seed, 3_000));
+    let trials = each.map(|(seed, protocol)| drive_with(protocol, Parts::default(), seed, 3_000));
     trials.collect()
 }
 
@@ -204,7 +205,7 @@ fn the_same_recordings_give_the_same_result_and_others_another_digest() {
 #[test]
 fn a_single_long_recording_is_divided_into_pieces() {
     // 25 minutes of one robot: three pieces of at most ten.
-    let long = Protocol::RandomWalk.trial_with(Parts::default(), 5, 45_000);
+    let long = drive_with(Protocol::RandomWalk, Parts::default(), 5, 45_000);
     let lax = Request {
         fleet_per_h: 2_000.0,
         ..WANTED
@@ -217,7 +218,7 @@ fn a_single_long_recording_is_divided_into_pieces() {
 
 #[test]
 fn recordings_of_which_no_reading_is_scored_are_refused_without_a_rate() {
-    let short = [1, 2].map(|seed| Protocol::RandomWalk.trial_with(Parts::default(), seed, 5));
+    let short = [1, 2].map(|seed| drive_with(Protocol::RandomWalk, Parts::default(), seed, 5));
     let refused = asked(&short, &WANTED).unwrap_err();
     assert_eq!(refused, CalibrateError::Unscored);
 }

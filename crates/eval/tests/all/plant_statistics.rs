@@ -9,7 +9,7 @@ mod statistics;
 
 use std::path::Path;
 
-use joulebus_sim::parts::Parts;
+use joulebus_plant::parts::Parts;
 use joulebus_sim::scenario::SCENARIO_STEPS;
 use statistics::{Averaged, Basics, measure, six_trials};
 

@@ -1,7 +1,8 @@
 //! `joulebus.simulate`.
 
-use joulebus_sim::parts::Parts;
-use joulebus_sim::protocol::Protocol;
+use joulebus_plant::parts::Parts;
+use joulebus_plant::protocol::Protocol;
+use joulebus_sim::protocol::drive_with;
 use joulebus_sim::scenario;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -25,7 +26,7 @@ pub(crate) fn simulate<'py>(
     let work = move |teller: &job::Teller<usize>| {
         let mut alone = Vec::new();
         for (protocol, done) in Protocol::ALL.into_iter().zip(1..) {
-            alone.push(protocol.trial_with(Parts::default(), seed, steps));
+            alone.push(drive_with(protocol, Parts::default(), seed, steps));
             if teller.tell(done).is_break() {
                 return Ok((alone, Vec::new()));
             }

@@ -1,5 +1,4 @@
 //! The tests of reports and their figures.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-mod program;
 mod report;

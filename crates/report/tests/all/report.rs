@@ -10,14 +10,15 @@ use std::sync::OnceLock;
 
 use joulebus_eval::score::{Design, Recording};
 use joulebus_figure::{Axis, Colour, Figure, Layer, Mark, Panel};
+use joulebus_plant::parts::Parts;
+use joulebus_plant::protocol::Protocol;
 use joulebus_predictor::Model;
 use joulebus_report::{
     Cell, Column, Document, File, Part, Recorded, ReportError, Section, Simulated, SimulatedReport,
     Table, files, html, recorded, simulated,
 };
 use joulebus_settings::FleetSettings;
-use joulebus_sim::parts::Parts;
-use joulebus_sim::protocol::Protocol;
+use joulebus_sim::protocol::drive_with;
 use live::settings;
 use serde_json::Value;
 
@@ -197,7 +198,7 @@ fn the_papers_numbers_are_shown_in_the_right_unit() {
     let mean_mw = |seed: u64| {
         let mut powers_w = Vec::new();
         for protocol in Protocol::ALL {
-            let trial = protocol.trial_with(Parts::default(), seed, 900);
+            let trial = drive_with(protocol, Parts::default(), seed, 900);
             let power = trial.column(joulebus_dataset::trial::Column::Power);
             powers_w.extend_from_slice(power.unwrap());
         }
@@ -271,7 +272,7 @@ fn recordings(count: usize) -> Vec<Recording> {
     let trials = Protocol::ALL
         .iter()
         .take(count)
-        .map(|protocol| protocol.trial_with(Parts::default(), 5, 500));
+        .map(|protocol| drive_with(protocol, Parts::default(), 5, 500));
     trials.map(|trial| Recording::new(0, trial)).collect()
 }
 

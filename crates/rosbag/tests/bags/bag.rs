@@ -10,7 +10,7 @@ use joulebus_ros_messages::{
     BatteryState, Header, Odometry, Pose, PoseWithCovariance, Quaternion, Time, Twist,
     TwistWithCovariance, Vector3,
 };
-use joulebus_testkit::joulebus_beside;
+use joulebus_testkit::lab_beside;
 use rusqlite::{Connection, params};
 use serde::Serialize;
 
@@ -182,8 +182,8 @@ pub(crate) fn convert(bag: &Path, out: &Path) -> Output {
     command.arg(bag).arg("-o").arg(out).output().unwrap()
 }
 
-/// Runs the `joulebus` program of the same build.
+/// Runs the program of the same build that `joulebus import` runs.
 pub(crate) fn joulebus(words: &[&str]) -> Output {
-    let program = joulebus_beside(env!("CARGO_BIN_EXE_joulebus-rosbag"));
+    let program = lab_beside(env!("CARGO_BIN_EXE_joulebus-rosbag"));
     Command::new(program).args(words).output().unwrap()
 }

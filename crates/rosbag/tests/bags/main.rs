@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use joulebus_capture_format::import::{Imported, Mapping, import, import_files};
-use joulebus_testkit::{eventually, joulebus_beside};
+use joulebus_testkit::{eventually, lab_beside};
 
 use bag::{Bag, convert, joulebus, text};
 
@@ -262,21 +262,21 @@ fn standard_output_is_written_if_it_is_an_empty_file() {
     }
 }
 
-/// Programs beside each other: `joulebus`, and a reader of bags that writes, says so and does not end.
+/// Programs beside each other: `joulebus-lab`, and a reader of bags that writes, says so and does not end.
 fn slow_reader(place: &Path) -> PathBuf {
     // Written by another process: a program that any process has open for writing cannot be started, and those that other
     // tests start inherit what this one has open.
-    let script = "cp \"$1\" joulebus && cat > joulebus-rosbag && chmod +x joulebus-rosbag";
+    let script = "cp \"$1\" joulebus-lab && cat > joulebus-rosbag && chmod +x joulebus-rosbag";
     let reader = "#!/bin/sh\necho MCAP\ncd \"${0%/*}\"\necho $$ > begun.new\nmv begun.new begun\ncat > /dev/null\n";
     let mut make = Command::new("sh");
     make.args(["-c", script, "sh"]).current_dir(place);
-    make.arg(joulebus_beside(env!("CARGO_BIN_EXE_joulebus-rosbag")));
+    make.arg(lab_beside(env!("CARGO_BIN_EXE_joulebus-rosbag")));
     let mut make = make.stdin(Stdio::piped()).spawn().unwrap();
     let mut input = make.stdin.take().unwrap();
     input.write_all(reader.as_bytes()).unwrap();
     drop(input);
     assert!(make.wait().unwrap().success());
-    place.join("joulebus")
+    place.join("joulebus-lab")
 }
 
 #[test]

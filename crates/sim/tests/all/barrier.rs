@@ -1,9 +1,9 @@
 //! Collision avoidance: the active-set method equals the full quadratic program and an independent
 //! slow solver; robots never collide.
 
-use joulebus_sim::arena::{HALF_ARENA_M, ROBOT_M, Vector};
-use joulebus_sim::barrier::{Answer, Barrier, BarrierError};
-use joulebus_sim::parts::Parts;
+use joulebus_plant::arena::{HALF_ARENA_M, ROBOT_M};
+use joulebus_plant::parts::Parts;
+use joulebus_sim::barrier::{Answer, Barrier, BarrierError, Vector};
 use joulebus_sim::scenario;
 use proptest::prelude::*;
 

@@ -1,13 +1,14 @@
 //! The simulated fleet: reproducible, within its limits, and close to the published figures.
 
 use joulebus_dataset::trial::{Column, Trial};
-use joulebus_sim::arena::{Command, HALF_ARENA_M, STEP_S, saturated, wheels_mps};
-use joulebus_sim::arena::{OMEGA_MAX_RADPS, V_MAX_MPS};
-use joulebus_sim::driven::Driven;
-use joulebus_sim::parts::Parts;
-use joulebus_sim::plant::Fault;
-use joulebus_sim::plant::{Plant, PlantError, SimReading};
-use joulebus_sim::protocol::{Protocol, SAMPLES, TRIAL_S, UnknownTrial, trial};
+use joulebus_plant::Fault;
+use joulebus_plant::arena::{Command, HALF_ARENA_M, STEP_S, saturated, wheels_mps};
+use joulebus_plant::arena::{OMEGA_MAX_RADPS, V_MAX_MPS};
+use joulebus_plant::driven::Driven;
+use joulebus_plant::parts::Parts;
+use joulebus_plant::protocol::{Protocol, SAMPLES, TRIAL_S, UnknownTrial};
+use joulebus_plant::{Plant, PlantError, SimReading};
+use joulebus_sim::protocol::{drive, trial};
 use joulebus_sim::scenario::{self, seven_robots};
 
 const DT_S: f64 = 1.0 / 30.0;
@@ -191,7 +192,7 @@ fn robots_for_training_are_none_of_the_live_fleet() {
 #[test]
 fn trials_drive_what_the_paper_says() {
     let commands = |protocol: Protocol| -> Vec<(u32, f64, f64)> {
-        let trial = protocol.trial(9);
+        let trial = drive(protocol, 9);
         let phases = values(&trial, Column::Phase)
             .iter()
             .map(|phase| *phase as u32);
@@ -396,7 +397,7 @@ fn the_same_seed_gives_the_same_trials() {
         columns.flatten().map(|value| value.to_bits()).collect()
     };
     for protocol in Protocol::ALL {
-        let [first, again, other] = [4, 4, 5].map(|seed| rows(&protocol.trial(seed)));
+        let [first, again, other] = [4, 4, 5].map(|seed| rows(&drive(protocol, seed)));
         assert!(first == again, "{protocol}");
         assert!(first != other, "{protocol}: seeds differ");
     }
@@ -412,7 +413,7 @@ fn the_same_seed_gives_the_same_trials() {
 #[test]
 fn trials_are_written_in_the_published_layout_and_can_be_read() {
     let directory = tempfile::tempdir().expect("a directory");
-    let trials = [Protocol::Extremes.trial(6), seven_robots(6, 900).remove(2)];
+    let trials = [drive(Protocol::Extremes, 6), seven_robots(6, 900).remove(2)];
     for (trial, robot) in trials.iter().zip(["8", "3"]) {
         let path = directory.path().join(format!("{robot}.npy"));
         trial.to_table().write(&path).expect("it can be written");
@@ -437,7 +438,7 @@ fn trials_are_written_in_the_published_layout_and_can_be_read() {
 fn a_driven_robot_draws_what_its_monitor_shows() {
     let step_ns = 33_333_333;
     let shown = |fault_w: f64| {
-        let pose = joulebus_sim::arena::Pose::default();
+        let pose = joulebus_plant::arena::Pose::default();
         let robot = Driven::new(Parts::default(), 0.5, pose, (3, 40));
         let mut robot = robot.with_fault(Fault::ExtraLoad { power_w: fault_w }, 30.0);
         let (mut shown_j, mut moved) = (0.0, 0.0);

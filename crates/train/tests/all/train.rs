@@ -2,10 +2,10 @@
 //! origin.
 
 use joulebus_dataset::rows::{Dataset, Row, sample_rows};
+use joulebus_plant::protocol::SAMPLES;
 use joulebus_predictor::{
     FEATURES, FeatureSet, Features, Kernel, ModelCard, Network, ResidualStats, Scores,
 };
-use joulebus_sim::protocol::SAMPLES;
 use joulebus_sim::training_data::{SimulatedData, dataset_from_plant};
 use joulebus_train::{
     Epoch, TrainError, TrainSettings, Trained, Training, scored, settings_for_sim, train,
@@ -337,8 +337,8 @@ fn a_saved_run_resumes_only_with_its_own_data_and_recipe() {
 
 #[test]
 fn a_row_pairs_the_command_and_readings_of_a_tick_with_the_next_reading() {
-    use joulebus_sim::plant::Plant;
-    use joulebus_sim::protocol::Protocol;
+    use joulebus_plant::Plant;
+    use joulebus_plant::protocol::Protocol;
     let data = dataset_from_plant(SimulatedData {
         seed: 14,
         training_robots: 1,

@@ -1,0 +1,504 @@
+//! `joulebus config init`: a platform and a fleet from recordings.
+
+use std::collections::BTreeSet;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use joulebus_config::{Assignment, Config, fleet_file, platform_file};
+use joulebus_dataset::inspect::{Profile, profile};
+use joulebus_dataset::trial::Trial;
+use joulebus_models::load_models;
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::file::write;
+use joulebus_program::output::{Output, say};
+use joulebus_settings::bounds;
+use serde::Serialize;
+
+use crate::next_command::{recordings, word};
+use crate::recordings::{ColumnArguments, find_recordings};
+use crate::train::train_recordings;
+use joulebus_program::model_range;
+
+/// Write a platform's and a fleet's config from recordings, and train its model if asked
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus config init --from recordings/ --out lab/\n  \
+    joulebus config init --from recordings/ --out lab/ --train\n  \
+    joulebus config init --from runs/*.csv --map time=t,power_W=p --name husky --battery-wh 480 --out lab/\n\n\
+    Rate, limits, resolution, holds and residual deviation are those of the recordings, each with its \
+    measured value in a comment; limits leave a margin. Without --train or --model, forecasts are by \
+    persistence. The files pass `config check`; nothing is overwritten.")]
+pub(crate) struct Args {
+    /// Recordings (.npy, .csv, .csv.gz), captures (.mcap), directories (searched recursively), or
+    /// patterns in quotes
+    #[arg(long, required = true, value_name = "PATH", num_args = 1..)]
+    from: Vec<PathBuf>,
+    #[command(flatten)]
+    columns: ColumnArguments,
+    /// Directory for fleet.toml, platforms/ and models/
+    #[arg(short, long, value_name = "DIR", default_value = ".")]
+    out: PathBuf,
+    /// Name of platform and fleet [default: that of the recordings' directory]
+    #[arg(long, value_name = "NAME")]
+    name: Option<String>,
+    /// Ids of the robots [default: those of the recordings if they are numbers, else from 0]
+    #[arg(long, value_name = "IDS", value_delimiter = ',')]
+    robots: Vec<String>,
+    /// Train a model on the recordings
+    #[arg(long, conflicts_with = "model")]
+    train: bool,
+    /// Use this model file
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// Energy of the battery from full to empty, Wh, which recordings do not state
+    #[arg(long, value_name = "WH", value_parser = capacity_wh)]
+    battery_wh: Option<f64>,
+}
+
+fn capacity_wh(text: &str) -> Result<f64, String> {
+    let allowed = bounds::BATTERY_CAPACITY_WH;
+    let found: Option<f64> = text.parse().ok();
+    found
+        .filter(|wh| allowed.contains(wh))
+        .ok_or_else(|| format!("allowed is {} to {} Wh", allowed.start(), allowed.end()))
+}
+
+#[derive(Debug, Serialize)]
+struct InitReport {
+    fleet: PathBuf,
+    platform: PathBuf,
+    model: Option<PathBuf>,
+    recorded: Profile,
+    warnings: Vec<String>,
+    next: Vec<String>,
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let map = args.columns.map();
+    let files = find_recordings(&args.from)?;
+    let mut trials = Vec::new();
+    for file in &files {
+        trials.extend(Trial::read_mapped(file, &map)?);
+    }
+    let Some(recorded) = profile(&trials) else {
+        let what = "power is constant in all recordings, or there are fewer than two readings";
+        return Err(UsageError(format!("{what}; give recordings of a working robot")).into());
+    };
+    let name = args.name()?;
+    let places = Places::new(&args.out, &name);
+    places.check(args.train)?;
+    let fleet = fleet(&name, &recorded, &robots(args, &trials)?, &files);
+    let given = args.given_model()?;
+    check(
+        &name,
+        &platform(&name, &recorded, given.as_deref(), args),
+        &fleet,
+    )?;
+    if args.train {
+        places.make(&places.models)?;
+        let full = recorded.v_mps.is_some() && recorded.omega_radps.is_some();
+        let units = files.len();
+        if !train_recordings(&args.from, &args.columns, &places.model, full, units)? {
+            return Ok(Outcome::Failed);
+        }
+    }
+    let model = match args.train {
+        true => Some(places.trained_model()),
+        false => given,
+    };
+    let platform = platform(&name, &recorded, model.as_deref(), args);
+    places.write(&platform, &fleet)?;
+    let config = Config::load(&places.fleet)?;
+    let models = load_models(&config)?;
+    let mut warnings: Vec<String> = config.warnings().iter().map(ToString::to_string).collect();
+    warnings.extend(
+        model_range::warnings(&config, &models)
+            .iter()
+            .map(ToString::to_string),
+    );
+    for warning in &warnings {
+        say(&format!("warning: {warning}"));
+    }
+    let (file, from) = (word(&places.fleet), recordings(&args.from));
+    let mut next = Vec::new();
+    if model.is_none() {
+        next.push(format!(
+            "joulebus train trials {from} --out {}",
+            word(&places.model)
+        ));
+    }
+    next.push(format!("joulebus config check {file}"));
+    next.push(format!("joulebus run --config {file}"));
+    next.push(format!("joulebus publish trial {from} --config {file}"));
+    output.report(&InitReport {
+        fleet: places.fleet,
+        platform: places.platform,
+        model: model.map(PathBuf::from),
+        recorded,
+        warnings,
+        next,
+    })?;
+    Ok(Outcome::Done)
+}
+
+/// Reads the files before they get their names: recordings and options may contradict each other.
+fn check(name: &str, platform: &str, fleet: &str) -> anyhow::Result<()> {
+    let draft = tempfile::tempdir().context("cannot make a directory to check the files in")?;
+    let places = Places::new(draft.path(), name);
+    places.write(platform, fleet)?;
+    let refused = "recordings and options contradict each other; nothing was written";
+    let config = Config::load(&places.fleet).context(refused)?;
+    load_models(&config).context(refused)?;
+    Ok(())
+}
+
+/// Files to write.
+struct Places {
+    fleet: PathBuf,
+    platforms: PathBuf,
+    platform: PathBuf,
+    models: PathBuf,
+    model: PathBuf,
+}
+
+impl Places {
+    fn new(out: &Path, name: &str) -> Self {
+        let (platforms, models) = (out.join("platforms"), out.join("models"));
+        Self {
+            fleet: out.join("fleet.toml"),
+            platform: platforms.join(format!("{name}.toml")),
+            model: models.join(format!("{name}.safetensors")),
+            platforms,
+            models,
+        }
+    }
+
+    /// Refuses to overwrite a file; the model is written only if it is trained.
+    fn check(&self, train: bool) -> Result<(), UsageError> {
+        let existing = [&self.fleet, &self.platform]
+            .into_iter()
+            .chain(train.then_some(&self.model))
+            .find(|path| path.exists());
+        match existing {
+            Some(path) => {
+                let what = format!("{} exists", path.display());
+                Err(UsageError(format!(
+                    "{what}; name another directory with --out"
+                )))
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn write(&self, platform: &str, fleet: &str) -> anyhow::Result<()> {
+        self.make(&self.platforms)?;
+        write(&self.platform, platform.as_bytes())?;
+        write(&self.fleet, fleet.as_bytes())
+    }
+
+    /// The trained model's path as the platform's file writes it.
+    fn trained_model(&self) -> String {
+        let name = self.model.file_name().unwrap_or_default();
+        format!("../models/{}", name.to_string_lossy())
+    }
+
+    fn make(&self, directory: &Path) -> anyhow::Result<()> {
+        std::fs::create_dir_all(directory)
+            .with_context(|| format!("cannot make the directory {}", directory.display()))
+    }
+}
+
+/// True if a name of a platform may contain it.
+const fn is_allowed(letter: char) -> bool {
+    letter.is_ascii_alphanumeric() || matches!(letter, '-' | '_')
+}
+
+impl Args {
+    fn name(&self) -> Result<String, UsageError> {
+        let name = match &self.name {
+            Some(name) => name.clone(),
+            None => {
+                let first = self.from.first().map_or(Path::new(""), PathBuf::as_path);
+                let directory = match first.is_dir() {
+                    true => first.canonicalize().ok(),
+                    false => first.parent().and_then(|parent| parent.canonicalize().ok()),
+                };
+                let name = directory.as_deref().and_then(Path::file_name);
+                let name = name.map(|name| name.to_string_lossy().into_owned());
+                let plain = name.unwrap_or_default();
+                let plain = plain.chars().map(|c| if is_allowed(c) { c } else { '_' });
+                let plain: String = plain.take(32).collect();
+                if plain.is_empty() {
+                    "robot".to_owned()
+                } else {
+                    plain
+                }
+            }
+        };
+        match (1..=32).contains(&name.len()) && name.chars().all(is_allowed) {
+            true => Ok(name),
+            false => Err(UsageError(format!(
+                "the name {name:?} is not of 1 to 32 letters, digits, - and _; give one with --name"
+            ))),
+        }
+    }
+
+    /// The given model's path as the platform's file writes it; none for persistence.
+    fn given_model(&self) -> anyhow::Result<Option<String>> {
+        let Some(path) = &self.model else {
+            return Ok(None);
+        };
+        let path = path
+            .canonicalize()
+            .with_context(|| format!("cannot read {}", path.display()))?;
+        Ok(Some(path.to_string_lossy().into_owned()))
+    }
+}
+
+/// Rounded up to two significant digits.
+fn above(value: f64) -> f64 {
+    rounded(value, f64::ceil)
+}
+
+/// Rounded down to two significant digits.
+fn below(value: f64) -> f64 {
+    rounded(value, f64::floor)
+}
+
+fn rounded(value: f64, round: fn(f64) -> f64) -> f64 {
+    if value == 0.0 || !value.is_finite() {
+        return 0.0;
+    }
+    let decimals = 1 - value.abs().log10().floor() as i32;
+    // A division by a power of ten gives the nearest decimal, a product with .1 does not.
+    match decimals >= 0 {
+        true => round(value * 10f64.powi(decimals)) / 10f64.powi(decimals),
+        false => round(value / 10f64.powi(-decimals)) * 10f64.powi(-decimals),
+    }
+}
+
+/// The nearest number of five significant digits.
+fn nearest(value: f64) -> f64 {
+    format!("{value:.4e}").parse().unwrap_or(value)
+}
+
+fn number(key: &'static str, value: f64, note: impl Into<String>) -> Assignment {
+    Assignment::number(key, value, note)
+}
+
+fn platform(name: &str, recorded: &Profile, model: Option<&str>, args: &Args) -> String {
+    let (least_w, greatest_w) = recorded.power_w;
+    let span_w = greatest_w - least_w;
+    let rate_hz = nearest(recorded.rate_hz);
+    let stale_s = above(6.5 / rate_hz).max(0.5);
+    let hold_s = above(3.0 * recorded.usual_hold_s)
+        .max(0.5)
+        .max(above(1.5 / rate_hz));
+    let stuck_s = above(1.5 * recorded.longest_hold_s).max(10.0).max(hold_s);
+    // A robot that never feeds energy back has no negative power.
+    let min_w = match least_w < 0.0 {
+        true => below(least_w - 0.5 * span_w),
+        false => 0.0,
+    };
+    let resolution = match recorded.resolution_w {
+        Some(step_w) => (
+            nearest(step_w),
+            "Measured: all readings are whole steps apart.".to_owned(),
+        ),
+        None => (
+            nearest(recorded.difference_w * 1e-2),
+            "The readings have no step: a hundredth of their usual difference.".to_owned(),
+        ),
+    };
+    let speed = |key, value: Option<f64>, unit: &str, least: f64| match value {
+        None => number(key, 0.0, "Not recorded."),
+        Some(0.0) => number(key, least, "Recorded: nothing but 0."),
+        Some(value) => number(
+            key,
+            above(1.25 * value),
+            format!("Recorded: up to {value:.3} {unit}; a quarter more."),
+        ),
+    };
+    let mut assignments = vec![
+        Assignment::text("name", name, ""),
+        match model {
+            Some(path) => Assignment::text("model", path, ""),
+            None => Assignment::text(
+                "model",
+                "persistence",
+                "Put a trained model here: joulebus train trials.",
+            ),
+        },
+        number("rate_hz", rate_hz, "Median of the recordings."),
+        number("stale_after_s", stale_s, "6.5 samples or more."),
+        number(
+            "hold_max_s",
+            hold_s,
+            format!(
+                "Recorded: a reading is usually held for {:.3} s.",
+                recorded.usual_hold_s
+            ),
+        ),
+        number(
+            "stuck_after_s",
+            stuck_s,
+            format!(
+                "Recorded: equal readings for up to {:.1} s.",
+                recorded.longest_hold_s
+            ),
+        ),
+        number(
+            "power_min_w",
+            min_w,
+            format!("Recorded: {least_w:.3} W and more."),
+        ),
+        number(
+            "power_max_w",
+            above(1.5 * greatest_w.max(0.0))
+                .max(min_w.abs() * 1e-3)
+                .max(1e-3),
+            format!("Recorded: up to {greatest_w:.3} W; half as much again."),
+        ),
+        number("power_resolution_w", resolution.0, resolution.1),
+        speed("v_max_mps", recorded.v_mps, "m/s", 1.0),
+        speed("omega_max_radps", recorded.omega_radps, "rad/s", 3.0),
+    ];
+    if model.is_none() {
+        assignments.push(number(
+            "residual_std_w",
+            nearest(recorded.difference_w),
+            "Measured: root mean square of the differences.",
+        ));
+    }
+    if let Some(capacity_wh) = args.battery_wh {
+        assignments.push(number("battery.capacity_wh", capacity_wh, "As given."));
+        assignments.push(number(
+            "battery.initial_soc_lo",
+            0.7,
+            "Assumed: a used battery holds less than its rating.",
+        ));
+    }
+    let mut title = format!(
+        "Platform {name}, from {} trials with {} readings.",
+        recorded.trials, recorded.readings
+    );
+    if let (Some((low, high)), None) = (recorded.voltage_v, args.battery_wh) {
+        title += &format!(
+            " Battery voltage {low:.2} to {high:.2} V; recordings do not state its capacity: add a \
+             [battery] section for budgets (config explain platform.battery)."
+        );
+    }
+    platform_file(&title, &assignments)
+}
+
+/// The ids of the fleet's robots as TOML.
+fn robots(args: &Args, trials: &[Trial]) -> Result<String, UsageError> {
+    if !args.robots.is_empty() {
+        let quoted: Vec<String> = args.robots.iter().map(|ids| format!("{ids:?}")).collect();
+        return Ok(format!("[{}]", quoted.join(", ")));
+    }
+    let names: BTreeSet<&str> = trials.iter().filter_map(Trial::robot_name).collect();
+    let ids: Option<BTreeSet<u32>> = names.iter().map(|name| name.parse().ok()).collect();
+    let ids: Vec<u32> = match ids.filter(|ids| !ids.is_empty()) {
+        Some(ids) => ids.into_iter().collect(),
+        // One for each trial, so that all of them can be played together.
+        None => (0..u32::try_from(trials.len()).unwrap_or(u32::MAX)).collect(),
+    };
+    let mut ranges: Vec<(u32, u32)> = Vec::new();
+    for id in ids {
+        match ranges.last_mut() {
+            Some((_, last)) if last.checked_add(1) == Some(id) => *last = id,
+            _ => ranges.push((id, id)),
+        }
+    }
+    let ranges: Vec<String> = ranges
+        .iter()
+        .map(|(first, last)| match first == last {
+            true => first.to_string(),
+            false => format!("\"{first}-{last}\""),
+        })
+        .collect();
+    Ok(format!("[{}]", ranges.join(", ")))
+}
+
+fn fleet(name: &str, recorded: &Profile, robots: &str, files: &[PathBuf]) -> String {
+    let rate_hz = nearest(recorded.rate_hz);
+    let stale_s = above(6.5 / rate_hz).max(0.5);
+    let leave_s = above(4.0 * stale_s).max(30.0);
+    let assignments = [
+        Assignment::text("fleet.name", name, ""),
+        Assignment::number(
+            "tick.rate_hz",
+            rate_hz.max(30.0),
+            "At least the robots' rate.",
+        ),
+        Assignment::number(
+            "tick.deadline_ms",
+            // Below the period.
+            nearest((500.0 / rate_hz.max(30.0)).min(10.0)),
+            "",
+        ),
+        Assignment::number("intake.max_jump_s", (2.0 * leave_s).max(60.0), ""),
+        Assignment::number("intake.leave_after_s", leave_s, ""),
+        Assignment::text("platform.file", &format!("platforms/{name}.toml"), ""),
+        Assignment {
+            key: "platform.robots",
+            value: robots.to_owned(),
+            note: "Of the recordings.".to_owned(),
+        },
+    ];
+    let title = format!(
+        "Fleet {name}, made by `joulebus config init` from {} recordings.",
+        files.len()
+    );
+    fleet_file(&title, &assignments)
+}
+
+impl fmt::Display for InitReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Profile {
+            trials,
+            readings,
+            rate_hz,
+            power_w: (least_w, greatest_w),
+            difference_w,
+            usual_hold_s,
+            ..
+        } = &self.recorded;
+        writeln!(
+            out,
+            "{trials} trials, {readings} readings: {rate_hz:.2} Hz, {least_w:.2} to {greatest_w:.2} W, \
+             usually held for {usual_hold_s:.3} s, difference of consecutive readings {difference_w:.3} W"
+        )?;
+        if let Some(step_w) = self.recorded.resolution_w {
+            writeln!(out, "resolution {step_w:.4} W")?;
+        }
+        for path in [&self.platform, &self.fleet] {
+            writeln!(out, "written: {}", path.display())?;
+        }
+        writeln!(out, "next:")?;
+        for command in &self.next {
+            writeln!(out, "  {command}")?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn limits_are_rounded_outward_to_two_digits() {
+        for (value, up, down) in [
+            (1716.0, 1800.0, 1700.0),
+            (0.0333, 0.034, 0.033),
+            (12.0, 12.0, 12.0),
+            (-3.21, -3.2, -3.3),
+            (0.0, 0.0, 0.0),
+        ] {
+            assert_eq!((above(value), below(value)), (up, down), "{value}");
+        }
+    }
+}

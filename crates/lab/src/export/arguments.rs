@@ -1,0 +1,30 @@
+//! The options of `joulebus export`.
+
+use std::ffi::OsString;
+use std::path::PathBuf;
+
+use crate::recordings::ColumnArguments;
+
+/// Write recordings and captures as a folder of Parquet files
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus export run.mcap --to parquet archive/\n  \
+    joulebus export recordings/ --to parquet archive/\n  \
+    joulebus eval archive/ --model my.safetensors\n\n\
+    Each trial is a file, DIR/fleet=…/day=…/robot=…/*.parquet, in the order and the units of its recording, to the bit; \
+    docs/datasets.md has the columns. Every verb that takes recordings takes DIR as the recordings that were \
+    exported, in their order; a partition of it (DIR/fleet=a/day=2026-11-22) file by file. Further exports into DIR \
+    add to it. Captures of any length need little memory; a temporary file in TMPDIR has their samples meanwhile.\n\n\
+    Exit codes: 1 if something cannot be read or written: whole recordings before it are in DIR; 2 for wrong usage, \
+    such as a folder with other files.")]
+pub(crate) struct Args {
+    /// Recordings (.npy, .csv, .csv.gz), captures (.mcap), directories (searched recursively), or
+    /// patterns in quotes: 'runs/**/*.npy'
+    #[arg(required = true, value_name = "PATH")]
+    pub(super) paths: Vec<PathBuf>,
+    /// The format, parquet, and the folder: a new or an empty one, or one of an earlier export
+    #[arg(long, required = true, num_args = 2, value_names = ["FORMAT", "DIR"])]
+    pub(super) to: Vec<OsString>,
+    #[command(flatten)]
+    pub(super) columns: ColumnArguments,
+}
