@@ -129,10 +129,7 @@ fn parts_of_an_evaluation_of_an_archive_merge_into_the_report_of_the_recordings(
         .arg("3")
         .args(words.split_whitespace().skip(1))
         .args([&model, &archive])
-        .env(
-            "JOULEBUS",
-            joulebus_testkit::joulebus_beside(crate::LAB),
-        )
+        .env("JOULEBUS", joulebus_testkit::joulebus_beside(crate::LAB))
         .output()
         .unwrap();
     let said = String::from_utf8_lossy(&parts.stderr);

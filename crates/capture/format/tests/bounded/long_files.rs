@@ -11,10 +11,9 @@ use joulebus_capture_format::inspect::inspect;
 use joulebus_capture_format::recover::recover;
 use joulebus_capture_format::scan::ScanError;
 use joulebus_capture_format::values::values;
-use mcap::WriteOptions;
 use joulebus_testkit::counting;
+use mcap::WriteOptions;
 use mcap::records::MessageHeader;
-
 
 /// Maximum memory of reading, bytes. The guarantee is 200 MB for a file of 2 GB.
 const MOST_BYTES: u64 = 32 << 20;
