@@ -1,12 +1,7 @@
 //! `joulebus report`: one command writes a directory with one page.
-
-<<<<<<<< HEAD:crates/report/tests/all/program.rs
-use std::ffi::OsStr;
-========
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::ffi::{OsStr, OsString};
->>>>>>>> h-lab:crates/lab/tests/report.rs
 use std::fs;
 use std::path::{Path, PathBuf};
 
