@@ -12,7 +12,8 @@ use serde_json::Value;
 const FLEET: &str = "demo";
 
 fn layout() -> Value {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../configs/foxglove/joulebus.json");
+    let path =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../configs/foxglove/joulebus.json");
     serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap()
 }
 
