@@ -98,8 +98,8 @@ impl<T: Shareable> fmt::Debug for Builder<'_, T> {
 }
 
 impl<T: Shareable> Builder<'_, T> {
-    /// iceoryx2 waits forever for an object without a length, and holds it open (#1771, #364): no
-    /// other process could remove it then.
+    /// iceoryx2 waits forever for an object without a length (#1771, #364), and opens it every
+    /// millisecond: other processes do not remove what is open.
     fn open_existing(&self, access: AccessMode) -> Result<Reserved<T>, DynamicStorageOpenError> {
         let file = self.config.path_for(&self.name).file_name().to_string();
         let (path, begin) = (std::path::Path::new(SHM_DIR).join(file), Instant::now());

@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
+use std::path::PathBuf;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
@@ -264,6 +265,25 @@ fn processes_killed_faster_than_their_nodes_are_removed_leave_places_for_the_nex
 }
 
 #[test]
+fn places_of_processes_killed_after_a_start_are_there_for_its_ports() {
+    // The process may have cleaned up by itself in one of the rounds.
+    for _ in 0..5 {
+        let place = Place::new();
+        let sources = [(); 3].map(|()| place.joined("source"));
+        let mut next = place.member();
+        must(&mut next, "join");
+        next.stop();
+        for source in sources {
+            source.kill();
+        }
+        next.resume();
+        must(&mut next, "source");
+        next.finish();
+        place.assert_nothing_left();
+    }
+}
+
+#[test]
 fn after_twenty_kills_during_a_start_the_next_one_joins() {
     let place = Place::new();
     let mut source = place.joined("source");
@@ -335,19 +355,57 @@ fn an_object_of_size_0_does_not_block_members() {
     let source = place.joined("source");
     // Left by a process killed between creating and sizing: iceoryx2 waits for it forever. Every
     // joiner opens this object.
-    let counter = place
-        .objects()
-        .into_iter()
-        .find(|path| path.to_string_lossy().ends_with("global_mgmt"))
-        .unwrap();
-    fs::OpenOptions::new()
-        .write(true)
-        .truncate(true)
-        .open(counter)
-        .unwrap();
+    drop(empty_counter(&place));
     let worker = place.joined("worker");
     source.finish();
     worker.finish();
+    place.assert_nothing_left();
+}
+
+/// Makes the node counter an object of length zero, which is not removed while the file is open.
+fn empty_counter(place: &Place) -> fs::File {
+    let mut objects = place.objects().into_iter();
+    let is_counter = |path: &PathBuf| path.to_string_lossy().ends_with("global_mgmt");
+    let counter = objects.find(is_counter).unwrap();
+    let mut options = fs::OpenOptions::new();
+    options.write(true).truncate(true).open(counter).unwrap()
+}
+
+#[test]
+fn a_start_waits_for_an_object_of_size_0_whose_creator_lives_and_then_gives_up() {
+    let place = Place::new();
+    let source = place.joined("source");
+    let creator = empty_counter(&place);
+    let answer = place.member().ask("join");
+    assert!(answer.contains("cannot create a node"), "{answer}");
+    drop(creator);
+    eventually("a start works", || {
+        place.member().ask("join").starts_with("ok")
+    });
+    source.finish();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn a_start_goes_on_when_an_object_of_size_0_is_gone_after_longer_than_iceoryx2_waits() {
+    let place = Place::new();
+    let mut is_ready = false;
+    // On a busy machine it may be gone too late.
+    for _ in 0..20 {
+        let source = place.joined("source");
+        let creator = empty_counter(&place);
+        let mut member = place.member();
+        member.send_line("join");
+        std::thread::sleep(Duration::from_millis(700));
+        drop(creator);
+        is_ready |= member.next_line().starts_with("ok");
+        source.finish();
+        member.finish();
+        if is_ready {
+            break;
+        }
+    }
+    assert!(is_ready);
     place.assert_nothing_left();
 }
 
