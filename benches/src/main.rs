@@ -4,6 +4,5 @@
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    joulebus_bus::trace_iceoryx2();
     joulebus_bench::main()
 }

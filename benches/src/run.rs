@@ -25,6 +25,7 @@ const COUNT: &str = "count";
 /// The program: measures, runs a role of the latency benchmark, or runs work to be counted.
 #[must_use]
 pub fn main() -> ExitCode {
+    joulebus_bus::trace_iceoryx2();
     let arguments = || std::env::args_os().skip(1);
     let first = arguments().next();
     match first.as_ref().and_then(|first| first.to_str()) {

@@ -36,6 +36,7 @@ use arguments::{Cli, Command};
 /// Runs the program with the arguments of this process.
 #[must_use]
 pub fn main() -> ExitCode {
+    joulebus_bus::trace_iceoryx2();
     match parse() {
         Ok((command, output)) => exit::code(execute(&command, output)),
         Err(refused) => exit::refused(&refused),

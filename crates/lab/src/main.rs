@@ -75,6 +75,7 @@ enum Config {
 }
 
 fn main() -> ExitCode {
+    joulebus_bus::trace_iceoryx2();
     match parse() {
         Ok((command, output)) => exit::code(execute(&command, output)),
         Err(refused) => exit::refused(&refused),

@@ -21,6 +21,7 @@ use serde::Serialize;
 type Done = Result<(), Box<dyn Error>>;
 
 fn main() -> ExitCode {
+    joulebus_bus::trace_iceoryx2();
     joulebus_program::logging::start(1, joulebus_program::logging::LogFormat::Text);
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
