@@ -14,7 +14,9 @@ pub mod recordings;
 #[cfg(feature = "trials")]
 pub mod trials;
 
-pub use child::{Child, Ended, PATIENCE, eventually, joulebus_beside, left_behind, run};
+pub use child::{
+    Child, Ended, PATIENCE, eventually, joulebus_beside, lab_beside, left_behind, run,
+};
 pub use end_signals::{end_signals, ignores};
 pub use member::{Member, send_to_test};
 pub use on_drop::OnDrop;

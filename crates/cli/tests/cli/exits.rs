@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Output;
 
 use crate::captures::capture;
-use crate::fleet::{Fleet, code, joulebus, output, stderr, stdout};
+use crate::fleet::{Fleet, code, is_built, joulebus, output, stderr, stdout};
 
 /// Arguments of a subcommand, and the exit code. Words in capitals are files: see [`file`].
 const CASES: &[(i32, &str)] = &[
