@@ -437,7 +437,7 @@ fn killed_at_every_sizing_of_an_object_and_the_next_one_is_ready() {
 }
 
 #[test]
-#[ignore = "1,311 starts take four minutes: CONTRIBUTING.md has the command"]
+#[ignore = "1,165 starts take three minutes: CONTRIBUTING.md has the command"]
 fn killed_at_every_call_of_a_start_and_the_next_one_is_ready() {
     let calls = [
         "openat",
