@@ -53,15 +53,15 @@ step page-load - 'cargo build --release --locked -p joulebus -p joulebus-serve -
     python3 tools/page_load.py --browsers 10 --seconds 5 --rounds 1; python3 tools/page_load.py --links 2 --seconds 5 --rounds 1'
 step forecast-tables recordings 'python3 tools/forecast_tables.py --short'
 step pictures pictures 'tools/pictures.sh'
-step miri miri 'cargo +nightly miri test -p joulebus-predictor --test memory --locked'
+step miri miri 'cargo +nightly miri test -p joulebus-predictor --test all memory --locked'
 step fuzz nightly 'tools/fuzz.sh 60'
 step mutations - 'python3 tools/mutations.py'
 step simulator - 'cargo run --release --locked -p joulebus-simulator --bin joulebus-sim -- --seeds 1000'
 step ignored - 'tested cargo test --workspace --locked --no-fail-fast -- --ignored --nocapture'
 # With a witness, read_capture.py and read_fleet.py run beside the faults.
-step random-fleets - 'JOULEBUS_RANDOM_FLEETS=20 JOULEBUS_SEED=7 JOULEBUS_WITNESS=1 tested cargo test --locked -p joulebus-tests --test random_faults -- --nocapture'
+step random-fleets - 'JOULEBUS_RANDOM_FLEETS=20 JOULEBUS_SEED=7 JOULEBUS_WITNESS=1 tested cargo test --locked -p joulebus-tests --test campaigns random_faults -- --nocapture'
 # Eight hours before a release: CONTRIBUTING.md.
-step soak - 'JOULEBUS_SOAK_S=${JOULEBUS_SOAK_S:-1800} cargo test --locked -p joulebus-tests --test soak -- --nocapture'
+step soak - 'JOULEBUS_SOAK_S=${JOULEBUS_SOAK_S:-1800} cargo test --locked -p joulebus-tests --test campaigns soak -- --nocapture'
 step busy-processes - 'tested tools/busy.sh 20 -p joulebus -p joulebus-bus -p joulebus-plan-server -p joulebus-link -p joulebus-tests'
 step busy - 'tested tools/busy.sh 3'
 

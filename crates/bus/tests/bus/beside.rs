@@ -188,7 +188,7 @@ fn what_another_program_made_for_every_user_becomes_private() {
         let modes = objects.map(|object| fs::metadata(object).unwrap().permissions().mode());
         modes.filter(|mode| mode & 0o077 != 0).count()
     };
-    place.domain.prepare().unwrap();
+    joulebus_bus::prepare_domain(&place.domain).unwrap();
     let mut config = Config::default();
     config.global.prefix = FileName::new(place.domain.shm_prefix().as_bytes()).unwrap();
     let root = place.domain.directory();

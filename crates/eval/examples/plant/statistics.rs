@@ -199,7 +199,7 @@ fn residuals(rows: &[Row], forecasts_w: &[f64]) -> Vec<f64> {
 pub(crate) fn six_trials(parts: Parts, seed: u64) -> (Vec<Trial>, Vec<Vec<Row>>) {
     let trials: Vec<Trial> = Protocol::ALL
         .iter()
-        .map(|protocol| drive_with(protocol, parts, seed, SAMPLES))
+        .map(|&protocol| drive_with(protocol, parts, seed, SAMPLES))
         .collect();
     let rows = trials.iter().map(|trial| trial_rows(trial).rows).collect();
     (trials, rows)

@@ -272,7 +272,7 @@ fn recordings(count: usize) -> Vec<Recording> {
     let trials = Protocol::ALL
         .iter()
         .take(count)
-        .map(|protocol| drive_with(protocol, Parts::default(), 5, 500));
+        .map(|&protocol| drive_with(protocol, Parts::default(), 5, 500));
     trials.map(|trial| Recording::new(0, trial)).collect()
 }
 

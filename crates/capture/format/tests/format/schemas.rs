@@ -53,7 +53,7 @@ fn the_generated_rust_messages_match_the_proto_files() {
         .unwrap();
     let text = std::fs::read_to_string(made.path().join("joulebus.rs")).unwrap();
     let head = "// Generated from `proto/joulebus/*.proto`; do not edit. Written by\n\
-                // `JOULEBUS_WRITE_SCHEMAS=1 cargo test -p joulebus-capture --test schemas`.\n";
+                // `JOULEBUS_WRITE_SCHEMAS=1 cargo test -p joulebus-capture-format --test format schemas`.\n";
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/messages/proto.rs");
     check(&path, format!("{head}{text}").as_bytes());
 }
