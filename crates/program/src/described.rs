@@ -400,9 +400,9 @@ mod tests {
         }
     }
 
-    fn check_shown(command: Command) {
+    fn check_shown(mut command: Command) {
         let verbs = Vec::leak(vec![Verb::new(&command)]);
-        compare(&mut verbs[0].command(), &mut command.clone(), "");
+        compare(&mut verbs[0].command(), &mut command, "");
     }
 
     #[test]
