@@ -285,7 +285,7 @@ impl Group {
 }
 
 /// For a program's tests: what `joulebus` shows of it is what it has. `joulebus` has the description in
-/// `crates/cli/verbs/FILE.json`, written again with `JOULEBUS_WRITE=1`; where that is not beside the
+/// `FILE.json` in `crates/cli/verbs`, written again with `JOULEBUS_WRITE=1`; where that is not beside the
 /// program's crate, only the program itself is checked.
 ///
 /// # Panics

@@ -8,7 +8,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// Cargo's metadata of the workspace; with `dependencies`, of all crates in its dependency graph.
-fn metadata(dependencies: bool) -> Value {
+pub(crate) fn metadata(dependencies: bool) -> Value {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let mut cargo = Command::new(env!("CARGO"));
     cargo.args(["metadata", "--format-version", "1", "--locked", "--offline"]);
@@ -26,7 +26,7 @@ fn metadata(dependencies: bool) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
-fn packages(metadata: &Value) -> impl Iterator<Item = &Value> {
+pub(crate) fn packages(metadata: &Value) -> impl Iterator<Item = &Value> {
     metadata["packages"].as_array().unwrap().iter()
 }
 
@@ -37,7 +37,7 @@ fn published(metadata: &Value) -> Vec<&Value> {
         .collect()
 }
 
-fn name(package: &Value) -> &str {
+pub(crate) fn name(package: &Value) -> &str {
     package["name"].as_str().unwrap()
 }
 
