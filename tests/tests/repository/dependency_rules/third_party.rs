@@ -9,7 +9,12 @@ use serde_json::Value;
 use super::crates;
 
 /// What a controller or a planner links.
-const SDK: [&str; 3] = ["joulebus-consumer", "joulebus-plan", "joulebus-publisher"];
+const SDK: [&str; 4] = [
+    "joulebus-consumer",
+    "joulebus-plan",
+    "joulebus-planner",
+    "joulebus-publisher",
+];
 
 /// What cargo prints for these arguments, in the root of the workspace.
 fn cargo(arguments: &[&str]) -> String {
