@@ -12,7 +12,8 @@ of its features by itself, and its forecasts are compared with PyTorch's.
 Every difference has to stay below 1e-5 W; exit code 1 if one does not.
 
 Usage: python3 tools/model_parity.py [MODEL.safetensors ...]     (default: the models that ship)
-       JOULEBUS=path/to/joulebus sets the program [default: cargo build --release]
+       JOULEBUS=path/to/joulebus sets the program, with joulebus-lab beside it
+       [default: cargo build --release -p joulebus -p joulebus-lab]
 """
 import json
 import os
@@ -41,7 +42,7 @@ def program():
     given = os.environ.get("JOULEBUS")
     if given:
         return given
-    subprocess.run(["cargo", "build", "--release", "-p", "joulebus"], cwd=ROOT, check=True)
+    subprocess.run(["cargo", "build", "--release", "-p", "joulebus", "-p", "joulebus-lab"], cwd=ROOT, check=True)
     target = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
     return str(target / "release/joulebus")
 

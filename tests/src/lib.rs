@@ -1,8 +1,8 @@
 //! Support for the system tests: a separate [`Arena`] for each test, processes ([`Child`]), and
 //! test-side [`Source`]s and [`Planner`]s.
 //!
-//! A process can be in one domain only, so the tests never access shared memory themselves: a small
-//! program, `joulebus-probe`, does so and reports in JSON lines. Nothing here sleeps to
+//! The tests never access shared memory themselves, because members of a fleet are killed, paused and
+//! starved: a small program, `joulebus-probe`, does so and reports in JSON lines. Nothing here sleeps to
 //! synchronise: everything waits for a condition, with the timeout [`PATIENCE`].
 #![forbid(unsafe_code)]
 

@@ -18,7 +18,7 @@ use joulebus_wire::{Budget, Forecast, Quality, SCHEMA_VERSION, Sample, SampleHea
 const ROBOTS: u32 = 20;
 const PERIOD_NS: u64 = 33_333_333;
 const PATIENCE: Duration = Duration::from_secs(120);
-/// A process joins one domain, in which the tests follow each other.
+/// The tests share one domain, in which they follow each other.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 fn eventually(what: &str, mut condition: impl FnMut() -> bool) {

@@ -24,8 +24,7 @@ const ROBOTS: usize = 10;
 /// Timeout of waiting for a condition.
 const PATIENCE: Duration = Duration::from_secs(180);
 
-/// A fleet whose worker and source are this test. iceoryx2 allows one domain per process: all tests
-/// here share it, one at a time.
+/// A fleet whose worker and source are this test. All tests here share its domain, one at a time.
 struct Stage {
     config: Config,
     // Before the bus, because ports must be dropped first.

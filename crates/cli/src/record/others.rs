@@ -1,5 +1,5 @@
-//! Other fleets in the same file: a process can join only one fleet's shared memory, so each of
-//! them is recorded by a separate process, into a pipe.
+//! Other fleets in the same file: a recorder joins one fleet, so each of them is recorded by a
+//! separate process, into a pipe.
 
 use std::io::Read;
 use std::path::{Path, PathBuf};

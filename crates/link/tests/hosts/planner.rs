@@ -1,4 +1,4 @@
-//! A planner in a process of its own, since a process joins one fleet only: it tells the test what it reads.
+//! A planner in a process of its own, as on a host of its own: it tells the test what it reads.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
