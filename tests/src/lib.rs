@@ -1,9 +1,9 @@
 //! Support for the system tests: a separate [`Arena`] for each test, processes ([`Child`]), and
 //! test-side [`Source`]s and [`Planner`]s.
 //!
-//! The tests never access shared memory themselves, because members of a fleet are killed, paused and
-//! starved: a small program, `joulebus-probe`, does so and reports in JSON lines. Nothing here sleeps to
-//! synchronise: everything waits for a condition, with the timeout [`PATIENCE`].
+//! The tests never access shared memory themselves, because members of a fleet are killed, paused
+//! and starved: a small program, `joulebus-probe`, does so and reports in JSON lines. Nothing here
+//! sleeps to synchronise: everything waits for a condition, with the timeout [`PATIENCE`].
 #![forbid(unsafe_code)]
 
 mod arena;

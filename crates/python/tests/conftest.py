@@ -29,7 +29,7 @@ def program() -> Path:
     named = os.environ.get("JOULEBUS_PROGRAM")
     path = Path(named) if named else ROOT / "target/debug/joulebus"
     if not path.is_file():
-        needed(f"program {path}: cargo build, or set JOULEBUS_PROGRAM")
+        needed(f"program {path}: cargo build -p joulebus -p joulebus-lab, or set JOULEBUS_PROGRAM")
     return path
 
 

@@ -80,7 +80,8 @@ fn selected(arguments: &str) -> (Vec<&str>, Vec<(&str, &str)>) {
     let (mut packages, mut targets) = (Vec::new(), Vec::new());
     for pair in words.windows(2) {
         let (option, value) = (pair[0], pair[1].trim_matches(['\'', '.', ',', ':']));
-        if value.starts_with('-') || !value.chars().all(is_of_name) {
+        let is_name = value.starts_with(|c: char| c.is_ascii_lowercase());
+        if !is_name || !value.chars().all(is_of_name) {
             continue;
         }
         if ["-p", "--package"].contains(&option) && value.starts_with("joulebus") {
@@ -172,9 +173,9 @@ fn sources_that_documents_and_comments_name_exist() {
             .filter(|line| !is_source || line.trim_start().starts_with("//"));
         let quoted = lines.flat_map(|line| line.split('`').skip(1).step_by(2));
         let is_path = |quoted: &&str| {
-            let is_inside = ["/src/", "/tests/"].iter().any(|it| quoted.contains(it));
-            (quoted.ends_with(".rs") || quoted.starts_with("crates/") || is_inside)
-                && !quoted.contains([' ', '*', '…', '<', '$'])
+            let is_source = quoted.ends_with(".rs") || quoted.starts_with("crates/");
+            let is_inside = quoted.contains("/src/") || quoted.contains("/tests/");
+            (is_source || is_inside) && !quoted.contains([' ', '*', '…', '<', '$'])
         };
         for named in quoted.filter(is_path).flat_map(expanded) {
             checked += 1;

@@ -5,8 +5,8 @@
 //! on the worker and its planners. A full disk ends the capture with an error, and the written part
 //! can be recovered.
 //!
-//! A recorder joins one fleet. Others are read from streams: captures that other processes write to a
-//! pipe.
+//! A recorder joins one fleet. Others are read from streams: captures that other processes write to
+//! a pipe.
 #![forbid(unsafe_code)]
 
 mod attachments;
