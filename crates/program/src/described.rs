@@ -284,9 +284,9 @@ impl Group {
     }
 }
 
-/// For a program's tests: what `joulebus` shows of it is what it has. `joulebus` has the description in
-/// `FILE.json` in `crates/cli/verbs`, written again with `JOULEBUS_WRITE=1`; where that is not beside the
-/// program's crate, only the program itself is checked.
+/// For a program's tests: what `joulebus` shows of it is what it has. `joulebus` has the description
+/// as `FILE.json` in `crates/cli/verbs`, written again with `JOULEBUS_WRITE=1`. Where that folder is
+/// not beside the program's crate, only the program itself is checked.
 ///
 /// # Panics
 /// The description is another one, or help made of it differs from the program's own.
