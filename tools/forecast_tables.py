@@ -34,7 +34,7 @@ def run(*command):
 
 def built():
     """The directory of the programs."""
-    run("cargo", "build", "--release", "--locked", "-p", "joulebus", "-p", "joulebus-bench")
+    run("cargo", "build", "--release", "--locked", "-p", "joulebus", "-p", "joulebus-lab", "-p", "joulebus-bench")
     metadata = run("cargo", "metadata", "--no-deps", "--format-version", "1")
     return pathlib.Path(json.loads(metadata)["target_directory"]) / "release"
 

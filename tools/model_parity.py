@@ -41,7 +41,7 @@ def program():
     given = os.environ.get("JOULEBUS")
     if given:
         return given
-    subprocess.run(["cargo", "build", "--release", "-p", "joulebus"], cwd=ROOT, check=True)
+    subprocess.run(["cargo", "build", "--release", "-p", "joulebus", "-p", "joulebus-lab"], cwd=ROOT, check=True)
     target = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
     return str(target / "release/joulebus")
 

@@ -136,7 +136,7 @@ def program(arguments):
     if arguments.joulebus:
         return arguments.joulebus.resolve()
     network.say("building joulebus")
-    subprocess.run(["cargo", "build", "--release", "--locked", "-p", "joulebus"], cwd=ROOT, check=True)
+    subprocess.run(["cargo", "build", "--release", "--locked", "-p", "joulebus", "-p", "joulebus-lab"], cwd=ROOT, check=True)
     target = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
     return target / "release" / "joulebus"
 
