@@ -1,7 +1,7 @@
 //! What C calls. Every function catches panics, and checks pointers, lengths and handles before it uses them.
 //!
 //! `include/joulebus.h` is made from the files of this module and from the layouts of `joulebus-wire`
-//! (`tests/header.rs`), and states what every caller promises.
+//! (`tests/all/layouts/header.rs`), and states what every caller promises.
 #![allow(
     unsafe_code,
     clippy::missing_safety_doc,
