@@ -198,8 +198,10 @@ fn remove_if_dead(root: &Path) {
 /// Removes a directory without a config, or with an empty one: a demo was killed while it made or removed it. One that is
 /// being made is younger.
 fn remove_unfinished(root: &Path) {
-    let age = fs::symlink_metadata(root).and_then(|found| found.modified());
-    if age.is_ok_and(|since| since.elapsed().is_ok_and(|age| age > UNFINISHED_AFTER)) {
+    // Not through a link, by which another user could name any folder.
+    let found = fs::symlink_metadata(root).ok().filter(fs::Metadata::is_dir);
+    let made = found.and_then(|found| found.modified().ok());
+    if made.is_some_and(|made| made.elapsed().is_ok_and(|age| age > UNFINISHED_AFTER)) {
         let file = root.join(CONFIG);
         if fs::symlink_metadata(&file).is_ok_and(|found| found.is_file() && found.len() == 0) {
             let _ = fs::remove_file(&file);

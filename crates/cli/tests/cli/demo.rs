@@ -392,8 +392,7 @@ fn watch_may_start_before_the_worker_and_continues_with_the_next_one() {
         env!("CARGO_MANIFEST_DIR"),
         "/../../configs/models/gternal-sim.safetensors"
     );
-    let mut info = Command::new(env!("CARGO_BIN_EXE_joulebus"));
-    info.args(["model", "info", model, "--format", "json"]);
+    let mut info = crate::fleet::joulebus(["model", "info", model, "--format", "json"]);
     let info: Value = serde_json::from_slice(&info.output().unwrap().stdout).unwrap();
     assert_eq!(frame["model_hash"], info["model_hash"]);
     assert_eq!(frame["robots"].as_array().unwrap().len(), 1);
