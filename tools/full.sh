@@ -30,7 +30,7 @@ step deny - 'tools/deny.sh'
 step advisories rustsec 'tools/deny.sh advisories'
 step actionlint - 'tools/actionlint.sh'
 step gelu - 'python3 tools/fit_gelu.py'
-step gate - '.ci/run'
+step gate - 'JOULEBUS_AGAIN=1 .ci/run'
 step readme - 'python3 tools/readme_projects.py'
 step page - 'tools/browser.sh; tools/prometheus.sh; tools/grafana.sh'
 step containers - 'cargo build --quiet --locked --workspace --lib --bins --examples; tools/containers.sh'
@@ -38,6 +38,7 @@ step c - 'tools/c_api.sh; python3 tools/c_speed.py --rounds 11'
 step wheel - 'tools/python_package.sh'
 step package - 'cargo package --workspace --exclude "joulebus-test*" --exclude joulebus-examples --exclude "joulebus-simulat*" --exclude joulebus-python --locked'
 step deb - 'tools/deb.sh'
+step shared-builds - 'python3 tools/shared_builds.py'
 step msrv rust-1.89 'cargo +1.89 check --workspace --all-targets --locked'
 step aarch64 - 'tools/aarch64.sh'
 # With the cross compiler that aarch64.sh installs.
@@ -57,12 +58,12 @@ step miri miri 'cargo +nightly miri test -p joulebus-predictor --test all memory
 step fuzz nightly 'tools/fuzz.sh 60'
 step mutations - 'python3 tools/mutations.py'
 step simulator - 'cargo run --release --locked -p joulebus-simulator --bin joulebus-sim -- --seeds 1000'
-step ignored - 'tested cargo test --workspace --locked --no-fail-fast -- --ignored --nocapture'
+step ignored - 'tested cargo test --workspace --locked --no-fail-fast -- --ignored --nocapture --skip write_the_seeds'
 # With a witness, read_capture.py and read_fleet.py run beside the faults.
 step random-fleets - 'JOULEBUS_RANDOM_FLEETS=20 JOULEBUS_SEED=7 JOULEBUS_WITNESS=1 tested cargo test --locked -p joulebus-tests --test campaigns random_faults -- --nocapture'
 # Eight hours before a release: CONTRIBUTING.md.
 step soak - 'JOULEBUS_SOAK_S=${JOULEBUS_SOAK_S:-1800} cargo test --locked -p joulebus-tests --test campaigns soak -- --nocapture'
-step busy-processes - 'tested tools/busy.sh 20 -p joulebus -p joulebus-bus -p joulebus-plan-server -p joulebus-link -p joulebus-tests'
+step busy-processes - 'cargo build --quiet --locked --workspace --bins; tested tools/busy.sh 20 -p joulebus -p joulebus-bus -p joulebus-plan-server -p joulebus-link -p joulebus-tests'
 step busy - 'tested tools/busy.sh 3'
 
 # Why a step cannot run here; nothing if it can.

@@ -17,9 +17,15 @@ pub fn find_program(name: &str) -> anyhow::Result<PathBuf> {
     let path = env::var_os("PATH").unwrap_or_default();
     find(name, beside, env::split_paths(&path)).ok_or_else(|| {
         let place = beside.display();
+        // Where this program looks for it.
+        let profile = if beside.ends_with("debug") {
+            ""
+        } else {
+            "--release "
+        };
         anyhow!(
             "neither {place} nor a directory of PATH has the program {name}: build it with `cargo \
-             build --release -p {name}`, which takes a few minutes, or install it with `cargo \
+             build {profile}-p {name}`, which takes a few minutes, or install it with `cargo \
              install {name}`"
         )
     })

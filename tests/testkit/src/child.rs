@@ -66,6 +66,11 @@ fn beside(program: &str, name: &str) -> PathBuf {
         let mut build = Command::new(env!("CARGO"));
         build.args(["build", "--quiet", "--locked"]);
         build.args(["--package", name, "--bin", name]);
+        // That of `program`: its folder has the profile's name, but for the one of `dev`.
+        let profile = found.parent().and_then(Path::file_name);
+        if let Some(profile) = profile.filter(|profile| *profile != "debug") {
+            build.arg("--profile").arg(profile);
+        }
         let built = build.status().is_ok_and(|status| status.success());
         assert!(built, "{build:?}");
     }

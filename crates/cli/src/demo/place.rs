@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::io::Write as _;
-use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
+use std::os::unix::fs::{DirBuilderExt as _, MetadataExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -189,10 +189,20 @@ fn remove_if_dead(root: &Path) {
     // Held until the directory is removed: who does not get it leaves that to the demo that has it.
     if let Ok(directory) = File::open(root)
         && flock(&directory, FlockOperation::NonBlockingLockExclusive).is_ok()
+        && is_still(&config, root)
     {
         tracing::info!(root = %root.display(), "removed the files of a killed demo");
         clear(&domain, root);
     }
+}
+
+/// Whether the directory's config is this file: a demo may have got the process id, and with it the directory's name, of a
+/// killed one whose directory another demo has just removed.
+fn is_still(config: &File, root: &Path) -> bool {
+    let (Ok(held), Ok(found)) = (config.metadata(), fs::symlink_metadata(root.join(CONFIG))) else {
+        return false;
+    };
+    (held.dev(), held.ino()) == (found.dev(), found.ino())
 }
 
 /// Removes a directory without a config, or with an empty one: a demo was killed while it made or removed it. One that is

@@ -120,7 +120,7 @@ fn help_and_usage_errors_need_no_executable() {
         ("help serve", 0, "--foxglove"),
         ("bench --help", 0, "--fail-above"),
         ("mission --help", 0, "--battery-wh"),
-        ("help train trials", 0, "--leave-out"),
+        ("help train trials", 0, "--hold-out"),
         ("publish --help", 0, "trial"),
         ("publish trial", 2, "PATH"),
         ("config init", 2, "--from"),
