@@ -18,7 +18,7 @@ const STALE_TICKS: u64 = 2;
 /// A robot as of one frame: a checked copy of its rows, for questions in any thread.
 ///
 /// It answers as of the time of its view, however long it is kept: a [`Verdict::Yes`] says nothing of what
-/// happened since. Take a [new view](crate::Planner::view) before the next questions, and after questions that
+/// happened since. Take a new view (`joulebus_planner::Planner::view`) before the next questions, and after questions that
 /// took long.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Robot<'a> {

@@ -15,7 +15,7 @@ pub trait Payload: Pod + ZeroCopySend + Debug + Default {}
 
 impl<T: Pod + ZeroCopySend + Debug + Default> Payload for T {}
 
-/// A struct that [`rows!`] declares, with the table of its fields.
+/// A struct that `rows!` declares, with the table of its fields.
 pub trait Row: Payload {
     /// Its fields in the order of memory, without padding.
     const LAYOUT: StructLayout;

@@ -1,7 +1,7 @@
 //! Decodes the values in messages of any MCAP file by its schemas.
 //!
 //! Protobuf messages are decoded by the descriptors in the file, JSON is passed on unchanged, and
-//! the ROS types of [`crate::ros`] are decoded from CDR. For other messages only time, sequence
+//! the ROS types of `joulebus-ros-messages` are decoded from CDR. For other messages only time, sequence
 //! number and length are available.
 
 use std::collections::BTreeMap;
