@@ -27,6 +27,7 @@ mod tests {
     #[test]
     fn the_main_program_shows_these_options() {
         let verb = BridgeArguments::augment_args(clap::Command::new("bridge"));
-        joulebus_program::described::check("bridge", &[verb]);
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../cli/verbs/bridge.json");
+        joulebus_program::described::check(file.as_ref(), &[verb]);
     }
 }

@@ -116,6 +116,7 @@ mod tests {
     #[test]
     fn the_main_program_shows_these_options() {
         let verbs: Vec<clap::Command> = Cli::command().get_subcommands().cloned().collect();
-        described::check("lab", &verbs);
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../cli/verbs/lab.json");
+        described::check(file.as_ref(), &verbs);
     }
 }

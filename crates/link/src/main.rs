@@ -40,7 +40,8 @@ mod tests {
     #[test]
     fn the_main_program_shows_these_options() {
         let verb = LinkArguments::augment_args(clap::Command::new("link"));
-        joulebus_program::described::check("link", &[verb]);
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../cli/verbs/link.json");
+        joulebus_program::described::check(file.as_ref(), &[verb]);
     }
 
     #[test]

@@ -285,12 +285,12 @@ impl Group {
 }
 
 /// For a program's tests: what `joulebus` shows of it is what it has. `joulebus` has the description
-/// as `FILE.json` in `crates/cli/verbs`, written again with `JOULEBUS_WRITE=1`. Where that folder is
+/// in `file`, below `crates/cli/verbs`, written again with `JOULEBUS_WRITE=1`. Where that folder is
 /// not beside the program's crate, only the program itself is checked.
 ///
 /// # Panics
 /// The description is another one, or help made of it differs from the program's own.
-pub fn check(file: &str, verbs: &[Command]) {
+pub fn check(file: &Path, verbs: &[Command]) {
     let described: Vec<Verb> = verbs.iter().map(Verb::new).collect();
     let mut text = serde_json::to_string_pretty(&described).expect("it is plain data");
     text.push('\n');
@@ -301,14 +301,12 @@ pub fn check(file: &str, verbs: &[Command]) {
         let mut own = own.clone().version(clap::builder::Resettable::Reset);
         compare(&mut verb.command(), &mut own, "");
     }
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cli/verbs");
-    let path = folder.join(format!("{file}.json"));
     if std::env::var_os("JOULEBUS_WRITE").is_some() {
-        std::fs::write(&path, &text).expect("the description can be written");
+        std::fs::write(file, &text).expect("the description can be written");
     }
-    if folder.is_dir() {
-        let kept = std::fs::read_to_string(&path).unwrap_or_default();
-        let shown = path.display();
+    if file.parent().is_some_and(Path::is_dir) {
+        let kept = std::fs::read_to_string(file).unwrap_or_default();
+        let shown = file.display();
         assert!(
             kept == text,
             "{shown} is stale: run this test again with JOULEBUS_WRITE=1"

@@ -72,6 +72,7 @@ mod tests {
 
     #[test]
     fn the_main_program_shows_these_options() {
-        joulebus_program::described::check("rosbag", &[RosbagArguments::command()]);
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../cli/verbs/rosbag.json");
+        joulebus_program::described::check(file.as_ref(), &[RosbagArguments::command()]);
     }
 }

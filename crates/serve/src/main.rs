@@ -24,6 +24,7 @@ mod tests {
     #[test]
     fn the_main_program_shows_these_options() {
         let verb = ServeArguments::augment_args(clap::Command::new("serve"));
-        joulebus_program::described::check("serve", &[verb]);
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../cli/verbs/serve.json");
+        joulebus_program::described::check(file.as_ref(), &[verb]);
     }
 }

@@ -10,58 +10,6 @@ use crate::{
     sample_flag,
 };
 
-/// The type of a field.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum FieldType {
-    /// 16 bits, unsigned.
-    U16,
-    /// 32 bits, unsigned.
-    U32,
-    /// 64 bits, unsigned.
-    U64,
-    /// 64 bits, signed.
-    I64,
-    /// Single precision.
-    F32,
-    /// Double precision.
-    F64,
-    /// Another struct of [`layouts`], by its name.
-    Struct(&'static str),
-}
-
-/// A field of a struct in shared memory.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct FieldLayout {
-    /// Its name.
-    pub name: &'static str,
-    /// Its comment, in Markdown: a line of the source is a line.
-    pub doc: &'static str,
-    /// Its type; that of the elements, if it is an array.
-    pub of: FieldType,
-    /// Elements; `None` if it is no array.
-    pub elements: Option<usize>,
-    /// Bytes from the beginning of the struct.
-    pub offset: usize,
-    /// Its bytes.
-    pub size: usize,
-}
-
-/// A struct in shared memory. There is no padding.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct StructLayout {
-    /// Its name.
-    pub name: &'static str,
-    /// Its comment, in Markdown: a line of the source is a line.
-    pub doc: &'static str,
-    /// Its fields, in the order of memory.
-    pub fields: &'static [FieldLayout],
-    /// Its bytes.
-    pub size: usize,
-    /// Its alignment, bytes.
-    pub align: usize,
-}
-
 /// Constants that belong together: bits of a field, or its codes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Constants {
@@ -80,51 +28,8 @@ pub struct Constant {
     pub name: String,
     /// Its value.
     pub value: u64,
-    /// Its comment, as [`StructLayout::doc`]; empty for codes.
+    /// Its comment, as [`crate::StructLayout::doc`]; empty for codes.
     pub doc: &'static str,
-}
-
-/// The type of a field of a row.
-pub(crate) trait Described {
-    /// Its own; that of its elements, if it is an array.
-    const OF: FieldType;
-    /// Elements; `None` if it is no array.
-    const ELEMENTS: Option<usize> = None;
-}
-
-macro_rules! described {
-    ($($type:ty => $of:expr),* $(,)?) => { $(impl Described for $type { const OF: FieldType = $of; })* };
-}
-
-described!(
-    u16 => FieldType::U16,
-    u32 => FieldType::U32,
-    u64 => FieldType::U64,
-    i64 => FieldType::I64,
-    f32 => FieldType::F32,
-    f64 => FieldType::F64,
-);
-
-impl<T: Described, const N: usize> Described for [T; N] {
-    const OF: FieldType = T::OF;
-    const ELEMENTS: Option<usize> = Some(N);
-}
-
-/// A field, whose type follows from how it is reached.
-pub(crate) const fn field<P, T: Described>(
-    name: &'static str,
-    doc: &'static str,
-    offset: usize,
-    _: fn(&P) -> &T,
-) -> FieldLayout {
-    FieldLayout {
-        name,
-        doc,
-        of: T::OF,
-        elements: T::ELEMENTS,
-        offset,
-        size: size_of::<T>(),
-    }
 }
 
 /// What a controller, a planner or a program that asks reads and writes, a struct before those that contain it.

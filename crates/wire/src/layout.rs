@@ -6,8 +6,6 @@ use bytemuck::Pod;
 pub(crate) use iceoryx2_bb_derive_macros::ZeroCopySend;
 pub(crate) use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 
-use crate::description::StructLayout;
-
 /// A type that may lie in shared memory: every bit pattern is valid, it has no padding, and its
 /// layout is the same in every process. Implemented for every payload and header of this crate, and
 /// for bytes.
@@ -19,6 +17,101 @@ impl<T: Pod + ZeroCopySend + Debug + Default> Payload for T {}
 pub trait Row: Payload {
     /// Its fields in the order of memory, without padding.
     const LAYOUT: StructLayout;
+}
+
+/// The type of a field.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum FieldType {
+    /// 16 bits, unsigned.
+    U16,
+    /// 32 bits, unsigned.
+    U32,
+    /// 64 bits, unsigned.
+    U64,
+    /// 64 bits, signed.
+    I64,
+    /// Single precision.
+    F32,
+    /// Double precision.
+    F64,
+    /// Another struct of [`layouts`], by its name.
+    Struct(&'static str),
+}
+
+/// A field of a struct in shared memory.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FieldLayout {
+    /// Its name.
+    pub name: &'static str,
+    /// Its comment, in Markdown: a line of the source is a line.
+    pub doc: &'static str,
+    /// Its type; that of the elements, if it is an array.
+    pub of: FieldType,
+    /// Elements; `None` if it is no array.
+    pub elements: Option<usize>,
+    /// Bytes from the beginning of the struct.
+    pub offset: usize,
+    /// Its bytes.
+    pub size: usize,
+}
+
+/// A struct in shared memory. There is no padding.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct StructLayout {
+    /// Its name.
+    pub name: &'static str,
+    /// Its comment, in Markdown: a line of the source is a line.
+    pub doc: &'static str,
+    /// Its fields, in the order of memory.
+    pub fields: &'static [FieldLayout],
+    /// Its bytes.
+    pub size: usize,
+    /// Its alignment, bytes.
+    pub align: usize,
+}
+
+/// The type of a field of a row.
+pub(crate) trait Described {
+    /// Its own; that of its elements, if it is an array.
+    const OF: FieldType;
+    /// Elements; `None` if it is no array.
+    const ELEMENTS: Option<usize> = None;
+}
+
+macro_rules! described {
+    ($($type:ty => $of:expr),* $(,)?) => { $(impl Described for $type { const OF: FieldType = $of; })* };
+}
+
+described!(
+    u16 => FieldType::U16,
+    u32 => FieldType::U32,
+    u64 => FieldType::U64,
+    i64 => FieldType::I64,
+    f32 => FieldType::F32,
+    f64 => FieldType::F64,
+);
+
+impl<T: Described, const N: usize> Described for [T; N] {
+    const OF: FieldType = T::OF;
+    const ELEMENTS: Option<usize> = Some(N);
+}
+
+/// A field, whose type follows from how it is reached.
+pub(crate) const fn field<P, T: Described>(
+    name: &'static str,
+    doc: &'static str,
+    offset: usize,
+    _: fn(&P) -> &T,
+) -> FieldLayout {
+    FieldLayout {
+        name,
+        doc,
+        of: T::OF,
+        elements: T::ELEMENTS,
+        offset,
+        size: size_of::<T>(),
+    }
 }
 
 /// Declares structs of shared memory: `Name: type name, bytes` and, where it is not 8, the alignment.
@@ -44,7 +137,7 @@ macro_rules! rows {
         const _: () = assert!(size_of::<$name>() == $bytes);
         const _: () = assert!(align_of::<$name>() == rows!(@align $($align)?));
 
-        impl $crate::description::Described for $name {
+        impl $crate::layout::Described for $name {
             const OF: $crate::FieldType = $crate::FieldType::Struct(stringify!($name));
         }
 
@@ -52,7 +145,7 @@ macro_rules! rows {
             const LAYOUT: $crate::StructLayout = $crate::StructLayout {
                 name: stringify!($name),
                 doc: concat!($($doc, "\n",)*),
-                fields: &[$($crate::description::field(
+                fields: &[$($crate::layout::field(
                     stringify!($field),
                     concat!($($field_doc, "\n",)*),
                     std::mem::offset_of!($name, $field),

@@ -28,14 +28,12 @@ mod service;
 mod state;
 
 pub use budget::{Budget, BudgetHeader, ChargeState, budget_flag};
-pub use description::{
-    Constant, Constants, FieldLayout, FieldType, StructLayout, constants, layouts,
-};
+pub use description::{Constant, Constants, constants, layouts};
 pub use diagnostic::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, Level, diagnostic_flag};
 pub use forecast::{Forecast, ForecastHeader, Quality, forecast_flag};
 pub use hash::{combine_hashes, fnv1a};
 pub use journal::{TakenFrame, TickHeader, tick_flag};
-pub use layout::{Payload, Row};
+pub use layout::{FieldLayout, FieldType, Payload, Row, StructLayout};
 pub use plan_state::{LISTED_MODELS, PlanState, PlanStateHeader, plan_state_flag};
 pub use query::{
     ANSWER_WORDS, AnswerHeader, AnswerRow, QUERY_CANDIDATES, QUERY_ROBOTS, QUERY_STEPS,

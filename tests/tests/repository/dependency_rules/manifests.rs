@@ -50,14 +50,20 @@ fn table(first: &str) -> Vec<(String, String)> {
 fn graph() -> Graph {
     let lock = fs::read_to_string(root().join("Cargo.lock")).unwrap();
     let mut graph = Graph::new();
+    let ours: BTreeSet<String> = described().into_iter().map(|it| it.name).collect();
+    // `lab` is a crate of crates.io, too.
+    let outside = |name: &str| match ours.contains(name) {
+        true => format!("{name} of crates.io"),
+        false => name.to_owned(),
+    };
     for package in lock.split("[[package]]").skip(1) {
         let quoted: Vec<&str> = package.split('"').skip(1).step_by(2).collect();
         let list = package.split_once("dependencies = [");
         let list = list.map_or("", |(_, list)| list);
         let names = list.split('"').skip(1).step_by(2);
         // If the lock file has two versions of a package, the name is followed by the version.
-        let names = names.filter_map(|name| Some(name.split(' ').next()?.to_owned()));
-        graph.entry(quoted[0].to_owned()).or_default().extend(names);
+        let names = names.filter_map(|name| Some(outside(name.split(' ').next()?)));
+        graph.entry(outside(quoted[0])).or_default().extend(names);
     }
     for Member { name, manifest, .. } in described() {
         let (_, after) = manifest
