@@ -6,8 +6,8 @@ use crate::{
     DiagnosticHeader, DropCounts, DropReason, Forecast, ForecastHeader, InvalidReason, Level,
     PlanState, PlanStateHeader, QUERY_CANDIDATES, QUERY_ROBOTS, QUERY_STEPS, QUERY_VALUES, Quality,
     QueryHeader, QueryKind, QueryRefusal, Refusal, Row, SCHEMA_VERSION, Sample, SampleHeader,
-    answer_flag, budget_flag, diagnostic_flag, forecast_flag, plan_state_flag, query_flag,
-    sample_flag,
+    StructLayout, answer_flag, budget_flag, diagnostic_flag, forecast_flag, plan_state_flag,
+    query_flag, sample_flag,
 };
 
 /// Constants that belong together: bits of a field, or its codes.
@@ -28,7 +28,7 @@ pub struct Constant {
     pub name: String,
     /// Its value.
     pub value: u64,
-    /// Its comment, as [`crate::StructLayout::doc`]; empty for codes.
+    /// Its comment, as [`StructLayout::doc`]; empty for codes.
     pub doc: &'static str,
 }
 
