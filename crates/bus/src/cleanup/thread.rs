@@ -15,6 +15,7 @@ use super::report::SweepReport;
 use crate::Domain;
 use crate::liveness::presence::{FilesRemoved, Presence};
 use crate::marker::{Marked, open_directory};
+use crate::os::fork;
 
 /// A member may be blocked on an incomplete object, so this is frequent; most passes read no directory ([`Search`]).
 const INCOMPLETE_EVERY: Duration = Duration::from_millis(250);
@@ -123,6 +124,7 @@ impl Shared {
 
     fn remove_dead_nodes(&self, domain: &Domain, config: &Config) {
         let mut report = SweepReport::default();
+        let _section = fork::enter();
         remove_dead_nodes(domain, config, &mut report);
         self.dead_nodes
             .fetch_add(report.dead_nodes, Ordering::Relaxed);

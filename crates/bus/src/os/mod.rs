@@ -3,6 +3,7 @@
 pub(crate) mod background;
 pub mod clock;
 pub(crate) mod files;
+pub(crate) mod fork;
 pub(crate) mod memory;
 pub(crate) mod process;
 mod process_id;
