@@ -35,7 +35,7 @@ pub enum FieldType {
     F32,
     /// Double precision.
     F64,
-    /// Another struct of [`layouts`], by its name.
+    /// Another struct of [`crate::layouts`], by its name.
     Struct(&'static str),
 }
 
