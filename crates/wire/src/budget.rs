@@ -1,6 +1,8 @@
 //! Energy drawn and energy left, per robot.
 
-use crate::layout::{ZeroCopySend, bits, rows};
+use crate::declare::ZeroCopySend;
+use crate::layout::bits;
+use crate::rows;
 
 bits! {
     /// Bits of [`Budget::flags`].
@@ -52,8 +54,10 @@ rows! {
         /// Time not covered by readings, ns.
         pub unmetered_ns: u64,
         /// Stamp of the newest sample in the ledger, monotonic ns.
+        #[instant]
         pub stamp_ns: u64,
         /// Valid until, monotonic ns: `stamp_ns` plus the platform's `stale_after`.
+        #[instant]
         pub valid_until_ns: u64,
         /// Mean power over the last minutes (exponentially weighted), W.
         pub mean_power_w: f32,
@@ -109,10 +113,12 @@ rows! {
         /// Process id of the worker.
         pub pid: u32,
         /// As in [`crate::ForecastHeader::worker_epoch`].
+        #[run]
         pub worker_epoch: u64,
         /// As in [`crate::ForecastHeader::tick`].
         pub tick: u64,
         /// When the frame was sent, monotonic ns.
+        #[instant]
         pub sent_ns: u64,
         /// When the frame was sent, Unix ns: relates stamps to the wall clock over a reboot.
         pub sent_unix_ns: u64,

@@ -1,6 +1,8 @@
 //! Residual scores and alarms per robot.
 
-use crate::layout::{ZeroCopySend, bits, rows};
+use crate::declare::ZeroCopySend;
+use crate::layout::bits;
+use crate::rows;
 
 bits! {
     /// Bits of [`Diagnostic::flags`].
@@ -59,8 +61,10 @@ rows! {
         /// [`crate::Sample::seq`] of the newest sample accepted.
         pub sample_seq: u64,
         /// [`crate::Sample::stamp_ns`] of that sample.
+        #[instant]
         pub stamp_ns: u64,
         /// [`crate::SampleHeader::source_epoch`] of that sample.
+        #[run]
         pub source_epoch: u64,
         /// Samples of this robot that were refused in this epoch.
         pub refused: u64,
@@ -120,6 +124,7 @@ rows! {
         /// Process id of the worker.
         pub pid: u32,
         /// As in [`crate::ForecastHeader::worker_epoch`].
+        #[run]
         pub worker_epoch: u64,
         /// As in [`crate::ForecastHeader::tick`].
         pub tick: u64,

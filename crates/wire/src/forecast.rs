@@ -1,7 +1,9 @@
 //! What the worker forecasts.
 
 use crate::InvalidReason;
-use crate::layout::{ZeroCopySend, bits, rows};
+use crate::declare::ZeroCopySend;
+use crate::layout::bits;
+use crate::rows;
 
 bits! {
     /// Bits of [`Forecast::flags`].
@@ -41,12 +43,15 @@ rows! {
         /// [`crate::Sample::seq`] of the sample that this forecast is based on.
         pub sample_seq: u64,
         /// [`crate::Sample::stamp_ns`] of that sample.
+        #[instant]
         pub stamp_ns: u64,
         /// Stamp for which the reading is forecast, monotonic ns.
+        #[instant]
         pub target_ns: u64,
         /// From the measurement of `reading_w` to `stamp_ns`, ns.
         pub reading_age_ns: u64,
         /// [`crate::SampleHeader::source_epoch`] of that sample.
+        #[run]
         pub source_epoch: u64,
     }
 }
@@ -140,6 +145,7 @@ rows! {
         pub pid: u32,
         /// When this run of the worker began, monotonic ns: a restart has a greater one, however the wall clock
         /// was set.
+        #[run]
         pub worker_epoch: u64,
         /// Number of this tick within the epoch, from 1.
         pub tick: u64,
@@ -153,16 +159,22 @@ rows! {
         /// Frames of samples taken in this tick.
         pub frames_taken: u32,
         /// [`crate::SampleHeader::intended_ns`] of the first frame taken in this tick; 0 if none was.
+        #[instant]
         pub first_intended_ns: u64,
         /// [`crate::SampleHeader::sent_ns`] of that frame; 0 if none was taken.
+        #[instant]
         pub first_sent_ns: u64,
         /// When the worker took that frame, monotonic ns; 0 if none was taken.
+        #[instant]
         pub first_taken_ns: u64,
         /// When the tick began to compute, monotonic ns.
+        #[instant]
         pub compute_start_ns: u64,
         /// When the last forecast was written, monotonic ns.
+        #[instant]
         pub compute_end_ns: u64,
         /// When the frame was sent, monotonic ns.
+        #[instant]
         pub sent_ns: u64,
         /// When the frame was sent, Unix ns: informative only.
         pub sent_unix_ns: u64,

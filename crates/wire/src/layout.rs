@@ -3,8 +3,8 @@
 use std::fmt::Debug;
 
 use bytemuck::Pod;
-pub(crate) use iceoryx2_bb_derive_macros::ZeroCopySend;
-pub(crate) use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
+
+use crate::declare::ZeroCopySend;
 
 /// A type that may lie in shared memory: every bit pattern is valid, it has no padding, and its
 /// layout is the same in every process. Implemented for every payload and header of this crate, and
@@ -17,6 +17,61 @@ impl<T: Pod + ZeroCopySend + Debug + Default> Payload for T {}
 pub trait Row: Payload {
     /// Its fields in the order of memory, without padding.
     const LAYOUT: StructLayout;
+
+    /// Calls `each` with every [`FieldRole::Instant`]; 0 is one that is not known.
+    fn instants(&mut self, each: impl FnMut(&mut u64)) {
+        fields_of(self, FieldRole::Instant, each);
+    }
+
+    /// Calls `each` with every [`FieldRole::Run`]; 0 is one that is not known.
+    fn runs(&mut self, each: impl FnMut(&mut u64)) {
+        fields_of(self, FieldRole::Run, each);
+    }
+}
+
+/// Bytes are rows without fields.
+impl Row for u8 {
+    const LAYOUT: StructLayout = element::<Self>("u8");
+}
+
+/// Words are rows without fields.
+impl Row for u64 {
+    const LAYOUT: StructLayout = element::<Self>("u64");
+}
+
+const fn element<T>(name: &'static str) -> StructLayout {
+    StructLayout {
+        name,
+        doc: "",
+        fields: &[],
+        size: size_of::<T>(),
+        align: align_of::<T>(),
+    }
+}
+
+fn fields_of<R: Row>(row: &mut R, role: FieldRole, mut each: impl FnMut(&mut u64)) {
+    for field in R::LAYOUT.fields {
+        if field.role == role {
+            let words: &mut [u8] = &mut bytemuck::bytes_of_mut(row)[field.offset..];
+            if let Some(bytes) = words.first_chunk_mut() {
+                let mut value = u64::from_ne_bytes(*bytes);
+                each(&mut value);
+                *bytes = value.to_ne_bytes();
+            }
+        }
+    }
+}
+
+/// What a field means wherever a frame is read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum FieldRole {
+    /// A value that means the same everywhere.
+    Value,
+    /// An instant of the monotonic clock of the host where the frame was sent, ns.
+    Instant,
+    /// The run of a source or of the worker: the instant at which it began, which names it on every host.
+    Run,
 }
 
 /// The type of a field.
@@ -54,6 +109,8 @@ pub struct FieldLayout {
     pub offset: usize,
     /// Its bytes.
     pub size: usize,
+    /// What it means wherever a frame is read.
+    pub role: FieldRole,
 }
 
 /// A struct in shared memory. There is no padding.
@@ -72,7 +129,7 @@ pub struct StructLayout {
 }
 
 /// The type of a field of a row.
-pub(crate) trait Described {
+pub trait Described {
     /// Its own; that of its elements, if it is an array.
     const OF: FieldType;
     /// Elements; `None` if it is no array.
@@ -98,10 +155,12 @@ impl<T: Described, const N: usize> Described for [T; N] {
 }
 
 /// A field, whose type follows from how it is reached.
-pub(crate) const fn field<P, T: Described>(
+#[must_use]
+pub const fn field<P, T: Described>(
     name: &'static str,
     doc: &'static str,
     offset: usize,
+    role: FieldRole,
     _: fn(&P) -> &T,
 ) -> FieldLayout {
     FieldLayout {
@@ -111,23 +170,27 @@ pub(crate) const fn field<P, T: Described>(
         elements: T::ELEMENTS,
         offset,
         size: size_of::<T>(),
+        role,
     }
 }
 
 /// Declares structs of shared memory: `Name: type name, bytes` and, where it is not 8, the alignment.
+/// The file imports [`crate::declare::ZeroCopySend`], which the derive names without a path, and its crate has `bytemuck` with
+/// `derive`.
 ///
 /// The type name is what iceoryx2 compares between processes. [`Pod`] is derived, so the compiler refuses padding and fields with
 /// invalid bit patterns. Size and alignment are part of the schema: another one does not compile. [`Row::LAYOUT`] lists the
-/// fields, with their comments, for other languages.
+/// fields, with their comments, for other languages. A field is marked `#[instant]` or `#[run]` where it is one of [`FieldRole`].
+#[macro_export]
 macro_rules! rows {
     ($($(#[doc = $doc:literal])* $(#[derive($derive:ident)])?
     pub struct $name:ident: $type_name:tt, $bytes:literal $(, $align:literal)? {
-        $($(#[doc = $field_doc:literal])* pub $field:ident: $type:ty,)*
+        $($(#[doc = $field_doc:literal])* $(#[instant $($instant:tt)?])? $(#[run $($run:tt)?])?
+        pub $field:ident: $type:ty,)*
     })*) => {$(
         $(#[doc = $doc])*
         #[repr(C)]
         #[derive(Debug, Clone, Copy, PartialEq, $($derive,)? Default)]
-        // The derive of ZeroCopySend names the trait without a path: the declaring file imports it.
         #[derive(bytemuck::Pod, bytemuck::Zeroable, ZeroCopySend)]
         #[type_name($type_name)]
         pub struct $name {
@@ -135,9 +198,9 @@ macro_rules! rows {
         }
 
         const _: () = assert!(size_of::<$name>() == $bytes);
-        const _: () = assert!(align_of::<$name>() == rows!(@align $($align)?));
+        const _: () = assert!(align_of::<$name>() == $crate::rows!(@align $($align)?));
 
-        impl $crate::layout::Described for $name {
+        impl $crate::declare::Described for $name {
             const OF: $crate::FieldType = $crate::FieldType::Struct(stringify!($name));
         }
 
@@ -145,10 +208,11 @@ macro_rules! rows {
             const LAYOUT: $crate::StructLayout = $crate::StructLayout {
                 name: stringify!($name),
                 doc: concat!($($doc, "\n",)*),
-                fields: &[$($crate::layout::field(
+                fields: &[$($crate::declare::field(
                     stringify!($field),
                     concat!($($field_doc, "\n",)*),
                     std::mem::offset_of!($name, $field),
+                    $crate::rows!(@role $(Instant $($instant)?)? $(Run $($run)?)?),
                     |row: &$name| &row.$field,
                 )),*],
                 size: size_of::<$name>(),
@@ -156,6 +220,8 @@ macro_rules! rows {
             };
         }
     )*};
+    (@role) => { $crate::FieldRole::Value };
+    (@role $role:ident) => { $crate::FieldRole::$role };
     (@align) => { 8 };
     (@align $align:literal) => { $align };
 }
@@ -175,4 +241,4 @@ macro_rules! bits {
     };
 }
 
-pub(crate) use {bits, rows};
+pub(crate) use bits;

@@ -14,6 +14,7 @@
 #![forbid(unsafe_code)]
 
 mod budget;
+mod channel;
 mod description;
 mod diagnostic;
 mod forecast;
@@ -28,12 +29,16 @@ mod service;
 mod state;
 
 pub use budget::{Budget, BudgetHeader, ChargeState, budget_flag};
+pub use channel::{
+    Budgets, Channel, Diagnostics, Flow, Forecasts, FrameHeader, FrameRows, Place, PlanStates,
+    Queries, Samples, State, Ticks,
+};
 pub use description::{Constant, Constants, constants, layouts};
 pub use diagnostic::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, Level, diagnostic_flag};
 pub use forecast::{Forecast, ForecastHeader, Quality, forecast_flag};
 pub use hash::{combine_hashes, fnv1a};
 pub use journal::{TakenFrame, TickHeader, tick_flag};
-pub use layout::{FieldLayout, FieldType, Payload, Row, StructLayout};
+pub use layout::{FieldLayout, FieldRole, FieldType, Payload, Row, StructLayout};
 pub use plan_state::{LISTED_MODELS, PlanState, PlanStateHeader, plan_state_flag};
 pub use query::{
     ANSWER_WORDS, AnswerHeader, AnswerRow, QUERY_CANDIDATES, QUERY_ROBOTS, QUERY_STEPS,
@@ -44,6 +49,15 @@ pub use reason::{DropCounts, DropReason, InvalidReason, Refusal};
 pub use sample::{Freshness, Sample, SampleHeader, sample_flag};
 pub use service::{Service, WakeEvent, service_name};
 pub use state::StateHeader;
+
+/// What [`rows!`] needs where it is used.
+pub mod declare {
+    pub use iceoryx2_bb_derive_macros::ZeroCopySend;
+    pub use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
+
+    #[doc(hidden)]
+    pub use crate::layout::{Described, field};
+}
 
 /// Version of every payload in this crate. A frame with another version is refused and counted.
 pub const SCHEMA_VERSION: u32 = 4;

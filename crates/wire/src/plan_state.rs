@@ -1,7 +1,9 @@
 //! What a forecast of the energy of a plan starts from, per robot.
 
 use crate::Quality;
-use crate::layout::{ZeroCopySend, bits, rows};
+use crate::declare::ZeroCopySend;
+use crate::layout::bits;
+use crate::rows;
 
 bits! {
     /// Bits of [`PlanState::flags`].
@@ -46,6 +48,7 @@ rows! {
         /// Number of times the robot's slot has been reassigned.
         pub generation: u32,
         /// [`crate::Sample::stamp_ns`] of the last accepted sample.
+        #[instant]
         pub stamp_ns: u64,
         /// The command in force, m/s.
         pub v_mps: f32,
@@ -154,6 +157,7 @@ rows! {
         /// Process id of the worker.
         pub pid: u32,
         /// As in [`crate::ForecastHeader::worker_epoch`].
+        #[run]
         pub worker_epoch: u64,
         /// As in [`crate::ForecastHeader::tick`].
         pub tick: u64,
@@ -166,8 +170,10 @@ rows! {
         /// Hash of each platform's model; 0 beyond the last platform, and beyond [`LISTED_MODELS`].
         pub models: [u64; LISTED_MODELS],
         /// When the tick began to compute, monotonic ns.
+        #[instant]
         pub compute_start_ns: u64,
         /// When the frame was sent, monotonic ns.
+        #[instant]
         pub sent_ns: u64,
         /// When the frame was sent, Unix ns: informative only.
         pub sent_unix_ns: u64,

@@ -10,7 +10,9 @@
 //! | [`QueryKind::Idle`] | ids of the robots |
 //! | [`QueryKind::Follow`] | ids of the robots; then for each point x in m, y in m, and the speed towards it in m/s |
 
-use crate::layout::{ZeroCopySend, bits, rows};
+use crate::declare::ZeroCopySend;
+use crate::layout::bits;
+use crate::rows;
 
 /// Most values of a question.
 pub const QUERY_VALUES: usize = 4_096;
@@ -81,8 +83,10 @@ rows! {
         /// Number that the answer repeats.
         pub number: u64,
         /// When it was asked, monotonic ns.
+        #[instant]
         pub asked_ns: u64,
         /// When the client stops waiting, monotonic ns: later the question is refused.
+        #[instant]
         pub deadline_ns: u64,
         /// Lower half of the id of the client's listener, which the answer wakes.
         pub listener_lo: u64,
@@ -124,24 +128,31 @@ rows! {
         /// The question's number.
         pub number: u64,
         /// Run of the worker that the state is of.
+        #[run]
         pub worker_epoch: u64,
         /// Tick of the plan states that the answer is computed from; 0 if it is refused.
         pub tick: u64,
         /// Period of the tick, ns.
         pub period_ns: u64,
         /// When that frame was sent, monotonic ns.
+        #[instant]
         pub sent_state_ns: u64,
         /// Run of the worker that the budgets are of.
+        #[run]
         pub budget_epoch: u64,
         /// Tick of the budgets; 0 without any.
         pub budget_tick: u64,
         /// When that frame was sent, monotonic ns.
+        #[instant]
         pub sent_budget_ns: u64,
         /// The time that the answer is as of, monotonic ns.
+        #[instant]
         pub now_ns: u64,
         /// When the worker took the question, monotonic ns.
+        #[instant]
         pub taken_ns: u64,
         /// When the answer was sent, monotonic ns.
+        #[instant]
         pub sent_ns: u64,
         /// Code of the [`QueryRefusal`]; 0 if the question is answered.
         pub refusal: u32,
@@ -350,10 +361,12 @@ rows! {
         /// Process id of the worker.
         pub pid: u32,
         /// When the worker began to answer, monotonic ns.
+        #[instant]
         pub begun_ns: u64,
         /// So far, those of this frame included.
         pub counts: QueryCounts,
         /// When the frame was sent, monotonic ns.
+        #[instant]
         pub sent_ns: u64,
     }
 }
@@ -362,6 +375,7 @@ rows! {
     /// One question and its answer in a frame of records. 256 bytes; its values and words follow.
     pub struct QueryRecord: "joulebus.QueryRecord.v1", 256 {
         /// When the worker began to answer, monotonic ns: the run that `number` counts in.
+        #[instant]
         pub begun_ns: u64,
         /// Number of the question, from 1, in the order of the answers.
         pub number: u64,

@@ -1,6 +1,7 @@
 //! Why a sample was not accepted, and why a robot has no forecast.
 
-use crate::layout::{ZeroCopySend, rows};
+use crate::declare::ZeroCopySend;
+use crate::rows;
 
 /// Why a sample was dropped. Sent = accepted + dropped, summed over all reasons.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,6 +1,8 @@
 //! Samples, published by fleet controllers and other sources.
 
-use crate::layout::{ZeroCopySend, bits, rows};
+use crate::declare::ZeroCopySend;
+use crate::layout::bits;
+use crate::rows;
 
 bits! {
     /// Bits of [`Sample::flags`]. A sample with any other bit is refused.
@@ -46,8 +48,10 @@ rows! {
         /// Number of this robot's sample within the source epoch; strictly increasing.
         pub seq: u64,
         /// When the command was issued, monotonic ns. Strictly increasing per robot.
+        #[instant]
         pub stamp_ns: u64,
         /// When the power was *measured*, monotonic ns; equal to the previous one for a held reading.
+        #[instant]
         pub measured_ns: u64,
         /// Linear velocity just commanded, after saturation, m/s.
         pub v_mps: f32,
@@ -182,6 +186,7 @@ rows! {
         pub source_id: u64,
         /// When this run of the source began, monotonic ns: a restart has a greater one, however the wall clock
         /// was set.
+        #[run]
         pub source_epoch: u64,
         /// Number of this frame within the epoch, from 0.
         pub frame_seq: u64,
@@ -189,8 +194,10 @@ rows! {
         pub samples_before: u64,
         /// Intended send time, monotonic ns. Latency is measured from here, so that a stalled source
         /// does not hide its own delay (coordinated omission).
+        #[instant]
         pub intended_ns: u64,
         /// When the frame was sent, monotonic ns.
+        #[instant]
         pub sent_ns: u64,
         /// When the frame was sent, Unix ns: informative only, never used for an interval.
         pub sent_unix_ns: u64,

@@ -1,7 +1,8 @@
 //! Keyframes: the worker's whole state at one tick, so that a recording can be recomputed from its
 //! middle.
 
-use crate::layout::{ZeroCopySend, rows};
+use crate::declare::ZeroCopySend;
+use crate::rows;
 
 rows! {
     /// Header of a piece of a keyframe. The payload is bytes.
@@ -16,6 +17,7 @@ rows! {
         /// Process id of the worker.
         pub pid: u32,
         /// As in [`crate::ForecastHeader::worker_epoch`].
+        #[run]
         pub worker_epoch: u64,
         /// The tick after which the state was taken; 0 before the first.
         pub tick: u64,
@@ -24,8 +26,10 @@ rows! {
         /// Offset of this piece in the keyframe.
         pub offset: u64,
         /// When the state was taken, monotonic ns.
+        #[instant]
         pub taken_ns: u64,
         /// When the piece was sent, monotonic ns.
+        #[instant]
         pub sent_ns: u64,
         /// When the piece was sent, Unix ns: informative only.
         pub sent_unix_ns: u64,
