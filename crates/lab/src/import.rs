@@ -18,6 +18,7 @@ use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 use serde::Serialize;
 
+use crate::judgement::{AcceptArguments, Judged};
 use crate::recordings::ColumnArguments;
 use bag::BagRead;
 use options::ImportArguments;
@@ -62,6 +63,8 @@ pub(crate) struct Args {
     options: ImportArguments,
     #[command(flatten)]
     columns: ColumnArguments,
+    #[command(flatten)]
+    accept: AcceptArguments,
     /// Id in a capture of the first robot without one; the others are numbered on [default: the
     /// lowest of the config]
     #[arg(long, value_name = "ID")]
@@ -83,6 +86,9 @@ struct Recording {
 #[derive(Debug, Serialize)]
 struct ImportReport {
     sources: Vec<Source>,
+    /// What is implausible, but no reason to stop.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    implausible: Vec<Judged>,
     /// Files written.
     written: Vec<Written>,
 }
@@ -107,7 +113,7 @@ struct Written {
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    let mapping = args.options.mapping()?;
+    let mapping = args.options.mapping(args.columns.current)?;
     let mut recordings = Vec::new();
     let mut sources = Vec::new();
     for file in &args.files {
@@ -119,11 +125,15 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
     let mut report = ImportReport {
         sources,
+        implausible: Vec::new(),
         written: Vec::new(),
     };
     if recordings.is_empty() {
         bail!("nothing could be used\n{}", report.to_string().trim_end());
     }
+    report.implausible = args
+        .accept
+        .judge(recordings.iter().map(|recording| &recording.trial))?;
     report.written = write(args, recordings)?;
     output.report(&report)?;
     let is_whole = report.sources.iter().all(|source| {
@@ -202,7 +212,7 @@ fn read_trials(
 ) -> anyhow::Result<Source> {
     let from_capture = is_capture(path);
     let trials = match from_capture {
-        true => Trial::read_robots(path)?,
+        true => Trial::read_mapped(path, map)?,
         false => vec![crate::trials::read_one(path, map)?],
     };
     let notes: Vec<String> = trials

@@ -24,15 +24,30 @@ pub(crate) struct Recordings {
 #[derive(Debug, Clone, Default, clap::Args)]
 pub(crate) struct ColumnArguments {
     /// Names of columns in CSV files, where they are not found by themselves:
-    /// time=timestamp_s,power=load_W (`data check --help` lists the accepted names)
+    /// time=timestamp_s,power=load_W (`data check --help` lists the accepted names); a minus turns the sign:
+    /// current_A=-i
     #[arg(long, value_name = "QUANTITY=COLUMN,…", value_delimiter = ',')]
     map: Vec<MappedColumn>,
+    /// Sign of the current, and of a power that has its sign [default: discharge-positive; of bags
+    /// discharge-negative, as in ROS]
+    #[arg(long, value_name = "SIGN")]
+    pub(crate) current: Option<Sign>,
+}
+
+/// Sign of the current.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Sign {
+    /// Negative while discharging
+    DischargeNegative,
+    /// Positive while discharging
+    DischargePositive,
 }
 
 impl ColumnArguments {
-    /// The names given.
+    /// How recordings are read: the names and the sign given.
     pub(crate) fn map(&self) -> ColumnMap {
-        self.map.clone().into()
+        let turned = self.current == Some(Sign::DischargeNegative);
+        ColumnMap::from(self.map.clone()).discharge_negative(turned)
     }
 }
 
