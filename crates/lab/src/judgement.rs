@@ -1,14 +1,15 @@
 //! Whether recordings are plausible, asked before they are used.
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
+use std::fmt::{self, Write as _};
 
 use anyhow::bail;
-use joulebus_dataset::inspect::{Implausible, Limits, judge};
+use joulebus_dataset::inspect::{Implausible, Limits, Range, judge};
 use joulebus_dataset::trial::Trial;
 use joulebus_eval::score::Recording;
 use joulebus_plausibility::{Kind, Quantity, Severity};
-use joulebus_program::output::say;
+use joulebus_program::output::{Output, say};
+use joulebus_settings::Platform;
 use serde::Serialize;
 
 /// Findings that the user lets through.
@@ -18,6 +19,9 @@ pub(crate) struct AcceptArguments {
     /// constant
     #[arg(long, value_name = "FINDING,…", value_delimiter = ',')]
     pub(crate) accept: Vec<Kind>,
+    /// The recordings were judged before.
+    #[arg(skip)]
+    settled: bool,
 }
 
 /// Implausible readings of one kind, in any number of recordings.
@@ -48,6 +52,14 @@ impl Judged {
 }
 
 impl AcceptArguments {
+    /// For recordings that were judged before: nothing is said again.
+    pub(crate) const fn settled() -> Self {
+        Self {
+            accept: Vec::new(),
+            settled: true,
+        }
+    }
+
     /// Shows what is implausible in trials, and refuses errors.
     ///
     /// # Errors
@@ -56,8 +68,18 @@ impl AcceptArguments {
         &self,
         trials: impl IntoIterator<Item = &'a Trial>,
     ) -> anyhow::Result<Vec<Judged>> {
-        let found = trials.into_iter().map(|trial| judge(trial, &Limits::default()));
-        self.settle(found)
+        self.judge_within(trials.into_iter().map(|trial| (Limits::default(), trial)))
+    }
+
+    /// The same, each with the limits of its platform.
+    ///
+    /// # Errors
+    /// As [`AcceptArguments::judge`].
+    pub(crate) fn judge_within<'a>(
+        &self,
+        trials: impl Iterator<Item = (Limits, &'a Trial)>,
+    ) -> anyhow::Result<Vec<Judged>> {
+        self.settle(trials.map(|(limits, trial)| judge(trial, &limits)))
     }
 
     /// The same of recordings, which were judged when they were opened.
@@ -73,17 +95,27 @@ impl AcceptArguments {
     }
 
     fn settle(&self, found: impl Iterator<Item = Vec<Implausible>>) -> anyhow::Result<Vec<Judged>> {
+        if self.settled {
+            return Ok(Vec::new());
+        }
         let judged = self.gather(found);
         let (errors, others): (Vec<_>, Vec<_>) = judged.into_iter().partition(Judged::is_error);
         for finding in &others {
-            let word = if finding.accepted { "accepted" } else { "warning" };
+            let word = if finding.accepted {
+                "accepted"
+            } else {
+                "warning"
+            };
             say(&format!("{word}: {}", finding.line()));
         }
         if errors.is_empty() {
             return Ok(others);
         }
         let lines: Vec<String> = errors.iter().map(Judged::line).collect();
-        bail!("implausible readings: nothing was done\n  {}", lines.join("\n  "))
+        bail!(
+            "implausible readings: nothing was done\n  {}",
+            lines.join("\n  ")
+        )
     }
 
     /// One line of each kind and quantity, errors first.
@@ -102,5 +134,50 @@ impl AcceptArguments {
             entry.recordings += 1;
         }
         judged.into_values().collect()
+    }
+}
+
+/// The limits of a platform's readings and commands.
+pub(crate) fn limits(platform: &Platform) -> Limits {
+    Limits {
+        v_mps: Range::within(f64::from(platform.v_max_mps)),
+        omega_radps: Range::within(f64::from(platform.omega_max_radps)),
+        power_w: Range {
+            least: f64::from(platform.power_min_w),
+            greatest: f64::from(platform.power_max_w),
+        },
+        ..Limits::default()
+    }
+}
+
+/// A report, and what is implausible in its recordings.
+#[derive(Serialize)]
+struct WithJudged<'a, R> {
+    #[serde(flatten)]
+    report: &'a R,
+    implausible: Vec<Judged>,
+}
+
+impl<R: fmt::Display> fmt::Display for WithJudged<'_, R> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.report.fmt(out)
+    }
+}
+
+/// Writes a report: in JSON with what is implausible, if anything is.
+///
+/// # Errors
+/// As [`Output::report`].
+pub(crate) fn report<R: Serialize + fmt::Display>(
+    output: Output,
+    report: &R,
+    implausible: Vec<Judged>,
+) -> anyhow::Result<()> {
+    match implausible.is_empty() {
+        true => output.report(report),
+        false => output.report(&WithJudged {
+            report,
+            implausible,
+        }),
     }
 }

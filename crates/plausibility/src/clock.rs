@@ -122,7 +122,10 @@ impl Stamps {
             self.backward += u64::from(stamp_s < latest_s);
             self.back_s = self.back_s.max(latest_s - stamp_s);
         }
-        self.latest_s = Some(self.latest_s.map_or(stamp_s, |latest_s| latest_s.max(stamp_s)));
+        self.latest_s = Some(
+            self.latest_s
+                .map_or(stamp_s, |latest_s| latest_s.max(stamp_s)),
+        );
         let offset_s = log_s - stamp_s;
         if self.first.len() < KEPT {
             self.first.push(offset_s);

@@ -87,7 +87,8 @@ impl Column {
         self.count += 1;
         self.zero += u64::from(value == 0.0);
         self.negative += u64::from(value < 0.0);
-        let is_outside = range.is_some_and(|(least, greatest)| !(least <= value && value <= greatest));
+        let is_outside =
+            range.is_some_and(|(least, greatest)| !(least <= value && value <= greatest));
         self.outside += u64::from(is_outside);
         self.sizes.add(value);
         if value > self.greatest {
@@ -123,5 +124,4 @@ impl Column {
     pub(crate) fn is_zero(&self) -> bool {
         self.count > 0 && self.zero == self.count
     }
-
 }

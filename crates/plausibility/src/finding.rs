@@ -151,22 +151,25 @@ impl Finding {
                 "turn the sign with --current discharge-negative".to_owned()
             }
             (Remedy::Turn, Source::Bag) => {
-                "state the other sign with --current discharge-positive or discharge-negative".to_owned()
+                "state the other sign with --current discharge-positive or discharge-negative"
+                    .to_owned()
             }
             (Remedy::Turn, Source::Bridge) => format!(
                 "turn the sign: negate = true in the field `{quantity}`, or current = \"discharge-positive\" of the battery"
             ),
             (Remedy::Turn, Source::Program) => format!("publish {quantity} with the other sign"),
-            (Remedy::State(unit), Source::Recording) => format!(
-                "state the unit, --map {quantity}_{unit}={column}, or correct the file"
-            ),
+            (Remedy::State(unit), Source::Recording) => {
+                format!("state the unit, --map {quantity}_{unit}={column}, or correct the file")
+            }
             (Remedy::State(_), Source::Bag) => {
                 format!("state the unit in a mapping file, such as {quantity}_unit = 0.001")
             }
             (Remedy::State(unit), Source::Bridge) => {
                 format!("state the unit in the field: {quantity} = {{ at = …, unit = \"{unit}\" }}")
             }
-            (Remedy::State(unit), Source::Program) => format!("{quantity} is expected in SI units, not in {unit}"),
+            (Remedy::State(unit), Source::Program) => {
+                format!("{quantity} is expected in SI units, not in {unit}")
+            }
             (Remedy::Seconds, _) => {
                 format!("state the unit of the time, such as --map time_ms={column}")
             }
@@ -174,15 +177,23 @@ impl Finding {
             (Remedy::Clock, _) => "record times that advance with every row".to_owned(),
             (Remedy::Expire, Source::Bridge) => "set command_holds_s".to_owned(),
             (Remedy::Expire, Source::Bag) => "set command_holds_s in a mapping file".to_owned(),
-            (Remedy::Expire, _) => "record what the robot executes, 0 where it stopped by itself".to_owned(),
-            (Remedy::Name, Source::Recording) => format!("name its column with --map {quantity}=COLUMN"),
+            (Remedy::Expire, _) => {
+                "record what the robot executes, 0 where it stopped by itself".to_owned()
+            }
+            (Remedy::Name, Source::Recording) => {
+                format!("name its column with --map {quantity}=COLUMN")
+            }
             (Remedy::Name, Source::Bag) => "name its topic in a mapping file".to_owned(),
-            (Remedy::Name, Source::Bridge) => "correct its topic or `at` in the bridge's file".to_owned(),
+            (Remedy::Name, Source::Bridge) => {
+                "correct its topic or `at` in the bridge's file".to_owned()
+            }
             (Remedy::Name, Source::Program) => format!("publish {quantity}"),
             (Remedy::Sensor, _) => "check the sensor and its driver".to_owned(),
         };
         match source {
-            Source::Recording | Source::Bag => format!("{remedy}; if it is right, --accept {accept}"),
+            Source::Recording | Source::Bag => {
+                format!("{remedy}; if it is right, --accept {accept}")
+            }
             Source::Bridge => format!("{remedy}; if it is right, accept = [\"{accept}\"]"),
             Source::Program => remedy,
         }

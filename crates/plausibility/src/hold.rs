@@ -34,7 +34,8 @@ pub(crate) struct Held {
 
 impl Hold {
     pub(crate) fn take(&mut self, seen: &Observation) {
-        let commands = seen.v_mps.abs() >= COMMANDED_MPS || seen.omega_radps.abs() >= COMMANDED_RADPS;
+        let commands =
+            seen.v_mps.abs() >= COMMANDED_MPS || seen.omega_radps.abs() >= COMMANDED_RADPS;
         let moves = seen.v_measured_mps.abs() > AT_REST_MPS
             || seen.omega_measured_radps.abs() > AT_REST_RADPS;
         let rests = seen.v_measured_mps.abs() <= AT_REST_MPS

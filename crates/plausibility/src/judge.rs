@@ -199,7 +199,9 @@ impl Judge {
                 quantity: Some(Quantity::Current),
                 severity: Severity::Warning,
                 readings,
-                found: format!("the current has another sign than power in {readings} of {of} readings"),
+                found: format!(
+                    "the current has another sign than power in {readings} of {of} readings"
+                ),
                 allowed: "both are positive while the battery discharges".to_owned(),
                 remedy: Remedy::Turn,
             });
@@ -232,11 +234,19 @@ impl Judge {
         let mut found = Vec::new();
         let (least_hz, greatest_hz) = RATE_HZ;
         let rate_hz = times.rate_hz().filter(|_| times.rows >= MIN_ROWS);
-        if let Some(rate_hz) = rate_hz.filter(|rate_hz| !(least_hz..=greatest_hz).contains(rate_hz)) {
+        if let Some(rate_hz) = rate_hz.filter(|rate_hz| !(least_hz..=greatest_hz).contains(rate_hz))
+        {
             let what = format!("{} rows a second: is the time in seconds?", number(rate_hz));
             let allowed = format!("allowed are {least_hz} to {greatest_hz}");
             let (kind, severity) = (Kind::Unit, Severity::Error);
-            found.push(finding(kind, severity, times.rows, what, allowed, Remedy::Seconds));
+            found.push(finding(
+                kind,
+                severity,
+                times.rows,
+                what,
+                allowed,
+                Remedy::Seconds,
+            ));
         }
         let lost = times.repeated + times.backward;
         let allowed = "every row is later than the one before".to_owned();
@@ -246,13 +256,23 @@ impl Judge {
                 (false, true) => ": the clock was set back, or two recordings are mixed",
                 (false, false) => ": the clock stands still",
             };
-            let what = format!("{lost} of {} rows are not later than those before{why}", times.rows);
+            let what = format!(
+                "{lost} of {} rows are not later than those before{why}",
+                times.rows
+            );
             let (kind, severity) = (Kind::Clock, Severity::Error);
             found.push(finding(kind, severity, lost, what, allowed, Remedy::Clock));
         } else if times.back_s > 1.0 {
             let what = format!("the time goes back by up to {} s", number(times.back_s));
             let (kind, severity) = (Kind::Clock, Severity::Warning);
-            found.push(finding(kind, severity, times.backward, what, allowed, Remedy::Clock));
+            found.push(finding(
+                kind,
+                severity,
+                times.backward,
+                what,
+                allowed,
+                Remedy::Clock,
+            ));
         }
         found
     }
@@ -284,7 +304,11 @@ impl Judge {
             quantity: Some(quantity),
             severity: Severity::Warning,
             readings: self.times.rows,
-            found: format!("{} never came in {} observations", quantity.name(), self.times.rows),
+            found: format!(
+                "{} never came in {} observations",
+                quantity.name(),
+                self.times.rows
+            ),
             allowed: "the source names it".to_owned(),
             remedy: Remedy::Name,
         })
@@ -300,7 +324,11 @@ impl Judge {
         Some(Finding {
             kind: Kind::Range,
             quantity: Some(quantity),
-            severity: if is_wrong { Severity::Error } else { Severity::Warning },
+            severity: if is_wrong {
+                Severity::Error
+            } else {
+                Severity::Warning
+            },
             readings: column.outside,
             found: format!(
                 "{} of {} values of {} are out of range: {} to {}",
@@ -310,14 +338,21 @@ impl Judge {
                 number(column.least),
                 quantity.shown(column.greatest)
             ),
-            allowed: format!("allowed are {} to {}", number(least), quantity.shown(greatest)),
+            allowed: format!(
+                "allowed are {} to {}",
+                number(least),
+                quantity.shown(greatest)
+            ),
             remedy: Remedy::Sensor,
         })
     }
 
     fn constant(&self, quantity: Quantity, column: &Column) -> Option<Finding> {
         let power = &self.columns[Quantity::Power as usize];
-        let is_measured = matches!(quantity, Quantity::Power | Quantity::Voltage | Quantity::Current);
+        let is_measured = matches!(
+            quantity,
+            Quantity::Power | Quantity::Voltage | Quantity::Current
+        );
         if !is_measured || column.varies {
             return None;
         }
@@ -347,7 +382,10 @@ impl Judge {
 }
 
 fn saturation(quantity: Quantity, column: &Column) -> Option<Finding> {
-    let is_measured = matches!(quantity, Quantity::Power | Quantity::Voltage | Quantity::Current);
+    let is_measured = matches!(
+        quantity,
+        Quantity::Power | Quantity::Voltage | Quantity::Current
+    );
     let finding = |readings, found| Finding {
         kind: Kind::Saturation,
         quantity: Some(quantity),

@@ -90,7 +90,9 @@ mod tests {
     fn readings_beside_a_continuum_are_no_step_of_it() {
         let mut state = 7_u64;
         let mut uniform = || {
-            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
             (state >> 11) as f64 / (1_u64 << 53) as f64
         };
         let mut normal = || (0..12).map(|_| uniform()).sum::<f64>() - 6.0;
@@ -99,7 +101,9 @@ mod tests {
                 let factor = 10f64.powi(decimals);
                 let mut values = vec![first];
                 values.extend((0..3_000).map(|_| mean + std * normal()));
-                values.iter_mut().for_each(|x| *x = (*x * factor).round() / factor);
+                values
+                    .iter_mut()
+                    .for_each(|x| *x = (*x * factor).round() / factor);
                 values.sort_unstable_by(f64::total_cmp);
                 let found = resolution(&values);
                 let span = values[values.len() - 1] - values[0];

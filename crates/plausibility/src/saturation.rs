@@ -46,7 +46,9 @@ fn is_round(step: f64, near: f64) -> bool {
     }
     let mantissa = step / 10f64.powf(step.log10().floor());
     let near_to = |round: f64| (mantissa / round - 1.0).abs() <= near;
-    ROUND.iter().any(|round| near_to(*round) || near_to(round * 10.0))
+    ROUND
+        .iter()
+        .any(|round| near_to(*round) || near_to(round * 10.0))
 }
 
 /// Readings at a full register: their number, and the value.
@@ -54,7 +56,10 @@ pub(crate) fn saturated(column: &Column) -> Option<(u64, f64)> {
     if !column.varies {
         return None;
     }
-    let ends = [(column.at_greatest, column.greatest), (column.at_least, column.least)];
+    let ends = [
+        (column.at_greatest, column.greatest),
+        (column.at_least, column.least),
+    ];
     let found = ends.into_iter().find(|(end, value)| {
         end.count >= MIN_AT_END && end.longest >= MIN_RUN && full(*value).is_some()
     });
@@ -71,13 +76,18 @@ pub(crate) fn wraps(column: &Column) -> Option<(u64, f64)> {
         .filter(|size| *size > WRAP_STEPS * usual)
         .collect();
     // The largest steps all fit: more of them are the rule, not dips.
-    if large.len() < MIN_WRAPS || large.len() == steps.len() && steps.len() as u64 * 10 > column.count
+    if large.len() < MIN_WRAPS
+        || large.len() == steps.len() && steps.len() as u64 * 10 > column.count
     {
         return None;
     }
     let mean = large.iter().sum::<f64>() / large.len() as f64;
-    let alike = large.iter().all(|size| (size - mean).abs() <= 6.0 * usual + 1e-3 * mean);
-    let dips = steps.iter().filter(|step| step.abs() > WRAP_STEPS * usual && **step < 0.0);
+    let alike = large
+        .iter()
+        .all(|size| (size - mean).abs() <= 6.0 * usual + 1e-3 * mean);
+    let dips = steps
+        .iter()
+        .filter(|step| step.abs() > WRAP_STEPS * usual && **step < 0.0);
     let is_rare = large.len() as f64 <= 2.0 * MAX_DIPPED * column.count as f64;
     let falls = dips.count();
     let is_paired = falls.abs_diff(large.len() - falls) <= 1;

@@ -146,9 +146,11 @@ impl Sign {
         if let Some((voltage_v, before)) = self.before
             && load != before
         {
-            self.resistance.take(load - before, seen.voltage_v - voltage_v);
+            self.resistance
+                .take(load - before, seen.voltage_v - voltage_v);
         }
-        self.before = (seen.voltage_v.is_finite() && load.is_finite()).then_some((seen.voltage_v, load));
+        self.before =
+            (seen.voltage_v.is_finite() && load.is_finite()).then_some((seen.voltage_v, load));
         if seen.charging == Some(true) {
             return;
         }
@@ -195,7 +197,11 @@ impl Sign {
             None if severity == Severity::Error => {
                 wrong(severity, signs, "and nothing shows that it is on a charger")
             }
-            None => wrong(severity, signs, "while the robot stands, and nothing shows a charger"),
+            None => wrong(
+                severity,
+                signs,
+                "while the robot stands, and nothing shows a charger",
+            ),
         }
     }
 

@@ -41,7 +41,13 @@ impl Magnitudes<'_> {
         sizes.usual().filter(|_| sizes.count() >= MIN_VALUES)
     }
 
-    fn finding(&self, quantity: Quantity, found: String, allowed: String, unit: &'static str) -> Finding {
+    fn finding(
+        &self,
+        quantity: Quantity,
+        found: String,
+        allowed: String,
+        unit: &'static str,
+    ) -> Finding {
         Finding {
             kind: Kind::Unit,
             quantity: Some(quantity),
@@ -67,14 +73,19 @@ impl Magnitudes<'_> {
 
     /// Columns without a unit: read as they are, or a thousandfold.
     fn unstated(&self) -> Vec<Finding> {
-        let is_unstated = |quantity: Quantity| {
-            self.unstated[quantity as usize] && self.usual(quantity).is_some()
-        };
+        let is_unstated =
+            |quantity: Quantity| self.unstated[quantity as usize] && self.usual(quantity).is_some();
         let asked = [Quantity::Voltage, Quantity::Current].map(is_unstated);
         if asked == [false, false] {
             return Vec::new();
         }
-        let scales = |asked: bool| if asked { &[1.0, THOUSAND][..] } else { &[1.0][..] };
+        let scales = |asked: bool| {
+            if asked {
+                &[1.0, THOUSAND][..]
+            } else {
+                &[1.0][..]
+            }
+        };
         let mut fitting = Vec::new();
         for voltage in scales(asked[0]) {
             for current in scales(asked[1]) {
@@ -163,11 +174,22 @@ impl Magnitudes<'_> {
                 quantity.shown(usual),
                 quantity.shown(other)
             );
-            let allowed = format!("usual are {} to {}", quantity.shown(least), quantity.shown(greatest));
-            let unit = if usual < least { quantity.unit() } else { smaller };
+            let allowed = format!(
+                "usual are {} to {}",
+                quantity.shown(least),
+                quantity.shown(greatest)
+            );
+            let unit = if usual < least {
+                quantity.unit()
+            } else {
+                smaller
+            };
             found.push(self.finding(quantity, what, allowed, unit));
         }
-        let driving = self.driving.usual().filter(|_| self.driving.count() >= MIN_VALUES);
+        let driving = self
+            .driving
+            .usual()
+            .filter(|_| self.driving.count() >= MIN_VALUES);
         if found.is_empty()
             && let Some(driving_w) = driving.filter(|driving_w| *driving_w < DRIVING_W)
         {
@@ -176,7 +198,10 @@ impl Magnitudes<'_> {
                 Quantity::Power.shown(driving_w),
                 Quantity::Power.shown(driving_w * THOUSAND)
             );
-            let allowed = format!("a robot that drives takes {} or more", Quantity::Power.shown(DRIVING_W));
+            let allowed = format!(
+                "a robot that drives takes {} or more",
+                Quantity::Power.shown(DRIVING_W)
+            );
             found.push(self.finding(Quantity::Power, what, allowed, "W"));
         }
         found
@@ -184,7 +209,10 @@ impl Magnitudes<'_> {
 
     /// Power that differs from voltage times current by thousands.
     fn product(&self) -> Option<Finding> {
-        let ratio = self.ratios.usual().filter(|_| self.ratios.count() >= MIN_VALUES)?;
+        let ratio = self
+            .ratios
+            .usual()
+            .filter(|_| self.ratios.count() >= MIN_VALUES)?;
         let thousands = (ratio.log10() / 3.0).round();
         if thousands == 0.0 || !thousands.is_finite() {
             return None;

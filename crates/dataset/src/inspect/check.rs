@@ -11,8 +11,8 @@ use sha2::{Digest as _, Sha256};
 use super::constant::only_value;
 use super::finding::{Finding, FindingKind, Place};
 use super::hold::runs;
-use super::limits::Limits;
 use super::judge::judge;
+use super::limits::Limits;
 use super::units::power_check;
 use crate::trial::{Column, ColumnMap, Trial};
 

@@ -59,7 +59,12 @@ fn implausible(trial: &Trial, finding: Finding) -> Implausible {
         let judged = JUDGED.iter().find(|(of, _)| *of == quantity);
         judged.map(|(_, column)| *column)
     });
-    let source = |column| trial.sources().iter().find(|source| source.column == column);
+    let source = |column| {
+        trial
+            .sources()
+            .iter()
+            .find(|source| source.column == column)
+    };
     let name = column.map(|column| {
         source(column).map_or_else(|| column.name().to_owned(), |source| source.name.clone())
     });
@@ -83,7 +88,10 @@ fn known(trial: &Trial, limits: &Limits) -> Known {
         if let Some(range) = limits.range(column) {
             known = known.within(quantity, range.least, range.greatest);
         }
-        let source = trial.sources().iter().find(|source| source.column == column);
+        let source = trial
+            .sources()
+            .iter()
+            .find(|source| source.column == column);
         if source.is_some_and(|source| !source.states_unit) {
             known = known.unstated(quantity);
         }

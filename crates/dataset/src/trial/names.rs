@@ -347,7 +347,9 @@ impl ColumnMap {
 
     /// Whether the caller names the column of a quantity.
     pub(super) fn maps(&self, quantity: Quantity) -> bool {
-        self.columns.iter().any(|column| column.quantity == quantity)
+        self.columns
+            .iter()
+            .any(|column| column.quantity == quantity)
     }
 
     /// The mapped columns: `(quantity, name in the file)`.

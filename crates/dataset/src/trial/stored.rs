@@ -38,7 +38,8 @@ impl Stored {
         }
         let listing = Arc::new(archive::open(path)?);
         let trials = 0..listing.trials.len();
-        let each = trials.map(|number| stored(Place::Listed(Arc::clone(&listing), number, map.turns())));
+        let each =
+            trials.map(|number| stored(Place::Listed(Arc::clone(&listing), number, map.turns())));
         Ok(each.collect())
     }
 

@@ -256,12 +256,19 @@ impl Table {
         let [power, current] = [Column::Power, Column::Current].map(|column| self.column(column));
         let agrees = match (power, current) {
             (Some(power), Some(current)) => {
-                let products = power.iter().zip(current).map(|(power, current)| power * current);
+                let products = power
+                    .iter()
+                    .zip(current)
+                    .map(|(power, current)| power * current);
                 products.filter(|product| !product.is_nan()).sum::<f64>() >= 0.0
             }
             _ => true,
         };
-        let turned = if agrees { &[Column::Power, Column::Current][..] } else { &[Column::Current] };
+        let turned = if agrees {
+            &[Column::Power, Column::Current][..]
+        } else {
+            &[Column::Current]
+        };
         for column in turned {
             for value in self.columns[*column as usize].iter_mut().flatten() {
                 // 0 stays 0, and NaN keeps its bits.

@@ -2,13 +2,13 @@
 
 use std::fmt;
 
-use joulebus_dataset::inspect::{Check, Finding, Limits, Range, check_files};
+use joulebus_dataset::inspect::{Check, Finding, Limits, check_files};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-use crate::judgement::AcceptArguments;
+use crate::judgement::{AcceptArguments, limits};
 use crate::recordings::Recordings;
 use joulebus_program::platform::platform;
 
@@ -72,16 +72,7 @@ impl Args {
             return Ok(Limits::default());
         };
         let config = self.config.load()?;
-        let platform = platform(config.settings(), name)?;
-        Ok(Limits {
-            v_mps: Range::within(f64::from(platform.v_max_mps)),
-            omega_radps: Range::within(f64::from(platform.omega_max_radps)),
-            power_w: Range {
-                least: f64::from(platform.power_min_w),
-                greatest: f64::from(platform.power_max_w),
-            },
-            ..Limits::default()
-        })
+        Ok(limits(platform(config.settings(), name)?))
     }
 }
 

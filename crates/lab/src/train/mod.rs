@@ -103,7 +103,7 @@ fn simulated(sim: &Sim, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Trains on recordings by the default recipe; returns false if the run was interrupted. `full`:
+/// Trains on recordings that were judged before, by the default recipe; returns false if the run was interrupted. `full`:
 /// velocities are recorded. Few files are split in time, since there is no trial to hold out.
 ///
 /// # Errors
