@@ -3,7 +3,33 @@
 use crate::sizes::Sizes;
 
 /// Largest steps between consecutive values that are kept.
-const LARGEST: usize = 32;
+pub(crate) const LARGEST: usize = 24;
+/// Share of a step by which the way back may differ.
+const BACK: f64 = 0.25;
+
+/// The numbers of greatest size, with their signs, in descending size.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Largest([f64; LARGEST]);
+
+impl Largest {
+    const NONE: Self = Self([0.0; LARGEST]);
+
+    fn add(&mut self, number: f64) {
+        let kept = &mut self.0;
+        let size = number.abs();
+        if size.is_nan() || size <= kept[LARGEST - 1].abs() {
+            return;
+        }
+        let place = kept.partition_point(|larger| larger.abs() >= size);
+        kept.copy_within(place..LARGEST - 1, place + 1);
+        kept[place] = number;
+    }
+
+    /// All of them.
+    pub(crate) fn numbers(&self) -> &[f64] {
+        &self.0[..self.0.partition_point(|number| *number != 0.0)]
+    }
+}
 
 /// Values of one quantity of one robot.
 #[derive(Debug, Clone)]
@@ -22,8 +48,12 @@ pub(crate) struct Column {
     pub(crate) steps: Sizes,
     pub(crate) at_greatest: End,
     pub(crate) at_least: End,
-    /// The largest steps, with their signs, in descending size.
-    largest: [f64; LARGEST],
+    /// The largest steps.
+    pub(crate) largest_steps: Largest,
+    /// The largest steps down of those that come back with the next value.
+    pub(crate) largest_dips: Largest,
+    /// The step before.
+    step: f64,
 }
 
 /// Values equal to an end of the range.
@@ -69,7 +99,9 @@ impl Column {
                 run: 0,
                 longest: 0,
             },
-            largest: [0.0; LARGEST],
+            largest_steps: Largest::NONE,
+            largest_dips: Largest::NONE,
+            step: 0.0,
         }
     }
 
@@ -106,19 +138,12 @@ impl Column {
 
     fn step(&mut self, step: f64) {
         self.steps.add(step);
-        let size = step.abs();
-        if size <= self.largest[LARGEST - 1].abs() {
-            return;
+        self.largest_steps.add(step);
+        let comes_back = (self.step + step).abs() <= BACK * step.abs();
+        if comes_back && step > 0.0 {
+            self.largest_dips.add(self.step);
         }
-        let place = self.largest.partition_point(|larger| larger.abs() >= size);
-        self.largest.copy_within(place..LARGEST - 1, place + 1);
-        self.largest[place] = step;
-    }
-
-    /// The largest steps, in descending size, without zeros.
-    pub(crate) fn largest_steps(&self) -> &[f64] {
-        let count = self.largest.partition_point(|step| *step != 0.0);
-        &self.largest[..count]
+        self.step = step;
     }
 
     pub(crate) fn is_zero(&self) -> bool {

@@ -39,7 +39,8 @@ impl Hold {
         let moves = seen.v_measured_mps.abs() > AT_REST_MPS
             || seen.omega_measured_radps.abs() > AT_REST_RADPS;
         let rests = seen.v_measured_mps.abs() <= AT_REST_MPS
-            && !(seen.omega_measured_radps.abs() > AT_REST_RADPS);
+            && (seen.omega_measured_radps.is_nan()
+                || seen.omega_measured_radps.abs() <= AT_REST_RADPS);
         self.motion += u64::from(commands && moves);
         // By bits: an unknown part equals itself.
         let command = [seen.v_mps, seen.omega_radps].map(f64::to_bits);

@@ -114,6 +114,8 @@ pub struct Judge {
     times: Times,
     columns: [Column; 6],
     ratios: Sizes,
+    /// Power over current where no voltage is known, V.
+    implied: Sizes,
     driving: Sizes,
     sign: Sign,
     hold: Hold,
@@ -128,6 +130,7 @@ impl Judge {
             times: Times::new(),
             columns: [const { Column::new() }; 6],
             ratios: Sizes::new(),
+            implied: Sizes::new(),
             driving: Sizes::new(),
             sign: Sign::default(),
             hold: Hold::default(),
@@ -143,6 +146,9 @@ impl Judge {
         }
         self.ratios
             .add(seen.power_w / (seen.voltage_v * seen.current_a));
+        if seen.voltage_v.is_nan() {
+            self.implied.add(seen.power_w / seen.current_a);
+        }
         if seen.v_mps.abs() >= DRIVES_MPS || seen.v_measured_mps.abs() >= DRIVES_MPS {
             self.driving.add(seen.power_w);
         }
@@ -163,6 +169,7 @@ impl Judge {
         let magnitudes = Magnitudes {
             columns: &self.columns,
             ratios: &self.ratios,
+            implied: &self.implied,
             driving: &self.driving,
             unstated: &self.known.unstated,
         };
@@ -172,7 +179,11 @@ impl Judge {
         for quantity in Quantity::ALL {
             let column = &self.columns[quantity as usize];
             found.extend(self.missing(quantity, column));
-            found.extend(self.range(quantity, column));
+            // Values in another unit or with the other sign are out of range as well.
+            let is_explained = found.iter().any(|one| one.quantity == Some(quantity));
+            if !is_explained {
+                found.extend(self.range(quantity, column));
+            }
             found.extend(saturation(quantity, column));
             found.extend(self.constant(quantity, column));
         }

@@ -45,7 +45,7 @@ fn grid(values: &[f64], step: f64) -> Option<f64> {
         if steps >= 1.0 {
             let refined = (value - start) / steps;
             // A step that moves follows a continuum.
-            if !((refined / step - 1.0).abs() <= NEAR_GRID) {
+            if (refined / step - 1.0).abs() > NEAR_GRID {
                 return None;
             }
             exact = refined;

@@ -1,6 +1,6 @@
 //! Sensors at the end of their range, and registers that wrap.
 
-use crate::column::Column;
+use crate::column::{Column, LARGEST};
 
 /// Readings at the end of the range before it counts.
 const MIN_AT_END: u64 = 5;
@@ -12,14 +12,14 @@ const EXACT: f64 = 2e-6;
 const FULL: [f64; 2] = [32_767.0, 65_535.0];
 /// Steps of usual monitors, as mantissas.
 const ROUND: [f64; 7] = [1.0, 1.25, 2.0, 2.5, 4.0, 5.0, 8.0];
-/// Steps of a register's size before it counts: two dips.
-const MIN_WRAPS: usize = 4;
+/// Dips before they count.
+const MIN_WRAPS: usize = 3;
 /// A wrap is larger than so many usual steps.
 const WRAP_STEPS: f64 = 50.0;
+/// And than this share of the usual reading.
+const WRAP_SHARE: f64 = 0.5;
 /// Relative difference of the mean wrap from 2^16 steps.
 const WRAP_EXACT: f64 = 5e-3;
-/// Share of readings in dips; more is a load that is switched.
-const MAX_DIPPED: f64 = 0.1;
 
 /// The size of a monitor's step if `end` is a full register of it.
 fn full(end: f64) -> Option<f64> {
@@ -66,31 +66,47 @@ pub(crate) fn saturated(column: &Column) -> Option<(u64, f64)> {
     found.map(|(end, value)| (end.count, value))
 }
 
-/// Steps by 2^16 of a monitor's steps: their number, and their size.
+/// Dips by 2^16 of a monitor's steps: how many were seen, and their size.
+///
+/// A load that is switched has equal steps as well, and a robot that brakes feeds energy back. So the
+/// dips have to end below 0, and only they; or the values fill a signed register from end to end.
 pub(crate) fn wraps(column: &Column) -> Option<(u64, f64)> {
-    let usual = column.steps.usual()?;
-    let steps = column.largest_steps();
-    let large: Vec<f64> = steps
-        .iter()
-        .map(|step| step.abs())
-        .filter(|size| *size > WRAP_STEPS * usual)
-        .collect();
-    // The largest steps all fit: more of them are the rule, not dips.
-    if large.len() < MIN_WRAPS
-        || large.len() == steps.len() && steps.len() as u64 * 10 > column.count
-    {
+    if !(column.least < 0.0 && column.greatest > 0.0) {
         return None;
     }
-    let mean = large.iter().sum::<f64>() / large.len() as f64;
-    let alike = large
-        .iter()
-        .all(|size| (size - mean).abs() <= 6.0 * usual + 1e-3 * mean);
-    let dips = steps
-        .iter()
-        .filter(|step| step.abs() > WRAP_STEPS * usual && **step < 0.0);
-    let is_rare = large.len() as f64 <= 2.0 * MAX_DIPPED * column.count as f64;
-    let falls = dips.count();
-    let is_paired = falls.abs_diff(large.len() - falls) <= 1;
-    (alike && is_rare && is_paired && is_round(mean / 65_536.0, WRAP_EXACT))
-        .then_some((falls.max(1) as u64, mean))
+    let dips = column.largest_dips.numbers();
+    let steps = column.largest_steps.numbers();
+    let only_dips = |(count, _): &(u64, f64)| {
+        let all_kept = *count < LARGEST as u64;
+        let most = if all_kept {
+            count + count / 4
+        } else {
+            column.count / 10
+        };
+        column.negative <= most
+    };
+    wrap(column, dips).filter(only_dips).or_else(|| {
+        let (steps, size) = wrap(column, steps)?;
+        let ends = [column.greatest, -column.least];
+        let fills = ends
+            .iter()
+            .all(|end| (0.94..=1.0).contains(&(2.0 * end / size)));
+        fills.then_some((steps.div_ceil(2), size))
+    })
+}
+
+/// The steps that are far larger than all others, if they have the size of a register.
+fn wrap(column: &Column, steps: &[f64]) -> Option<(u64, f64)> {
+    let usual = column.steps.usual()?;
+    let largest = steps.first()?.abs();
+    let count = steps.partition_point(|step| step.abs() >= 0.5 * largest);
+    let is_large = largest >= WRAP_STEPS * usual && largest >= WRAP_SHARE * column.sizes.usual()?;
+    if count < MIN_WRAPS || !is_large {
+        return None;
+    }
+    let wraps = &steps[..count];
+    let mean = wraps.iter().map(|step| step.abs()).sum::<f64>() / count as f64;
+    let is_alike = |step: &f64| (step.abs() - mean).abs() <= 8.0 * usual + 1e-3 * mean;
+    (wraps.iter().all(is_alike) && is_round(mean / 65_536.0, WRAP_EXACT))
+        .then_some((count as u64, mean))
 }

@@ -11,6 +11,10 @@ use crate::finding::Severity;
 
 /// Readings of a state of motion before they count.
 const MIN_READINGS: u64 = 20;
+/// Readings of driving that tell it from standing on a charger.
+const FEW_READINGS: u64 = 3;
+/// Time that shows more than braking, s.
+const MIN_DRIVE_S: f64 = 3.0;
 /// Share of negative readings that contradicts driving.
 const NEGATIVE: f64 = 0.9;
 /// Speeds from which a robot moves, m/s and rad/s.
@@ -103,6 +107,7 @@ pub(crate) struct Sign {
     resistance: Line,
     /// Voltage over time.
     trend: Line,
+    began: bool,
     first_s: f64,
     last_s: f64,
     before: Option<(f64, f64)>,
@@ -132,8 +137,8 @@ impl Sign {
             let first = self.soc.map_or(soc, |(first, _)| first);
             self.soc = Some((first, soc));
         }
-        if self.trend.count == 0 {
-            self.first_s = seen.time_s;
+        if !self.began {
+            (self.began, self.first_s) = (true, seen.time_s);
         }
         self.last_s = seen.time_s;
         // Relative to the first time: squares of Unix seconds lose the rest.
@@ -179,12 +184,18 @@ impl Sign {
             // Electronics never feed back: a robot that consumes at rest is one that drives downhill.
             let consumes_at_rest =
                 self.still.count() >= MIN_READINGS && self.still.negative_share() < 0.5;
-            if self.moving.is_negative() && !consumes_at_rest {
+            // A short stretch may be all braking.
+            let is_long = self.last_s - self.first_s >= MIN_DRIVE_S;
+            let feeds_back = self.charges() == Some(true);
+            if self.moving.is_negative() && is_long && !consumes_at_rest && !feeds_back {
                 return wrong(Severity::Error, self.moving, "while the robot drives");
             }
             return None;
         }
+        // Even little motion tells a charger from the other sign.
+        let drives = self.moving.count() >= FEW_READINGS && self.moving.positive == 0;
         let (signs, severity) = match self.still.is_negative() {
+            true if drives => (self.still, Severity::Error),
             true => (self.still, Severity::Warning),
             false => (self.unknown, Severity::Error),
         };
@@ -212,17 +223,24 @@ impl Sign {
         is_turned.then_some((self.current_against_power, self.currents))
     }
 
-    /// Whether negative readings are of a battery that discharges, by charge and voltage.
-    fn discharges(&self) -> Option<bool> {
+    /// Whether negative readings are of a battery that takes energy: by its charge, or by its
+    /// resistance, which shows the sign of the current.
+    fn charges(&self) -> Option<bool> {
         if let Some((first, last)) = self.soc
             && (last - first).abs() > SOC_CHANGE
         {
-            return Some(last < first);
+            return Some(last > first);
         }
         let correlation = self.resistance.correlation();
-        if self.resistance.count >= MIN_PAIRS && correlation.abs() >= RESISTANCE {
-            // Delivering more lowers the voltage. With the right sign they go apart.
-            return Some(correlation > 0.0);
+        let is_clear = self.resistance.count >= MIN_PAIRS && correlation.abs() >= RESISTANCE;
+        // Delivering more lowers the voltage: with the right sign they go apart.
+        is_clear.then_some(correlation < 0.0)
+    }
+
+    /// Whether negative readings are of a battery that discharges.
+    fn discharges(&self) -> Option<bool> {
+        if let Some(charges) = self.charges() {
+            return Some(!charges);
         }
         let (slope, std) = self.trend.slope();
         let change_v = slope * (self.last_s - self.first_s);

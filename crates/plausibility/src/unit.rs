@@ -29,6 +29,8 @@ pub(crate) struct Magnitudes<'a> {
     pub(crate) columns: &'a [Column; 6],
     /// |power| over |voltage · current|.
     pub(crate) ratios: &'a Sizes,
+    /// Power over current where no voltage is known, V.
+    pub(crate) implied: &'a Sizes,
     /// Power while the robot moves at 0.1 m/s or more.
     pub(crate) driving: &'a Sizes,
     /// Quantities whose unit the source does not state.
@@ -64,6 +66,7 @@ impl Magnitudes<'_> {
         if found.is_empty() {
             found.extend(self.sizes());
             found.extend(self.product());
+            found.extend(self.implied());
         }
         found.extend(self.speed(Quantity::V, SPEED_MPS, "mmps"));
         found.extend(self.speed(Quantity::Omega, TURN_RADPS, "degps"));
@@ -221,6 +224,21 @@ impl Magnitudes<'_> {
         let allowed = "they agree where all three are in the right unit";
         let unit = if ratio < 1.0 { "W" } else { "mW" };
         Some(self.finding(Quantity::Power, what, allowed.to_owned(), unit))
+    }
+
+    /// Power and current without a voltage imply one.
+    fn implied(&self) -> Option<Finding> {
+        let (least, greatest) = VOLTAGE_V;
+        let enough = self.implied.count() >= MIN_VALUES && self.ratios.count() == 0;
+        let implied_v = self.implied.usual().filter(|_| enough)?;
+        if (least..=greatest).contains(&implied_v) {
+            return None;
+        }
+        let shown = Quantity::Voltage.shown(implied_v);
+        let what = format!("power and current imply a battery of {shown}");
+        let allowed = format!("usual are {least} to {}", Quantity::Voltage.shown(greatest));
+        let unit = if implied_v < least { "W" } else { "mW" };
+        Some(self.finding(Quantity::Power, what, allowed, unit))
     }
 
     fn speed(&self, quantity: Quantity, most: f64, unit: &'static str) -> Option<Finding> {

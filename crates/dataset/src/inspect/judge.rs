@@ -65,8 +65,11 @@ fn implausible(trial: &Trial, finding: Finding) -> Implausible {
             .iter()
             .find(|source| source.column == column)
     };
-    let name = column.map(|column| {
-        source(column).map_or_else(|| column.name().to_owned(), |source| source.name.clone())
+    let name = column.map(|column| match source(column) {
+        Some(source) => source.name.clone(),
+        // Power of voltage and current has no column.
+        None if !trial.sources().is_empty() => "power".to_owned(),
+        None => column.name().to_owned(),
     });
     let remedy = finding.remedy(Source::Recording, name.as_deref());
     let place = Place {
