@@ -16,7 +16,7 @@ pub use describe::{ColumnReport, Steps, TrialReport, describe};
 pub use find::{FindError, Found, find, is_recording};
 pub use finding::{Finding, FindingKind, Place};
 pub use hold::{Holds, holds};
-pub use judge::{Implausible, judge};
+pub use judge::{Implausible, judge, judge_from};
 pub use limits::{Limits, Range};
 pub use profile::{Profile, profile};
 pub use units::{PowerCheck, power_check};

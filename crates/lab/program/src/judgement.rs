@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
 
 use anyhow::bail;
-use joulebus_dataset::inspect::{Implausible, Limits, Range, judge};
+use joulebus_dataset::inspect::{Implausible, Limits, Range, judge, judge_from};
 use joulebus_dataset::trial::Trial;
 use joulebus_eval::score::Recording;
+pub(crate) use joulebus_plausibility::Source;
 use joulebus_plausibility::{Kind, Quantity, Severity};
 use joulebus_program::output::{Output, say};
 use joulebus_settings::Platform;
@@ -69,6 +70,17 @@ impl AcceptArguments {
         trials: impl IntoIterator<Item = &'a Trial>,
     ) -> anyhow::Result<Vec<Judged>> {
         self.judge_within(trials.into_iter().map(|trial| (Limits::default(), trial)))
+    }
+
+    /// The same, each with the remedies of where it comes from.
+    ///
+    /// # Errors
+    /// As [`AcceptArguments::judge`].
+    pub(crate) fn judge_from<'a>(
+        &self,
+        trials: impl Iterator<Item = (Source, &'a Trial)>,
+    ) -> anyhow::Result<Vec<Judged>> {
+        self.settle(trials.map(|(source, trial)| judge_from(source, trial, &Limits::default())))
     }
 
     /// The same, each with the limits of its platform.

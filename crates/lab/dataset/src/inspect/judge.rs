@@ -33,6 +33,12 @@ pub struct Implausible {
 /// Judges a trial by all its rows: what is implausible, errors first.
 #[must_use]
 pub fn judge(trial: &Trial, limits: &Limits) -> Vec<Implausible> {
+    judge_from(Source::Recording, trial, limits)
+}
+
+/// As [`judge`], with the remedies of another source.
+#[must_use]
+pub fn judge_from(source: Source, trial: &Trial, limits: &Limits) -> Vec<Implausible> {
     let mut judge = Judge::new(known(trial, limits));
     let value = |column, row: usize| trial.column(column).map_or(f64::NAN, |values| values[row]);
     let first_s = trial.timestamp_s().first().copied().unwrap_or_default();
@@ -51,10 +57,12 @@ pub fn judge(trial: &Trial, limits: &Limits) -> Vec<Implausible> {
         });
     }
     let found = judge.findings().into_iter();
-    found.map(|finding| implausible(trial, finding)).collect()
+    found
+        .map(|finding| implausible(source, trial, finding))
+        .collect()
 }
 
-fn implausible(trial: &Trial, finding: Finding) -> Implausible {
+fn implausible(from: Source, trial: &Trial, finding: Finding) -> Implausible {
     let column = finding.quantity.and_then(|quantity| {
         let judged = JUDGED.iter().find(|(of, _)| *of == quantity);
         judged.map(|(_, column)| *column)
@@ -71,7 +79,7 @@ fn implausible(trial: &Trial, finding: Finding) -> Implausible {
         None if !trial.sources().is_empty() => "power".to_owned(),
         None => column.name().to_owned(),
     });
-    let remedy = finding.remedy(Source::Recording, name.as_deref());
+    let remedy = finding.remedy(from, name.as_deref());
     let place = Place {
         file: trial.path().to_owned(),
         row: None,
