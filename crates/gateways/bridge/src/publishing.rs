@@ -16,6 +16,9 @@ use crate::shared::Shared;
 /// Longest sleep: how late a stop may be noticed.
 const LOOK_EVERY_NS: u64 = 50_000_000;
 
+/// Interval at which what is implausible is said.
+const SAY_EVERY_NS: u64 = 1_000_000_000;
+
 /// What was published.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
 pub(crate) struct PublishedRecord {
@@ -48,6 +51,7 @@ pub(crate) fn run(
     ready();
     let mut groups = groups(config, robots, clock::monotonic_ns());
     let (mut record, mut states) = (PublishedRecord::default(), Vec::new());
+    let mut news_ns = clock::monotonic_ns();
     while !shared.is_stopped() {
         let now_ns = clock::monotonic_ns();
         let due_ns = groups.iter().map(|group| group.grid.due_ns()).min();
@@ -69,6 +73,10 @@ pub(crate) fn run(
                         .filter_map(|robot| intake.sample(*robot, now_ns)),
                 );
             }
+        }
+        if now_ns >= news_ns {
+            news_ns = now_ns + SAY_EVERY_NS;
+            shared.say_news();
         }
         if !states.is_empty() {
             count(

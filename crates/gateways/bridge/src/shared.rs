@@ -37,11 +37,15 @@ impl Shared {
         lock(&self.account)
     }
 
-    /// Says what was not mapped for the first time.
+    /// Says what was not mapped, or is implausible, for the first time.
     pub(crate) fn say_news(&self) {
         let news = self.account().take_news();
         for line in news {
             say(&format!("not mapped: {line}"));
+        }
+        let news = self.intake().judgement().take_news();
+        for line in news {
+            say(&format!("implausible: {line}"));
         }
     }
 

@@ -125,16 +125,19 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         say(&format!("warning: {warning}"));
     }
     let (file, from) = (word(&places.fleet), recordings(&args.from));
+    let reading = args.columns.options() + &args.accept.option();
     let mut next = Vec::new();
     if model.is_none() {
         next.push(format!(
-            "joulebus train trials {from} --out {}",
+            "joulebus train trials {from} --out {}{reading}",
             word(&places.model)
         ));
     }
     next.push(format!("joulebus config check {file}"));
     next.push(format!("joulebus run --config {file}"));
-    next.push(format!("joulebus publish trial {from} --config {file}"));
+    next.push(format!(
+        "joulebus publish trial {from} --config {file}{reading}"
+    ));
     let written = InitReport {
         fleet: places.fleet,
         platform: places.platform,

@@ -61,6 +61,15 @@ impl AcceptArguments {
         }
     }
 
+    /// The option again, for a command that uses the same recordings: empty, or with a space in front.
+    pub(crate) fn option(&self) -> String {
+        let kinds: Vec<&str> = self.accept.iter().map(|kind| kind.name()).collect();
+        match kinds.is_empty() {
+            true => String::new(),
+            false => format!(" --accept {}", kinds.join(",")),
+        }
+    }
+
     /// Shows what is implausible in trials, and refuses errors.
     ///
     /// # Errors

@@ -9,6 +9,8 @@ use joulebus_eval::score::{ROWS_IN_MEMORY, Recording, open_recordings};
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::say;
 
+use crate::next_command::quoted;
+
 /// Recordings on the command line.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct Recordings {
@@ -44,6 +46,19 @@ pub(crate) enum Sign {
 }
 
 impl ColumnArguments {
+    /// The options again, for a command that reads the same recordings: empty, or with a space in front.
+    pub(crate) fn options(&self) -> String {
+        let mut options = String::new();
+        if !self.map.is_empty() {
+            let columns: Vec<String> = self.map.iter().map(ToString::to_string).collect();
+            options += &format!(" --map {}", quoted(&columns.join(",")));
+        }
+        if let Some(sign) = self.current.and_then(|sign| sign.to_possible_value()) {
+            options += &format!(" --current {}", sign.get_name());
+        }
+        options
+    }
+
     /// How recordings are read: the names and the sign given.
     pub(crate) fn map(&self) -> ColumnMap {
         let turned = self.current == Some(Sign::DischargeNegative);

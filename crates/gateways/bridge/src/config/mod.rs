@@ -11,11 +11,13 @@ use std::time::Duration;
 
 use joulebus_config::Config;
 use joulebus_config::ConfigError;
+use joulebus_plausibility::Kind;
 use toml::Value;
 
 use crate::config::check::Check;
 use crate::config::file::BridgeFile;
 use crate::mapping::intake::{Holds, Intake};
+use crate::mapping::judgement::Judgement;
 use crate::mapping::outgoing::What;
 use crate::mapping::robots::Robots;
 
@@ -31,6 +33,8 @@ pub(crate) struct Settings {
     /// Name of the source, and of the planners.
     pub(crate) name: String,
     pub(crate) holds: Holds,
+    /// Findings that are not told.
+    pub(crate) accepted: Vec<Kind>,
     pub(crate) robots: Robots,
     pub(crate) mqtt: Option<MqttSettings>,
     pub(crate) ros2: Option<Ros2Settings>,
@@ -91,7 +95,8 @@ impl Settings {
                 reading.unwrap_or(joulebus_settings::ChargeReading::Load),
             ))
         });
-        Intake::new(self.holds, self.tells_charging(), robots)
+        let judgement = Judgement::accepting(self.accepted.clone());
+        Intake::new(self.holds, self.tells_charging(), robots).judged_by(judgement)
     }
 
     /// Whether messages over MQTT say that a robot charges. Those of ROS 2 that have a battery's power say it too, or that it is
@@ -136,6 +141,11 @@ impl Check<'_> {
             reading_ns: self.nanoseconds("bridge.reading_holds_s", section.reading_holds_s),
             silent_ns: self.nanoseconds("bridge.silent_after_s", section.silent_after_s),
         };
+        let accepted = section
+            .accept
+            .iter()
+            .filter_map(|name| self.checked(name, "bridge.accept", name.get_ref().parse::<Kind>()));
+        let accepted = accepted.collect();
         let robots = self.robots(&file, config);
         let mqtt = file.mqtt.map(|section| self.mqtt(section, &name, &robots));
         let ros2 = file.ros2.map(|section| self.ros2(&section, &robots));
@@ -146,6 +156,7 @@ impl Check<'_> {
         Some(Settings {
             name,
             holds,
+            accepted,
             robots,
             mqtt: mqtt.flatten(),
             ros2: ros2.flatten(),

@@ -9,6 +9,10 @@ use serde::Serialize;
 const MOST_NAMES: usize = 16;
 /// Routes and reasons that are kept apart.
 const MOST_KINDS: usize = 1_000;
+/// Robots and routes whose fields are watched.
+const MOST_ROBOTS: usize = 10_000;
+/// Messages after which a field that none had is named.
+const MANY_MESSAGES: u32 = 20;
 /// Letters of a name that are kept.
 const MOST_LETTERS: usize = 80;
 
@@ -37,6 +41,8 @@ pub(crate) enum Reason {
     OutOfRange,
     /// Kept by the broker from earlier: nobody knows from when.
     Retained,
+    /// A field that no message of a robot had yet, after many.
+    NeverCame,
     /// An answer to no request of ours.
     NotAsked,
     /// A request without answer.
@@ -60,16 +66,17 @@ impl Reason {
             Self::NotFinite => "not_finite",
             Self::OutOfRange => "out_of_range",
             Self::Retained => "retained",
+            Self::NeverCame => "never_came",
             Self::NotAsked => "not_asked",
             Self::NoAnswer => "no_answer",
             Self::Refused => "refused",
         }
     }
 
-    /// Whether something was lost: old messages that a broker kept are passed over, and robots that are switched off
-    /// do not answer.
+    /// Whether something was lost: old messages that a broker kept are passed over, robots that are switched off
+    /// do not answer, and what never came was not lost.
     const fn is_loss(self) -> bool {
-        !matches!(self, Self::Retained | Self::NoAnswer)
+        !matches!(self, Self::Retained | Self::NoAnswer | Self::NeverCame)
     }
 }
 
@@ -78,8 +85,18 @@ impl Reason {
 pub(crate) struct Account {
     kinds: BTreeMap<(String, Reason), Kind>,
     lost: u64,
+    /// What came from each robot on each route, until it is judged.
+    came: BTreeMap<(String, String), Came>,
     /// Kinds and names that were not told yet.
     news: Vec<String>,
+}
+
+/// What came from a robot on a route.
+#[derive(Debug, Clone, Copy, Default)]
+struct Came {
+    messages: u32,
+    /// A bit for each field.
+    fields: u32,
 }
 
 #[derive(Debug, Clone, Default)]
@@ -122,6 +139,30 @@ impl Account {
         }
     }
 
+    /// Takes which of the fields that the mapping names a message of a robot had. After many messages those that none had
+    /// are counted, by name.
+    pub(crate) fn came(&mut self, route: &str, robot: &str, fields: &[(&'static str, bool)]) {
+        let key = (route.to_owned(), robot.to_owned());
+        let is_full = self.came.len() >= MOST_ROBOTS;
+        if is_full && !self.came.contains_key(&key) {
+            return;
+        }
+        let came = self.came.entry(key).or_default();
+        came.messages = came.messages.saturating_add(1);
+        for (place, (_, has)) in fields.iter().enumerate().take(32) {
+            came.fields |= u32::from(*has) << place;
+        }
+        let seen = came.fields;
+        if came.messages != MANY_MESSAGES {
+            return;
+        }
+        for (place, (name, _)) in fields.iter().enumerate().take(32) {
+            if seen & (1 << place) == 0 {
+                self.count(route, Reason::NeverCame, &format!("{name} of {robot}"));
+            }
+        }
+    }
+
     /// What was counted for the first time since the last call: a line for each name that is kept.
     pub(crate) fn take_news(&mut self) -> Vec<String> {
         std::mem::take(&mut self.news)
@@ -159,6 +200,21 @@ impl fmt::Display for UnmappedRecord {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_field_that_never_came_is_named_once_and_is_no_loss() {
+        let mut account = Account::default();
+        for message in 0..100 {
+            account.came(
+                "a",
+                "r1",
+                &[("power", false), ("soc", true), ("v", message == 7)],
+            );
+            account.came("a", "r2", &[("power", true), ("soc", true), ("v", true)]);
+        }
+        assert_eq!(account.take_news(), ["a: never_came: power of r1"]);
+        assert_eq!((account.records().len(), account.lost()), (1, 0));
+    }
 
     #[test]
     fn everything_is_counted_and_only_the_first_names_are_kept() {

@@ -17,7 +17,11 @@ use std::collections::BTreeMap;
 use joulebus_publisher::RobotState;
 use joulebus_settings::ChargeReading;
 
+use crate::mapping::judgement::Judgement;
 use crate::mapping::observation::{Observation, PowerOf, PowerReading};
+
+/// States of charge that the worker takes.
+const SOC: std::ops::RangeInclusive<f32> = -0.05..=1.05;
 
 /// What a robot does when its command has expired.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -75,6 +79,7 @@ pub(crate) struct Intake {
     holds: Holds,
     robots: BTreeMap<u32, Robot>,
     observations: u64,
+    judgement: Judgement,
 }
 
 impl Intake {
@@ -105,7 +110,19 @@ impl Intake {
             holds,
             robots: robots.into_iter().map(robot).collect(),
             observations: 0,
+            judgement: Judgement::default(),
         }
+    }
+
+    /// With another judgement of what robots report.
+    #[must_use]
+    pub(crate) fn judged_by(self, judgement: Judgement) -> Self {
+        Self { judgement, ..self }
+    }
+
+    /// The judgement of what robots report.
+    pub(crate) const fn judgement(&mut self) -> &mut Judgement {
+        &mut self.judgement
     }
 
     /// Takes what was heard of a robot at `at_ns` (monotonic). A robot that is not in the mapping changes nothing.
@@ -153,7 +170,9 @@ impl Intake {
         let number = |heard: Option<Heard<f32>>| heard?.within(holds.reading_ns, now_ns);
         state.voltage_v = number(known.voltage_v);
         state.current_a = number(known.current_a);
-        state.soc = number(known.soc);
+        let soc = number(known.soc);
+        // The worker would refuse the whole sample.
+        state.soc = soc.filter(|soc| SOC.contains(soc));
         if let Some(heard) = &mut known.power {
             // It may have come after `now_ns` was read; held, it keeps the time that was told.
             heard.at_ns = heard.at_ns.min(now_ns);
@@ -165,6 +184,9 @@ impl Intake {
             state.measured_ns = state.power_w.map(|_| heard.at_ns);
             state.held = known.sampled && state.power_w.is_some();
             known.sampled |= state.power_w.is_some();
+        }
+        if state.power_w.is_some() && !state.held {
+            self.judgement.take(&state, soc, now_ns);
         }
         Some(state)
     }

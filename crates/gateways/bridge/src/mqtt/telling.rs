@@ -187,6 +187,8 @@ impl MqttTelling {
 
     fn tell_status(&mut self, place: usize, board: &Board, times: Times) {
         let topic = &mut self.topics[place];
+        let unmapped = self.shared.account().records();
+        let implausible = self.shared.intake().judgement().records();
         let status = json!({
             "fleet": self.fleet,
             "bridge": self.name,
@@ -194,7 +196,8 @@ impl MqttTelling {
             "at_unix_ns": times.now_unix_ns,
             "worker": board.link.name(),
             "messages": self.shared.messages(),
-            "unmapped": self.shared.account().records(),
+            "unmapped": unmapped,
+            "implausible": implausible,
         });
         let (to, retain) = (topic.write.topic.of(""), topic.write.retain);
         if self.outlet.write(

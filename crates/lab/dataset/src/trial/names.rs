@@ -231,6 +231,8 @@ fn plain(name: &str) -> String {
 /// that states none, `power_mW=p1`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MappedColumn {
+    /// As it was given.
+    text: String,
     quantity: Quantity,
     /// The name in the file.
     name: String,
@@ -281,6 +283,7 @@ impl FromStr for MappedColumn {
         for spelling in &SPELLINGS {
             if wanted == spelling.name {
                 return Ok(Self {
+                    text: text.to_owned(),
                     quantity: spelling.quantity,
                     name: name.to_owned(),
                     factor: sign * spelling.mapped_factor(name),
@@ -292,6 +295,7 @@ impl FromStr for MappedColumn {
             let factor = spelling.units.iter().find(|(name, _)| Some(*name) == unit);
             if let Some((_, factor)) = factor {
                 return Ok(Self {
+                    text: text.to_owned(),
                     quantity: spelling.quantity,
                     name: name.to_owned(),
                     factor: sign * factor,
@@ -302,6 +306,12 @@ impl FromStr for MappedColumn {
             found: quantity.to_owned(),
             allowed: SPELLINGS.map(|spelling| spelling.name).join(", "),
         })
+    }
+}
+
+impl fmt::Display for MappedColumn {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(&self.text)
     }
 }
 

@@ -131,9 +131,10 @@ impl Args {
     /// Commands for the trained model.
     fn next(&self) -> Vec<String> {
         let (recordings, model) = (recordings(&self.paths), word(&self.run.out));
+        let reading = self.columns.options() + &self.accept.option();
         vec![
-            format!("joulebus eval {recordings} --model {model}"),
-            format!("joulebus config init --from {recordings} --model {model} --out lab/"),
+            format!("joulebus eval {recordings} --model {model}{reading}"),
+            format!("joulebus config init --from {recordings} --model {model} --out lab/{reading}"),
         ]
     }
 
