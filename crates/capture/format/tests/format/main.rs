@@ -4,6 +4,7 @@
 mod bag;
 mod bits;
 mod conformance;
+mod earlier;
 #[path = "../fields/mod.rs"]
 mod fields;
 mod foxglove_layout;
