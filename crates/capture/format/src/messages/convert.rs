@@ -5,17 +5,7 @@ use prost_types::Timestamp;
 
 use super::proto;
 
-/// A number in a capture that exceeds its field in shared memory.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("{field} = {found}: allowed are 0 to {allowed}")]
-pub struct OutOfRange {
-    /// The field.
-    pub field: &'static str,
-    /// Its value.
-    pub found: i128,
-    /// The maximum.
-    pub allowed: u64,
-}
+use super::codec::OutOfRange;
 
 fn narrow(field: &'static str, found: impl Into<i128>) -> Result<u16, OutOfRange> {
     let found = found.into();

@@ -1,7 +1,8 @@
 //! Schemas in a capture: a file set of protobuf descriptors with all imports.
 
 use prost::Message as _;
-use prost_types::{FileDescriptorProto, FileDescriptorSet};
+use joulebus_wire::Channel;
+use prost_types::{DescriptorProto, FileDescriptorProto, FileDescriptorSet};
 
 /// Compiled from `proto/joulebus/*.proto`; a test compiles it again.
 const DESCRIPTORS: &[u8] = include_bytes!("../../proto/joulebus.binpb");
@@ -33,4 +34,16 @@ fn gather(all: &FileDescriptorSet, name: &str, found: &mut Vec<FileDescriptorPro
         }
         found.push(file.clone());
     }
+}
+
+/// The files that declare the message of a channel.
+pub(super) fn set_of<C: Channel>() -> FileDescriptorSet {
+    FileDescriptorSet::decode(DESCRIPTORS).unwrap_or_default()
+}
+
+/// The message of a name, with or without its package.
+pub(super) fn message(set: &FileDescriptorSet, name: &str) -> Option<DescriptorProto> {
+    let name = name.strip_prefix(".joulebus.").unwrap_or(name);
+    let mut messages = set.file.iter().flat_map(|file| &file.message_type);
+    messages.find(|message| message.name() == name).cloned()
 }

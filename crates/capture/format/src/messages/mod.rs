@@ -1,8 +1,13 @@
 //! Messages of a capture: the frames in shared memory.
 
+mod codec;
 mod convert;
 mod descriptors;
+mod frame;
 mod query;
+mod table;
+#[cfg(test)]
+mod equal;
 #[rustfmt::skip]
 #[allow(dead_code, unreachable_pub, clippy::all, reason = "generated")]
 mod proto;
@@ -16,7 +21,7 @@ use joulebus_wire::{
 };
 use prost::Message as _;
 
-pub use convert::OutOfRange;
+pub use codec::OutOfRange;
 use convert::{from_proto, to_proto};
 pub use query::Query;
 
@@ -362,6 +367,14 @@ pub enum DecodeError {
     /// A number that exceeds its field.
     #[error(transparent)]
     OutOfRange(#[from] OutOfRange),
+}
+
+impl From<codec::Fault> for DecodeError {
+    fn from(fault: codec::Fault) -> Self {
+        Self::Protobuf {
+            reason: fault.to_string(),
+        }
+    }
 }
 
 /// A message with its topic and times.

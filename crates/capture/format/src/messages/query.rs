@@ -4,7 +4,8 @@ use joulebus_wire::{
     AnswerHeader, AnswerRow, QueryHeader, QueryRecord, ROW_WORDS, Record, answer_parts,
 };
 
-use super::convert::{OutOfRange, from_proto, to_proto};
+use super::codec::OutOfRange;
+use super::convert::{from_proto, to_proto};
 use super::proto;
 
 /// A question that the worker was asked, and its answer. Lengths in the headers are those of the parts.
