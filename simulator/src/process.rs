@@ -7,7 +7,7 @@ use joulebus_capture_format::{Attachments, CaptureSettings, Preset};
 use joulebus_config::Config;
 use joulebus_plan::{Plan, Question, Reply};
 use joulebus_wire::{Forecast, ForecastHeader, Sample};
-use simulated_consumer::{BudgetFeed, DiagnosticFeed, End, Event, PlanStateFeed, Planner};
+use simulated_consumer::{Budgets, Diagnostics, End, Event, Feed, PlanStates, Planner};
 use simulated_host::{self as host, time};
 use simulated_plan_server::{PlanServer, QueryReport};
 use simulated_planner::{Answered, ClientError, PlanClient, QueryError};
@@ -209,9 +209,9 @@ impl SourceProgram {
 /// A planner that reads forecasts, diagnostics, budgets and what plans start from.
 pub(crate) struct PlannerProgram {
     planner: Planner,
-    diagnostics: DiagnosticFeed,
-    budgets: BudgetFeed,
-    plan_states: PlanStateFeed,
+    diagnostics: Feed<Diagnostics>,
+    budgets: Feed<Budgets>,
+    plan_states: Feed<PlanStates>,
     polls: bool,
     every_ns: u64,
 }

@@ -6,9 +6,7 @@ use std::time::{Duration, Instant};
 
 use joulebus_config::Config;
 use joulebus_connect::ConnectError;
-use joulebus_consumer::{
-    BudgetFeed, Budgets, Event, OpenError, PlanStateFeed, PlanStates, ReadError, clock,
-};
+use joulebus_consumer::{Budgets, Event, Feed, Frame, OpenError, PlanStates, ReadError, clock};
 use joulebus_models::{ModelsError, load_models};
 use joulebus_plan::{Differs, Fleet, Robot, RobotRows};
 use joulebus_wire::AnswerHeader;
@@ -17,8 +15,8 @@ use joulebus_wire::AnswerHeader;
 /// reader of shared memory; the [`Robot`]s that it gives do not.
 pub struct Planner {
     planner: joulebus_consumer::Planner,
-    states: PlanStateFeed,
-    budgets: BudgetFeed,
+    states: Feed<PlanStates>,
+    budgets: Feed<Budgets>,
     fleet: Fleet,
 }
 
@@ -159,8 +157,8 @@ impl fmt::Debug for Planner {
 /// The fleet as of one tick, read in shared memory.
 #[derive(Debug, Clone, Copy)]
 pub struct View<'a> {
-    states: PlanStates<'a>,
-    budgets: Option<Budgets<'a>>,
+    states: Frame<'a, PlanStates>,
+    budgets: Option<Frame<'a, Budgets>>,
     fleet: &'a Fleet,
     now_ns: u64,
 }
@@ -214,7 +212,7 @@ impl<'a> View<'a> {
         answer.period_ns = states.period_ns;
         answer.sent_state_ns = states.sent_ns;
         answer.now_ns = self.now_ns;
-        if let Some(budgets) = self.budgets.as_ref().map(Budgets::header) {
+        if let Some(budgets) = self.budgets.as_ref().map(Frame::header) {
             answer.budget_epoch = budgets.worker_epoch;
             answer.budget_tick = budgets.tick;
             answer.sent_budget_ns = budgets.sent_ns;
@@ -228,7 +226,7 @@ impl<'a> View<'a> {
         let fresh = |sent_ns: u64| {
             self.now_ns.saturating_sub(sent_ns) <= header.period_ns.saturating_mul(2)
         };
-        let budgets = self.budgets.as_ref().map(Budgets::header);
+        let budgets = self.budgets.as_ref().map(Frame::header);
         fresh(header.sent_ns)
             && budgets.is_some_and(|of| of.worker_epoch == header.worker_epoch && fresh(of.sent_ns))
     }

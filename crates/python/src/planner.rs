@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use bytemuck::cast_slice;
 use joulebus_consumer::wire::{ForecastHeader, Quality};
 use joulebus_consumer::{
-    Arrival, BudgetFeed, Config, DiagnosticFeed, End, Event, KeptForecasts, Planner as Ports,
+    Arrival, Budgets, Config, Diagnostics, End, Event, Feed, KeptForecasts, Planner as Ports,
     ReadError, WorkerState,
 };
 use pyo3::IntoPyObjectExt as _;
@@ -37,8 +37,8 @@ pub(crate) struct State {
 
 struct Open {
     planner: Ports,
-    diagnostics: Option<DiagnosticFeed>,
-    budgets: Option<BudgetFeed>,
+    diagnostics: Option<Feed<Diagnostics>>,
+    budgets: Option<Feed<Budgets>>,
 }
 
 /// What happened, as the thread tells it.

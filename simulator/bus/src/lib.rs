@@ -27,10 +27,8 @@ pub use joulebus_domain::{Domain, DomainError, Limits, LimitsError, STANDBY_FILE
 pub use liveness::peer_watch::PeerWatch;
 pub use liveness::worker_lock::WorkerLock;
 pub use ports::{
-    BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,
-    Frame, IncomingFrame, KeptFrame, Loan, PlanStateReader, PlanStateWriter, QueriesReader,
-    QueriesWriter, Reader, SampleReader, SampleTap, SampleWriter, StateReader, StateWriter, Taken,
-    TickReader, TickWriter, Writer, taken_frames,
+    Frame, IncomingFrame, KeptFrame, Loan, Reader, SampleReader, SampleWriter, Taken, Writer,
+    taken_frames,
 };
 pub use query::{OpenQuery, QueryClient, QueryServer};
 pub use wait::{Poller, Waiter, Waker};

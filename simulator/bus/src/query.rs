@@ -88,7 +88,7 @@ pub(crate) fn remove_process(pid: u32) {
 
 fn refused(reason: &str) -> OpenError {
     OpenError::Port {
-        service: Service::Ask.name(),
+        service: Service::ASK.name(),
         reason: reason.to_owned(),
     }
 }
@@ -111,8 +111,8 @@ pub struct OpenQuery {
 
 impl QueryServer {
     pub(crate) fn open(bus: &Bus, _: &Limits) -> Result<Self, OpenError> {
-        let asked = Waiter::open(bus, Service::Asked)?;
-        let answered = Waker::open(bus, Service::Answered)?;
+        let asked = Waiter::open(bus, Service::ASKED)?;
+        let answered = Waker::open(bus, Service::ANSWERED)?;
         let server = outside(|| {
             Rc::new(Server {
                 port: port_id(bus.pid),
@@ -263,8 +263,8 @@ pub struct QueryClient {
 
 impl QueryClient {
     pub(crate) fn open(bus: &Bus, limits: &Limits) -> Result<Self, OpenError> {
-        let answered = Waiter::open(bus, Service::Answered)?;
-        let asked = Waker::open(bus, Service::Asked)?;
+        let answered = Waiter::open(bus, Service::ANSWERED)?;
+        let asked = Waker::open(bus, Service::ASKED)?;
         let port = port_id(bus.pid);
         with(|state| {
             if state.clients.len() == limits.query_clients() {

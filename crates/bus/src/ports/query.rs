@@ -82,8 +82,8 @@ impl QueryServer {
         check_free(usize::try_from(needed).unwrap_or(usize::MAX))?;
         let events = limits.query_events();
         // The waiter first: a question that arrives in between is found without an event.
-        let asked = Waiter::open(bus, Service::Asked, limits, (events.1, events.0))?;
-        let answered = Waker::open(bus, Service::Answered, limits, events)?;
+        let asked = Waiter::open(bus, Service::ASKED, limits, (events.1, events.0))?;
+        let answered = Waker::open(bus, Service::ANSWERED, limits, events)?;
         let factory = service::open_queries(bus, limits)?;
         let failures = Failures::new();
         let server = factory
@@ -95,7 +95,7 @@ impl QueryServer {
             .set_request_degradation_handler(failures.handler(|info| info.sender_port_id))
             .set_response_degradation_handler(|_, _| DegradationAction::Ignore)
             .create()
-            .map_err(|reason| OpenError::port(Service::Ask, reason))?;
+            .map_err(|reason| OpenError::port(Service::ASK, reason))?;
         service::check_shortage()?;
         let id = server.id().value();
         memory::populate(&id.to_string());
@@ -247,8 +247,8 @@ impl QueryClient {
         let needed = client_bytes();
         check_free(usize::try_from(needed).unwrap_or(usize::MAX))?;
         let events = limits.query_events();
-        let answered = Waiter::open(bus, Service::Answered, limits, events)?;
-        let asked = Waker::open(bus, Service::Asked, limits, (events.1, events.0))?;
+        let answered = Waiter::open(bus, Service::ANSWERED, limits, events)?;
+        let asked = Waker::open(bus, Service::ASKED, limits, (events.1, events.0))?;
         let factory = service::open_queries(bus, limits)?;
         let create = || {
             factory
@@ -262,7 +262,7 @@ impl QueryClient {
         };
         let is_full = |error: &_| matches!(error, ClientCreateError::ExceedsMaxSupportedClients);
         let client = service::create(bus, create, is_full)
-            .map_err(|reason| OpenError::port(Service::Ask, reason))?;
+            .map_err(|reason| OpenError::port(Service::ASK, reason))?;
         service::check_shortage()?;
         let id = client.id().value();
         memory::populate(&id.to_string());

@@ -3,7 +3,7 @@
 use std::marker::PhantomData;
 
 use iceoryx2::sample::Sample as Borrowed;
-use joulebus_wire::{Sample, SampleHeader, Service, WakeEvent};
+use joulebus_wire::{Sample, SampleHeader, Samples, Service, WakeEvent};
 
 use super::reader::{Reader, ReceiveError};
 use super::service::OpenError;
@@ -19,13 +19,13 @@ const MAPPED: usize = 256;
 /// The worker's port for samples of all sources.
 #[derive(Debug)]
 pub struct SampleReader {
-    reader: Reader<SampleHeader, Sample>,
+    reader: Reader<Samples>,
     /// Ports of sources whose memory is completely mapped.
     mapped: Vec<u128>,
 }
 
 impl SampleReader {
-    pub(crate) fn new(reader: Reader<SampleHeader, Sample>) -> Self {
+    pub(crate) fn new(reader: Reader<Samples>) -> Self {
         Self {
             reader,
             mapped: Vec::with_capacity(MAPPED),
@@ -188,7 +188,7 @@ fn touched(capacity: usize) -> Vec<Sample> {
 /// A source's port: sends frames of samples and wakes the worker.
 #[derive(Debug)]
 pub struct SampleWriter {
-    writer: Writer<SampleHeader, Sample>,
+    writer: Writer<Samples>,
     waker: Waker,
 }
 
@@ -201,8 +201,8 @@ impl SampleWriter {
             });
         }
         Ok(Self {
-            writer: Writer::open(bus, Service::Samples, limits, limits.samples(), max_len)?,
-            waker: Waker::open(bus, Service::Arrivals, limits, limits.arrivals())?,
+            writer: Writer::open(bus, limits, max_len)?,
+            waker: Waker::open(bus, Service::ARRIVALS, limits, limits.arrivals())?,
         })
     }
 

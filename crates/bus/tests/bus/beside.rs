@@ -213,7 +213,7 @@ fn one_process_reads_two_fleets_and_cleans_up_in_both() {
         .map(|place| Bus::join(&place.domain, "planner").unwrap());
     let mut readers = buses
         .each_ref()
-        .map(|bus| bus.forecast_reader(&limits()).unwrap());
+        .map(|bus| bus.reader::<joulebus_wire::Forecasts>(&limits()).unwrap());
     for round in 1..=2 {
         let mut workers = places.each_ref().map(|place| place.joined("worker"));
         for (ticks, worker) in workers.iter_mut().enumerate() {

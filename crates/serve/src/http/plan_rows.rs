@@ -1,7 +1,7 @@
 //! What plans of robots start from, as the worker writes it while somebody asks.
 
 use joulebus_bus::clock;
-use joulebus_consumer::{BudgetFeed, OpenError, PlanStateFeed, Planner};
+use joulebus_consumer::{Budgets, Feed, OpenError, PlanStates, Planner};
 use joulebus_plan::RobotRows;
 use tokio::sync::oneshot;
 
@@ -32,8 +32,8 @@ struct Waiting {
 }
 
 struct Feeds {
-    states: PlanStateFeed,
-    budgets: BudgetFeed,
+    states: Feed<PlanStates>,
+    budgets: Feed<Budgets>,
 }
 
 /// The services, while they are needed.
