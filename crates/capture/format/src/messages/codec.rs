@@ -161,6 +161,24 @@ impl<'a> Bytes<'a> {
         }
     }
 
+    /// Calls `each` with the numbers of a repeated field, which may come one by one.
+    pub(super) fn numbers(
+        &mut self,
+        of: Number,
+        wire: Wire,
+        mut each: impl FnMut(u64),
+    ) -> Result<(), Wrong> {
+        if wire == of.wire() {
+            each(self.number(of)?);
+            return Ok(());
+        }
+        let mut packed = Bytes(self.bytes(wire)?);
+        while !packed.is_empty() {
+            each(packed.number(of)?);
+        }
+        Ok(())
+    }
+
     /// A number as 64 bits, of which those that exceed it are to be ignored.
     #[inline]
     fn number(&mut self, of: Number) -> Result<u64, Wrong> {
@@ -277,8 +295,19 @@ impl Encoder {
         let (key, mut guess) = (encoded(key(number, Wire::Bytes)), 1);
         for row in rows {
             self.reserve(table.longest + 2 * MAX_VARINT);
-            self.inner(key, &mut guess, |this| this.write(table, bytemuck::bytes_of(row)));
+            self.inner(key, &mut guess, |this| {
+                this.write(table, bytemuck::bytes_of(row))
+            });
         }
+    }
+
+    /// Appends a field of what `write` appends.
+    pub(super) fn part(&mut self, number: u32, write: impl FnOnce(&mut Self)) {
+        self.reserve(2 * MAX_VARINT);
+        self.inner(encoded(key(number, Wire::Bytes)), &mut 1, |this| {
+            write(this);
+            this.reserve(MAX_VARINT);
+        });
     }
 
     /// Appends a field of bytes, unless there are none.
@@ -373,7 +402,8 @@ impl Encoder {
                 Form::Number(of) | Form::Float(of) => self.number(field, *of, from),
                 Form::Time(_) => self.inner(field.key, &mut 1, |this| {
                     let ns = u64::from_ne_bytes(first(from));
-                    for (key, part) in [(1 << 3, ns / 1_000_000_000), (2 << 3, ns % 1_000_000_000)] {
+                    for (key, part) in [(1 << 3, ns / 1_000_000_000), (2 << 3, ns % 1_000_000_000)]
+                    {
                         if part != 0 {
                             this.word(key, 1);
                             this.varint(part);
@@ -382,7 +412,11 @@ impl Encoder {
                 }),
                 Form::Numbers { of, elements, .. } => {
                     let size = of.size();
-                    let used = if of.is_float() { elements * size } else { used(from, *elements, size) };
+                    let used = if of.is_float() {
+                        elements * size
+                    } else {
+                        used(from, *elements, size)
+                    };
                     if used > 0 {
                         self.inner(field.key, &mut 1, |this| {
                             for element in from[..used].chunks_exact(size) {
@@ -391,7 +425,9 @@ impl Encoder {
                         });
                     }
                 }
-                Form::Struct(table) => self.inner(field.key, &mut 1, |this| this.write(table, from)),
+                Form::Struct(table) => {
+                    self.inner(field.key, &mut 1, |this| this.write(table, from))
+                }
                 Form::Structs { of, elements, .. } => {
                     let size = of.empty.len();
                     let used = used(from, *elements, size);
@@ -528,32 +564,21 @@ impl<'a> Decoded<'a> {
                 }
             }
             Form::Numbers { of, elements, slot } => {
-                let size = of.size();
-                let mut packed = Bytes(&[]);
-                let is_packed = wire == Wire::Bytes;
-                if is_packed {
-                    packed = Bytes(data.bytes(wire)?);
-                } else if wire != of.wire() {
-                    return Err(Wrong::Wire.into());
-                }
-                let data = if is_packed { &mut packed } else { data };
-                while !is_packed || !data.is_empty() {
-                    let number = data.number(*of)?;
+                data.numbers(*of, wire, |number| {
                     let place = self.slots[*slot] as usize;
                     self.slots[*slot] += 1;
                     if place < *elements {
-                        let at = place * size;
+                        let at = place * of.size();
                         self.put(field, *of, number, (&mut into[at..], base + at));
                     }
-                    if !is_packed {
-                        break;
-                    }
-                }
+                })?;
             }
             Form::Struct(table) => {
                 let data = data.bytes(wire)?;
                 let place = (&mut into[..table.empty.len()], base);
-                self.fields(table, data, place, inner(depth)?, &mut |_, _, _, _| Ok(false))?;
+                self.fields(table, data, place, inner(depth)?, &mut |_, _, _, _| {
+                    Ok(false)
+                })?;
             }
             Form::Structs { of, elements, slot } => {
                 let mut element = of.empty.clone();
@@ -583,10 +608,15 @@ impl<'a> Decoded<'a> {
                 }
                 match u16::try_from(number as u32) {
                     Ok(number) => put(into, number.to_ne_bytes()),
-                    Err(_) => self.exceeds(field, base, match of {
-                        Number::Code16 => i128::from(number as i32),
-                        _ => i128::from(number as u32),
-                    }, u16::MAX.into()),
+                    Err(_) => self.exceeds(
+                        field,
+                        base,
+                        match of {
+                            Number::Code16 => i128::from(number as i32),
+                            _ => i128::from(number as u32),
+                        },
+                        u16::MAX.into(),
+                    ),
                 }
             }
         }

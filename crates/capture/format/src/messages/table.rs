@@ -8,8 +8,8 @@
 //! | a struct `x` | a message `x` |
 //! | a struct of one array | a message of its named elements, then a `repeated` field of the others |
 
-use joulebus_wire::{FieldLayout, FieldType, StructLayout, layouts};
 use super::codec::{MAX_VARINT, Wire};
+use joulebus_wire::{FieldLayout, FieldType, StructLayout, layouts};
 use prost_types::field_descriptor_proto::{Label, Type};
 use prost_types::{DescriptorProto, FieldDescriptorProto};
 
@@ -201,14 +201,18 @@ impl Table {
             });
         }
         match left.first() {
-            Some(field) => Err(format!("{}.{} is not in the message", layout.name, field.name)),
+            Some(field) => Err(format!(
+                "{}.{} is not in the message",
+                layout.name, field.name
+            )),
             None => Ok(table),
         }
     }
 
     fn add(&mut self, field: Field) {
         let number = field.number as usize;
-        self.by_number.resize(self.by_number.len().max(number + 1), NONE);
+        self.by_number
+            .resize(self.by_number.len().max(number + 1), NONE);
         self.by_number[number] = self.fields.len() as u8;
         if let Form::Number(of) | Form::Float(of) = field.form {
             let key = key(field.number, of.wire()) as usize;
@@ -222,7 +226,8 @@ impl Table {
             Form::Float(of) => of.write_nan(into),
             Form::Numbers { of, elements, .. } => {
                 let all = &mut into[..elements * of.size()];
-                all.chunks_mut(of.size()).for_each(|place| of.write_nan(place));
+                all.chunks_mut(of.size())
+                    .for_each(|place| of.write_nan(place));
             }
             Form::Struct(table) => into[..table.empty.len()].copy_from_slice(&table.empty),
             // Those that are not written are zeros.
@@ -233,7 +238,8 @@ impl Table {
 
     /// The field of this number.
     pub(super) fn by_number(&self, number: u32) -> Option<&Field> {
-        self.fields.get(usize::from(*self.by_number.get(number as usize)?))
+        self.fields
+            .get(usize::from(*self.by_number.get(number as usize)?))
     }
 
     /// The field that is written with this key, if it is one number.
@@ -332,18 +338,26 @@ impl Elements {
             return None;
         }
         let size = array.size / all;
-        let (others, named): (Vec<_>, Vec<_>) =
-            described.iter().partition(|field| field.label() == Label::Repeated);
+        let (others, named): (Vec<_>, Vec<_>) = described
+            .iter()
+            .partition(|field| field.label() == Label::Repeated);
         let count = named.len();
-        let leak = |field: &FieldDescriptorProto| &*Box::leak(field.name().to_owned().into_boxed_str());
-        let mut fields: Vec<FieldLayout> = named.into_iter().enumerate().map(|(place, field)| FieldLayout {
-            name: leak(field),
-            elements: None,
-            offset: array.offset + place * size,
-            size,
-            ..*array
-        }).collect();
-        if let [others] = others[..] && count < all {
+        let leak =
+            |field: &FieldDescriptorProto| &*Box::leak(field.name().to_owned().into_boxed_str());
+        let mut fields: Vec<FieldLayout> = named
+            .into_iter()
+            .enumerate()
+            .map(|(place, field)| FieldLayout {
+                name: leak(field),
+                elements: None,
+                offset: array.offset + place * size,
+                size,
+                ..*array
+            })
+            .collect();
+        if let [others] = others[..]
+            && count < all
+        {
             fields.push(FieldLayout {
                 name: leak(others),
                 elements: Some(all - count),
