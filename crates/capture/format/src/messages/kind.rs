@@ -4,7 +4,8 @@ use std::fmt;
 use std::hash::{Hash, Hasher};
 
 use joulebus_wire::{
-    Budgets, Channel, Diagnostics, Forecasts, PlanStates, Queries, Row, Samples, State, Ticks,
+    Budgets, Channel, Diagnostics, Flow, Forecasts, FrameRows, PlanStates, Queries, Row, Samples,
+    State, Ticks,
 };
 
 use super::{DecodeError, Frame, Message, Query, RobotRow, descriptors};
@@ -17,6 +18,8 @@ pub struct MessageKind {
     /// Name of the message, without its package: unique.
     message: &'static str,
     is_of_robot: bool,
+    flow: Flow,
+    rows: FrameRows,
     decode: fn(&[u8]) -> Result<Message, DecodeError>,
     descriptors: fn(&str) -> Vec<u8>,
 }
@@ -63,23 +66,24 @@ impl MessageKind {
     /// That of a channel's frames.
     #[must_use]
     pub const fn of<C: Channel>() -> Self {
-        let name = C::SERVICE.name();
+        let kind = Self {
+            name: C::SERVICE.name(),
+            message: C::MESSAGE,
+            is_of_robot: false,
+            flow: C::FLOW,
+            rows: C::ROWS,
+            decode: Frame::<C>::decode,
+            descriptors: descriptors::files_of::<C>,
+        };
         match C::MESSAGE.as_bytes() {
             // Each record in a frame of these is a message.
             b"Queries" => Self {
-                name,
                 message: "Query",
-                is_of_robot: false,
                 decode: Query::decode,
                 descriptors: descriptors::files_of_ours,
+                ..kind
             },
-            _ => Self {
-                name,
-                message: C::MESSAGE,
-                is_of_robot: false,
-                decode: Frame::<C>::decode,
-                descriptors: descriptors::files_of::<C>,
-            },
+            _ => kind,
         }
     }
 
@@ -87,12 +91,23 @@ impl MessageKind {
     #[must_use]
     pub const fn of_robot<C: Channel>() -> Self {
         Self {
-            name: C::SERVICE.name(),
             message: <C::Row as Row>::LAYOUT.name,
             is_of_robot: true,
             decode: RobotRow::<C>::decode,
-            descriptors: descriptors::files_of::<C>,
+            ..Self::of::<C>()
         }
+    }
+
+    /// Who sends on the channel and who reads.
+    #[must_use]
+    pub const fn flow(self) -> Flow {
+        self.flow
+    }
+
+    /// What the rows of the channel's frames are.
+    #[must_use]
+    pub const fn rows(self) -> FrameRows {
+        self.rows
     }
 
     /// The name of the service.
@@ -122,18 +137,24 @@ impl MessageKind {
     /// The channel's topic; `robot` is used only by kinds of single robots.
     #[must_use]
     pub fn topic(self, fleet: &str, robot: u32) -> String {
-        if !self.is_of_robot {
-            return format!("joulebus/{fleet}/{}", self.name);
+        if self.is_of_robot {
+            format!("joulebus/{fleet}/robot/{robot}/{}", self.message_name())
+        } else {
+            format!("joulebus/{fleet}/{}", self.name)
         }
-        let mut topic = format!("joulebus/{fleet}/robot/{robot}");
-        // `PlanState` is `plan_state`.
-        for (at, letter) in self.message.char_indices() {
-            if letter.is_ascii_uppercase() {
-                topic.push(if at == 0 { '/' } else { '_' });
+    }
+
+    /// The name of the message in small letters: `plan_state`.
+    #[must_use]
+    pub fn message_name(self) -> String {
+        let mut name = String::new();
+        for letter in self.message.chars() {
+            if letter.is_ascii_uppercase() && !name.is_empty() {
+                name.push('_');
             }
-            topic.push(letter.to_ascii_lowercase());
+            name.push(letter.to_ascii_lowercase());
         }
-        topic
+        name
     }
 
     pub(super) fn decode(self, data: &[u8]) -> Result<Message, DecodeError> {

@@ -116,6 +116,14 @@ impl Message {
         self.get()
     }
 
+    /// The frame to change, if it is one of this channel.
+    pub fn frame_mut<C: Channel>(&mut self) -> Option<&mut Frame<C>> {
+        match self {
+            Self::Known(content) => (&mut **content as &mut dyn Any).downcast_mut(),
+            Self::Other { .. } => None,
+        }
+    }
+
     /// As [`Message::frame`], without a copy.
     ///
     /// # Errors
