@@ -17,6 +17,7 @@ mod gaps;
 mod item;
 mod options;
 mod queue;
+pub mod replay;
 mod shared;
 
 use std::io::Read;

@@ -118,6 +118,11 @@ impl Message {
 
     /// The frame to change, if it is one of this channel.
     pub fn frame_mut<C: Channel>(&mut self) -> Option<&mut Frame<C>> {
+        self.get_mut()
+    }
+
+    /// Its contents to change, if they are of this type.
+    pub fn get_mut<T: Content>(&mut self) -> Option<&mut T> {
         match self {
             Self::Known(content) => (&mut **content as &mut dyn Any).downcast_mut(),
             Self::Other { .. } => None,
@@ -144,13 +149,10 @@ impl Message {
     /// # Errors
     /// The message, if its contents are others.
     pub fn take<T: Content + Default>(mut self) -> Result<T, Self> {
-        if let Self::Known(content) = &mut self {
-            let content: &mut dyn Any = &mut **content;
-            if let Some(content) = content.downcast_mut() {
-                return Ok(std::mem::take(content));
-            }
+        match self.get_mut() {
+            Some(content) => Ok(std::mem::take(content)),
+            None => Err(self),
         }
-        Err(self)
     }
 
     const fn known(&self) -> Option<&Box<dyn Content>> {
