@@ -78,14 +78,11 @@ impl Foxglove {
         let options = Options {
             settings: CaptureSettings::of(Preset::FastWrite),
             per_robot: args.per_robot,
-            choose: Arc::new(|_| true),
-            max_file_bytes: u64::MAX,
             max_file_ns: u64::MAX,
-            resume: false,
-            snapshot: None,
             queue_bytes: QUEUE_BYTES,
             // It shows what it reads, and keeps nothing.
             member: "foxglove",
+            ..Options::default()
         };
         // Reads from the beginning: a recorder starts with the models, which may be more than a pipe holds.
         let sent = Arc::new(AtomicU64::new(0));
