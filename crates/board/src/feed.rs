@@ -36,7 +36,7 @@ pub enum OpenError {
 /// Why the thread of a [`Feed`] does not read, or no longer.
 #[derive(Debug, thiserror::Error)]
 pub enum FeedError {
-    /// It cannot join the fleet.
+    /// The fleet cannot be joined.
     #[error(transparent)]
     Open(#[from] OpenError),
     /// Reading fails permanently.
@@ -45,7 +45,7 @@ pub enum FeedError {
     /// There is no thread for it.
     #[error("cannot start a thread: {0}")]
     Thread(std::io::Error),
-    /// It ended before it had joined.
+    /// The thread ended before it had joined.
     #[error("the planner ended before it joined the fleet")]
     Ended,
     /// A defect.
@@ -78,9 +78,9 @@ impl Reading {
         Ok(reading)
     }
 
-    /// As [`Reading::open`], for boards that are looked at only `every` so often: ticks do not wake it, as in
-    /// [`Planner::polling`]. No frame of forecasts is skipped. They count as readable when they are sent, since what
-    /// passes until the next look is not the worker's.
+    /// Same as [`Reading::open`], for boards that are read only `every` so often. Ticks do not wake
+    /// it, as in [`Planner::polling`]. No frame of forecasts is skipped. They count as readable
+    /// when they are sent, because the worker does not cause the time until the next reading.
     ///
     /// # Errors
     /// The domain cannot be joined.
@@ -115,7 +115,7 @@ impl Reading {
         self.turn_within(PATIENCE, borrow)
     }
 
-    /// As [`Reading::turn`], with another longest wait.
+    /// Same as [`Reading::turn`], with another maximum wait.
     ///
     /// # Errors
     /// Reading fails permanently.

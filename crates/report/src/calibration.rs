@@ -30,8 +30,8 @@ pub(super) struct Level {
     fixed: CoverageTally,
 }
 
-/// Runs the live path with intervals of every level on every recording, which are in memory; `design` names the rows that are
-/// evaluated, else all are.
+/// Runs the live path with intervals of every level on every recording, which are in memory;
+/// `design` names the rows that are evaluated, else all are.
 ///
 /// # Errors
 /// The settings are refused.

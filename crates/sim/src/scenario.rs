@@ -37,7 +37,7 @@ const PLACES: u64 = 6 << 32;
 /// Result of a run of the scenario.
 #[derive(Debug)]
 pub struct Run {
-    /// One trial per robot, in order of their ids, which count from 1.
+    /// One trial per robot, sorted by id. Ids start at 1.
     pub trials: Vec<Trial>,
     /// Minimum distance between the centres of two robots at the end of any step, m.
     pub closest_m: f64,
@@ -49,7 +49,7 @@ pub struct Run {
     pub stopped_steps: usize,
 }
 
-/// The file name without extension of a robot's trial; ids count from 1.
+/// The file name of a robot's trial without extension. Ids start at 1.
 #[must_use]
 pub fn file_stem(robot: u32) -> String {
     format!("energy_data_seven_robots_robot{robot}")
@@ -61,7 +61,7 @@ pub fn seven_robots(seed: u64, steps: usize) -> Vec<Trial> {
     run(Parts::default(), seed, steps).trials
 }
 
-/// As [`seven_robots`], with given parameters, and with statistics of the barriers.
+/// Same as [`seven_robots`], with given parameters, and with statistics of the barriers.
 #[must_use]
 pub fn run(parts: Parts, seed: u64, steps: usize) -> Run {
     let mut fleet = Fleet::new(parts, seed);
@@ -179,7 +179,7 @@ fn direction(angle_rad: f64) -> Vector {
     vector(arena::direction(angle_rad))
 }
 
-/// With what barriers compute.
+/// Converts to the vectors of barriers.
 fn vector(of: arena::Vector) -> Vector {
     Vector::new(of.x, of.y)
 }

@@ -36,7 +36,7 @@ struct HeardWorker {
 /// Whether the fleet can take a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SendWindow {
-    /// It can.
+    /// The source may send.
     Free,
     /// The worker has ended.
     NoWorker,
@@ -95,7 +95,7 @@ impl Flow {
         self.window.sent(frame, clock::monotonic_ns());
     }
 
-    /// The source continues as run `source_epoch`, unless it already does: frames of older runs are
+    /// The source continues as run `source_epoch`, unless it already does. Frames of older runs are
     /// no longer waited for.
     pub fn follow(&mut self, source_epoch: u64) {
         if source_epoch > self.source_epoch {

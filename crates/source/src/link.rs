@@ -90,7 +90,7 @@ impl Link {
         }
     }
 
-    /// Whether a worker runs and reads: checked by a frame without samples.
+    /// Whether a worker runs and reads, checked by a frame without samples.
     ///
     /// # Errors
     /// The lock or the service cannot be used.
@@ -105,10 +105,10 @@ impl Link {
         }
     }
 
-    /// Waits for a worker; `false` at a signal.
+    /// Waits for a worker. Returns `false` at a signal.
     ///
     /// # Errors
-    /// As [`Link::has_worker`].
+    /// Same as [`Link::has_worker`].
     pub fn wait_for_worker(&mut self, stop: &Stop) -> anyhow::Result<bool> {
         if self.has_worker()? {
             return Ok(true);

@@ -1,4 +1,4 @@
-//! What was published.
+//! The report of a source.
 
 use std::fmt;
 
@@ -16,7 +16,7 @@ pub struct PublishReport {
     pub source: String,
     /// Robots of the source.
     pub robots: usize,
-    /// From the first frame to the end.
+    /// Time from the first frame to the end, s.
     pub duration_s: f64,
     /// Frames sent.
     pub frames_sent: u64,

@@ -5,13 +5,13 @@ use joulebus_predictor::{FEATURES, FeatureSet, LAGS, Normalisation};
 use super::ChooseError;
 use crate::Statistics;
 
-/// A convention is ruled out if another one's deviations are nearer to those of the recordings by
-/// this factor, averaged over the features in which the two differ. Per step and per second lie 30
-/// apart at 30 Hz, milliwatt and watt 1000.
+/// A convention is ruled out if another one's deviations are nearer to the recordings' deviations
+/// by this factor, averaged over the features in which the two differ. At 30 Hz the factor is 30
+/// between per step and per second, and 1000 between milliwatt and watt.
 const RULED_OUT: f64 = 3.0;
-/// Most deviations of power between the recordings' mean and the published one.
+/// Maximum distance between the recordings' mean power and the published one, in deviations.
 const MOST_DEVIATIONS: f64 = 3.0;
-/// Most between the deviations of velocities, as a factor.
+/// Maximum ratio of the velocities' deviations.
 const MOST_FACTOR: f64 = 4.0;
 
 /// Mean and deviation of a quantity.
@@ -27,13 +27,13 @@ impl Spread {
         let mean = values.clone().sum::<f64>() / count;
         let variance = values.map(|value| (value - mean).powi(2)).sum::<f64>() / count;
         let std = variance.sqrt();
-        // What remains of a constant is rounding.
+        // The deviation of a constant is rounding error.
         let std = if std > mean.abs() * 1e-7 { std } else { 0.0 };
         Spread { mean, std }
     }
 
-    /// How far stated statistics are from these, as a logarithm; 0 where one of the two is of a
-    /// constant.
+    /// Distance between the stated statistics and these, as a logarithm. 0 if one of the two is of
+    /// a constant.
     fn distance(self, mean: f64, std: f64) -> f64 {
         if !(self.std > 0.0 && std > 0.0) {
             return 0.0;

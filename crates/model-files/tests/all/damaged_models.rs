@@ -153,8 +153,8 @@ fn every_flipped_byte_is_an_error_with_its_location_or_changes_the_hash() {
                 bytes[at] ^= mask;
             }
         }
-        // A changed number is always detected where there are checksums; changed names may still
-        // change what is found.
+        // Checksums detect every changed number. Changed names may still change which network is
+        // found.
         assert!(
             !has_checksums || name.ends_with("npz") || other == 0,
             "{name}: {other} differ"
