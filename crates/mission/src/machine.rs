@@ -10,7 +10,7 @@ use crate::scenario::{Made, SPEED_MPS};
 /// Distance at which a point is reached, m: as in plans.
 const REACH_M: f64 = 0.05;
 /// Maximum time for which a path is simulated ahead, ns.
-const LONGEST_AHEAD_NS: u64 = 600_000_000_000;
+const MAX_AHEAD_NS: u64 = 600_000_000_000;
 
 /// Whether a robot has reached its goal.
 pub(crate) fn is_reached(at: Point, goal: Point) -> bool {
@@ -144,7 +144,7 @@ impl Machine {
     ) -> f64 {
         let mut ahead = self.clone();
         let (mut next, mut driven_ns) = (0, 0);
-        while driven_ns < LONGEST_AHEAD_NS {
+        while driven_ns < MAX_AHEAD_NS {
             let pose = ahead.pose();
             if way.get(next).is_some_and(|goal| is_reached(pose.at, *goal)) {
                 next += 1;

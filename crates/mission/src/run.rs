@@ -27,7 +27,7 @@ const AS_GOOD_AS_FULL: f64 = 0.97;
 
 /// Energy from which on the fleet's metering is compared with the monitor's, J: a poll more or less
 /// does not matter then.
-const LEAST_COMPARED_J: f64 = 200.0;
+const MIN_COMPARED_J: f64 = 200.0;
 
 /// The outcome of a mission.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -461,7 +461,7 @@ impl<'a> Mission<'a> {
             let state = self
                 .broker
                 .state(robot)
-                .filter(|_| shown_j > LEAST_COMPARED_J);
+                .filter(|_| shown_j > MIN_COMPARED_J);
             state.map_or(0.0, |(_, budget)| (budget.drawn_j() / shown_j - 1.0).abs())
         });
         errors.fold(0.0, f64::max)
