@@ -10,7 +10,7 @@ use joulebus_wire::Sample;
 use crate::report::PublishReport;
 
 /// Interval of checks for a worker, ns.
-const LOOK_EVERY_NS: u64 = 100_000_000;
+const POLL_INTERVAL_NS: u64 = 100_000_000;
 
 /// A source of the fleet.
 #[derive(Debug)]
@@ -115,7 +115,7 @@ impl Link {
         }
         say("no worker runs; waiting for one (`joulebus run` starts it)");
         while !self.has_worker()? {
-            if !stop.sleep_until(clock::monotonic_ns() + LOOK_EVERY_NS) {
+            if !stop.sleep_until(clock::monotonic_ns() + POLL_INTERVAL_NS) {
                 return Ok(false);
             }
         }

@@ -5,7 +5,7 @@ use std::fmt;
 use serde::Serialize;
 
 /// Maximum number of notes shown as text.
-const MOST_NOTES: usize = 5;
+const MAX_NOTES: usize = 5;
 
 /// Report of a source.
 #[derive(Debug, Default, Serialize)]
@@ -100,8 +100,8 @@ impl fmt::Display for PublishReport {
             writeln!(out, "delayed by {:.1} s", self.held_up_s)?;
         }
         let questionable = self.trials.iter().filter(|trial| !trial.clean);
-        let more = questionable.clone().count().saturating_sub(MOST_NOTES);
-        for trial in questionable.take(MOST_NOTES) {
+        let more = questionable.clone().count().saturating_sub(MAX_NOTES);
+        for trial in questionable.take(MAX_NOTES) {
             writeln!(
                 out,
                 "robot {}: {}: {}",
