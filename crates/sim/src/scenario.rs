@@ -201,8 +201,8 @@ struct Walk {
 }
 
 impl Walk {
-    const LEAST_S: f64 = 1.0;
-    const MOST_S: f64 = 5.0;
+    const MIN_S: f64 = 1.0;
+    const MAX_S: f64 = 5.0;
     const REST_SHARE: f64 = 0.15;
     const MARGIN_M: f64 = 0.25;
 
@@ -224,7 +224,7 @@ impl Walk {
 
     fn draw(&mut self, point: Vector) {
         let noise = &mut self.noise;
-        self.left_s = noise.between(Self::LEAST_S, Self::MOST_S);
+        self.left_s = noise.between(Self::MIN_S, Self::MAX_S);
         let rests = noise.uniform() < Self::REST_SHARE;
         let ahead = direction(noise.between(-PI, PI));
         let speed_mps = noise.between(0.05, V_MAX_MPS);
