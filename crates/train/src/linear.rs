@@ -21,7 +21,7 @@ const COLUMNS: usize = FEATURES + 1;
 const TARGET: usize = FEATURES;
 /// Minimum share of a column's variance that the columns before it do not explain. Features are
 /// single precision, so a share below the square of their rounding error is noise.
-const LEAST_OWN_VARIANCE: f64 = 1e-10;
+const MIN_OWN_VARIANCE: f64 = 1e-10;
 
 type Columns = SVector<f64, COLUMNS>;
 
@@ -314,8 +314,8 @@ impl Moments {
             let grown = cholesky.insert_column(place, column);
             // NaN if rounding makes it negative.
             let own = grown.l_dirty()[(place, place)].powi(2);
-            let says_more = own > LEAST_OWN_VARIANCE;
-            if !says_more {
+            let adds_information = own > MIN_OWN_VARIANCE;
+            if !adds_information {
                 kept.dropped.push((feature, Dropped::Dependent));
                 continue;
             }

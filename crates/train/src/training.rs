@@ -22,7 +22,7 @@ use joulebus_statistics::noise::Noise;
 /// Minimum number of rows for training and for scoring.
 const FEWEST_ROWS: usize = 2;
 /// Maximum number of threads of a run.
-const MOST_THREADS: usize = 256;
+const MAX_THREADS: usize = 256;
 /// Random streams: initial weights, row order of an epoch, dropout.
 const INITIAL: u64 = 0;
 const ORDER: u64 = 1 << 62;
@@ -96,8 +96,8 @@ impl Training {
         threads: usize,
     ) -> Result<Self, TrainError> {
         settings.check()?;
-        if threads > MOST_THREADS {
-            let reason = format!("allowed are 0, one per core, to {MOST_THREADS}");
+        if threads > MAX_THREADS {
+            let reason = format!("allowed are 0, one per core, to {MAX_THREADS}");
             return Err(TrainError::Threads { threads, reason });
         }
         // Count over all rows: dropping an unusable row would cut the run of readings around it.
