@@ -16,7 +16,7 @@ const MIN_ROWS: usize = 100;
 /// Maximum number of readings that are forecast. If there are more, every n-th block is used.
 const MAX_ROWS: usize = 60_000;
 /// A step longer than this many median steps is a gap.
-const LONGEST_STEP: f64 = 1.5;
+const MAX_STEP: f64 = 1.5;
 
 /// Rows of features and the readings that followed.
 pub(super) struct Data {
@@ -203,7 +203,7 @@ fn rows(trial: &Trial, set: FeatureSet) -> Vec<Row> {
         column(Column::Power),
     );
     let at = |column: &[f64], row: usize| column.get(row).map_or(f32::NAN, |value| *value as f32);
-    let longest_s = trial.period_ns() as f64 * 1e-9 * LONGEST_STEP;
+    let longest_s = trial.period_ns() as f64 * 1e-9 * MAX_STEP;
     let step_s = |row: usize| {
         let ns = trial.offset_ns();
         (ns[row] - ns[row - 1]) as f64 * 1e-9

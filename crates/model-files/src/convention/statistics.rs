@@ -10,9 +10,9 @@ use crate::Statistics;
 /// between per step and per second, and 1000 between milliwatt and watt.
 const RULED_OUT: f64 = 3.0;
 /// Maximum distance between the recordings' mean power and the published one, in deviations.
-const MOST_DEVIATIONS: f64 = 3.0;
+const MAX_DEVIATIONS: f64 = 3.0;
 /// Maximum ratio of the velocities' deviations.
-const MOST_FACTOR: f64 = 4.0;
+const MAX_FACTOR: f64 = 4.0;
 
 /// Mean and deviation of a quantity.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -94,13 +94,13 @@ pub(super) fn check_published(
     };
     // The published constants are in mW.
     let (mean_w, std_w) = (power.0 / 1e3, power.1 / 1e3);
-    let mut fits = (target.mean - mean_w).abs() <= MOST_DEVIATIONS * std_w;
+    let mut fits = (target.mean - mean_w).abs() <= MAX_DEVIATIONS * std_w;
     let mut found = format!("power {:.3} ± {:.3} W", target.mean, target.std);
     let mut published = format!("power {mean_w:.3} ± {std_w:.3} W");
     if set.needs_command() {
         for (at, name, unit, stated) in [(0, "v", "m/s", v.1), (1, "omega", "rad/s", omega.1)] {
             let std = recorded[at].std;
-            fits &= std <= MOST_FACTOR * stated;
+            fits &= std <= MAX_FACTOR * stated;
             found.push_str(&format!(", deviation of {name} {std:.4} {unit}"));
             published.push_str(&format!(", {stated} {unit}"));
         }

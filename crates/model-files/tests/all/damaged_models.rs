@@ -10,7 +10,7 @@ use sha2::{Digest as _, Sha256};
 
 /// Maximum total allocation for a file of some 30 kB, counting vectors each time they grow: its
 /// numbers as f64 are 56 kB, and there are a few copies.
-const MOST_BYTES: u64 = 4 << 20;
+const MAX_BYTES: u64 = 4 << 20;
 
 /// Result of reading a file.
 #[derive(Debug, PartialEq, Eq)]
@@ -51,7 +51,7 @@ fn outcome(bytes: &[u8], whole: &[u8], what: impl Fn() -> String) -> Outcome {
     let read = read(bytes);
     let allocated = counting::bytes() - before;
     assert!(
-        allocated < MOST_BYTES,
+        allocated < MAX_BYTES,
         "{}: {allocated} bytes allocated",
         what()
     );
