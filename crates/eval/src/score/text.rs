@@ -153,7 +153,7 @@ fn name_width<'a>(names: impl Iterator<Item = &'a str>, least: usize) -> usize {
     longest.unwrap_or(0).max(least)
 }
 
-/// What the rows of a table are to the models.
+/// The heading's words for a table's rows.
 const fn whose(rows: ScoredRows) -> &'static str {
     match rows {
         ScoredRows::NotTrainedOn => ", rows that no model was trained on",
@@ -244,7 +244,7 @@ fn write_blocks(out: &mut Formatter<'_>, cell: &Cell, bootstrap: &Bootstrap) -> 
     if count < LEAST_BLOCKS {
         return writeln!(
             out,
-            "no confidence intervals: {count} {block}, {LEAST_BLOCKS} are needed"
+            "no confidence intervals: {count} {block}, {MIN_BLOCKS} are needed"
         );
     }
     writeln!(
@@ -600,7 +600,7 @@ fn cut(name: &str, most: usize) -> String {
     if name.chars().count() <= most {
         return name.to_owned();
     }
-    // What is in parentheses at the end, such as the forecast, is kept.
+    // Keeps parentheses at the end, such as the forecast's.
     let (base, end) = name.split_at(name.rfind(" (").unwrap_or(name.len()));
     let (base, end) = match end.chars().count() + 1 < most {
         true => (base, end),

@@ -9,7 +9,7 @@ use joulebus_dataset::rows::{Dataset, write_rows};
 use joulebus_dataset::split::SplitSummary;
 use joulebus_dataset::trial::ColumnMap;
 use joulebus_eval::score::Recording;
-use joulebus_eval::training_data::{MOST_ROWS, Parts, TrainingDataError, training_data};
+use joulebus_eval::training_data::{MAX_ROWS, Parts, TrainingDataError, training_data};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, say};
 use joulebus_train::{Recipe, TrainReport, TrainSettings};
@@ -62,7 +62,7 @@ pub(super) struct Args {
     rows: Option<PathBuf>,
     /// Rows to train, validate and score on at most: of more, stretches that are spread evenly over all recordings are
     /// taken
-    #[arg(long, value_name = "N", default_value_t = MOST_ROWS)]
+    #[arg(long, value_name = "N", default_value_t = MAX_ROWS)]
     most_rows: NonZeroUsize,
     #[command(flatten)]
     columns: ColumnArguments,
@@ -118,7 +118,7 @@ impl Args {
             name: None,
             features: Some(features),
             rows: None,
-            most_rows: MOST_ROWS,
+            most_rows: MAX_ROWS,
             columns: columns.clone(),
             run: RunArguments::new(out),
         }
