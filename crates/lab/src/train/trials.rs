@@ -60,8 +60,8 @@ pub(super) struct Args {
     /// reading, W
     #[arg(long, value_name = "DIR")]
     rows: Option<PathBuf>,
-    /// Rows to train, validate and score on at most: of more, stretches that are spread evenly over all recordings are
-    /// taken
+    /// Rows to train, validate and score on at most: of more, stretches that are spread evenly over
+    /// all recordings are taken
     #[arg(long, value_name = "N", default_value_t = MAX_ROWS)]
     most_rows: NonZeroUsize,
     #[command(flatten)]
@@ -93,7 +93,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// From this many recordings on, whole ones are held out.
+/// Minimum number of recordings for holding out whole ones.
 const WHOLE_FROM: usize = 10;
 
 impl Args {
@@ -185,11 +185,11 @@ impl Args {
 }
 
 /// Maximum size of a recipe, bytes.
-const MOST_RECIPE_BYTES: u64 = 4 << 20;
+const MAX_RECIPE_BYTES: u64 = 4 << 20;
 
 fn read_recipe(path: &Path) -> anyhow::Result<Recipe> {
     let name = path.display();
-    let text = joulebus_files::read_to_string(path, MOST_RECIPE_BYTES)
+    let text = joulebus_files::read_to_string(path, MAX_RECIPE_BYTES)
         .with_context(|| format!("cannot read {name}"))?;
     Recipe::parse(&text).map_err(|error| UsageError(format!("the recipe {name}: {error}")).into())
 }
