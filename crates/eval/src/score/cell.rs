@@ -35,7 +35,7 @@ pub struct Cell {
 /// Resampled blocks of confidence intervals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Blocks {
-    /// Number of blocks. Below [`joulebus_statistics::bootstrap::LEAST_BLOCKS`], there is no
+    /// Number of blocks. Below [`joulebus_statistics::bootstrap::MIN_BLOCKS`], there is no
     /// interval.
     pub count: usize,
     /// Whether each block is a whole trial; otherwise a number of consecutive rows.

@@ -7,7 +7,7 @@ use super::compare::{Comparison, Difference};
 use super::design::DesignReport;
 use super::report::{ModelReport, ScoreReport};
 use super::trained_on::{ScoredRows, TrainedOn};
-use joulebus_statistics::bootstrap::{Bootstrap, Estimate, LEAST_BLOCKS};
+use joulebus_statistics::bootstrap::{Bootstrap, Estimate, MIN_BLOCKS};
 
 /// Maximum number of trials listed individually; of more, only the worst.
 const LISTED: usize = 24;
@@ -241,7 +241,7 @@ fn write_blocks(out: &mut Formatter<'_>, cell: &Cell, bootstrap: &Bootstrap) -> 
     } else {
         format!("blocks of {} rows", bootstrap.block_rows)
     };
-    if count < LEAST_BLOCKS {
+    if count < MIN_BLOCKS {
         return writeln!(
             out,
             "no confidence intervals: {count} {block}, {MIN_BLOCKS} are needed"
