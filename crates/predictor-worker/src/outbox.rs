@@ -10,7 +10,7 @@ use joulebus_wire::{
     SCHEMA_VERSION, WakeEvent,
 };
 
-use crate::standby::watch::Speaking;
+use crate::standby::watch::CurrentPermit;
 use crate::tick_pool::TickPool;
 
 /// The four ports, and the event that wakes planners.
@@ -34,15 +34,15 @@ impl Outbox {
         })
     }
 
-    /// Whether anybody reads what plans start from: only then is it written.
+    /// Whether any planner reads plan states. They are written only then.
     pub(crate) fn plans(&self) -> bool {
         self.plan_states.readers() > 0
     }
 
     /// Ticks the robots of a fleet that has begun a tick, writes the output, and sends it. `header`
-    /// has everything known before; `left_out`: what is not written. Returns the number of frames
-    /// that could not be sent. Nothing is sent after the time for which the worker may speak, which may
-    /// end in the middle of a tick.
+    /// has everything known before, `left_out` the outputs not to write. Returns the number of
+    /// frames that could not be sent. Nothing is sent after the worker's permit has ended, which
+    /// may be in the middle of a tick.
     ///
     /// Forecasts are sent first, and planners are woken for them. In a parallel tick all are
     /// written in one pass, because a second pass over so many robots would cost more memory
@@ -52,7 +52,7 @@ impl Outbox {
         (fleet, pool): (&mut Fleet, &TickPool),
         header: ForecastHeader,
         left_out: LeftOut,
-        speaking: &Speaking,
+        current_permit: &CurrentPermit,
     ) -> u64 {
         let robots = fleet.len();
         let headers = Headers::new(fleet, &header);
@@ -74,10 +74,10 @@ impl Outbox {
                 accounts,
             };
             pool.run(shard, outputs);
-            send_forecasts(forecasts, &self.planners, header, speaking)
+            send_forecasts(forecasts, &self.planners, header, current_permit)
         } else {
             pool.forecast(&mut shard, payload(Some(&mut forecasts)));
-            let unsent = send_forecasts(forecasts, &self.planners, header, speaking);
+            let unsent = send_forecasts(forecasts, &self.planners, header, current_permit);
             pool.account(&mut shard, accounts);
             unsent
         };
@@ -92,7 +92,7 @@ impl Outbox {
             sent_unix_ns,
             ..headers.plan_states
         };
-        if !speaking.holds(clock::boot_ns()) {
+        if !current_permit.holds(clock::boot_ns()) {
             return unsent;
         }
         unsent
@@ -114,7 +114,7 @@ impl Outbox {
 pub(crate) struct LeftOut {
     /// For lack of time.
     pub(crate) diagnostics: bool,
-    /// Because nobody reads them.
+    /// Left out because nobody reads them.
     pub(crate) plan_states: bool,
 }
 
@@ -173,7 +173,7 @@ fn send_forecasts(
     forecasts: Result<ForecastLoan<'_>, SendError>,
     planners: &Waker,
     mut header: ForecastHeader,
-    speaking: &Speaking,
+    current_permit: &CurrentPermit,
 ) -> u64 {
     let Ok(mut forecasts) = forecasts else {
         return 1;
@@ -181,7 +181,7 @@ fn send_forecasts(
     header.compute_end_ns = clock::monotonic_ns();
     header.sent_unix_ns = clock::unix_ns();
     header.sent_ns = clock::monotonic_ns();
-    if !speaking.holds(clock::boot_ns()) {
+    if !current_permit.holds(clock::boot_ns()) {
         return 0;
     }
     *forecasts.header_mut() = header;
