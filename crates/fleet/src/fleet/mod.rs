@@ -131,7 +131,7 @@ impl Fleet {
     }
 
     /// Begins a tick: robots that have been silent for too long leave, and the remaining
-    /// [`Fleet::len`] robots are to be ticked as a [`Fleet::shard`], once. Returns the intake.
+    /// [`Fleet::len`] robots have to be ticked as a [`Fleet::shard`], once. Returns the intake.
     pub fn begin(&mut self, now_ns: u64, deadline_missed: bool) -> TickIntake {
         self.tick.now_ns = now_ns;
         self.tick.deadline_missed = deadline_missed;
@@ -189,8 +189,8 @@ impl Fleet {
         self.drops
     }
 
-    /// Accounts of robots that have left, given up since for those of other robots: as many as the
-    /// capacity are kept.
+    /// Number of accounts of departed robots that were given up for those of other robots. As many
+    /// as the capacity are kept.
     #[must_use]
     pub fn accounts_given_up(&self) -> u64 {
         self.departed.given_up()
@@ -202,7 +202,7 @@ impl Fleet {
         self.refused.places()
     }
 
-    /// Hash of the model of all platforms; where they use different models, a combination of their
+    /// Hash of the model of all platforms. If they use different models, a combination of their
     /// hashes in the order of the platforms.
     #[must_use]
     pub fn model_hash(&self) -> u64 {
@@ -245,15 +245,15 @@ impl Fleet {
         Some(online.learned(weights))
     }
 
-    /// What is known of a robot for the energy of its plans, if it is in the fleet.
+    /// A robot's state for the energy of its plans, if it is in the fleet.
     #[must_use]
     pub fn energy(&self, robot: u32) -> Option<EnergyState> {
         let slot = self.find(robot)?;
         Some(lanes::get(&self.columns.energy, slot))
     }
 
-    /// The energy model of the platform at `index` of the settings; one
-    /// [without training](EnergyModel::untrained) where its model has none.
+    /// The energy model of the platform at `index` of the settings. One [without
+    /// training](EnergyModel::untrained) if its model has none.
     #[must_use]
     pub fn energy_model(&self, index: usize) -> Option<&EnergyModel> {
         Some(&self.tick.platforms.get(index)?.energy)
@@ -267,8 +267,8 @@ impl Fleet {
         live.or_else(|| self.departed.ledger(robot).copied())
     }
 
-    /// The forecast of the robot at `place` (0 to [`Fleet::len`] − 1), as of the last tick. A
-    /// [`Shard`] writes those of all robots faster.
+    /// The forecast of the robot at `place` (0 to [`Fleet::len`] − 1) in the last tick. A [`Shard`]
+    /// writes those of all robots faster.
     #[must_use]
     pub fn forecast(&self, place: usize) -> Forecast {
         let (block, lane) = self.block_of(place);
@@ -290,7 +290,7 @@ impl Fleet {
         Budgets::of(&self.tick, block).get(&self.tick, lane)
     }
 
-    /// What a plan of the robot at `place` starts from, as of the last tick.
+    /// The start of a plan of the robot at `place`, in the last tick.
     #[must_use]
     pub fn plan_state(&self, place: usize) -> PlanState {
         let (block, lane) = self.block_of(place);

@@ -16,8 +16,8 @@ impl Fleet {
         state
     }
 
-    /// As [`Fleet::state`], into memory of [`FleetState::with_capacity_for`] the same settings: copies
-    /// without allocating. Takes as long as copying all slots ever used.
+    /// Same as [`Fleet::state`], into memory of [`FleetState::with_capacity_for`] the same
+    /// settings. It copies without allocating, and takes as long as copying all slots ever used.
     pub fn state_into(&self, state: &mut FleetState) {
         state.capacity = self.tick.settings.capacity;
         state.platforms = self.tick.platforms.len() as u32;

@@ -216,7 +216,7 @@ impl<'a> ColumnsMut<'a> {
         }
     }
 
-    /// As [`Columns::block`].
+    /// Same as [`Columns::block`].
     #[inline(always)]
     pub(crate) fn block(&self, block: usize) -> BlockRef<'_> {
         BlockRef {

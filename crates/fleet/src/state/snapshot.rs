@@ -27,11 +27,11 @@ use crate::ledger::energy::LedgerLanes;
 const MAGIC: [u8; 8] = *b"jbstate\x0a";
 
 /// Everything that a tick depends on except the settings and the models, bit for bit: membership,
-/// windows, ledgers, intervals, scores, detectors, energy states, online learning, accounts of departed robots,
-/// sources, refusals and drops.
+/// windows, ledgers, intervals, scores, detectors, energy states, online learning, accounts of
+/// departed robots, sources, refusals and drops.
 ///
 /// A fleet into which it is [restored](crate::Fleet::restore_state) continues exactly like the one
-/// that it was [taken](crate::Fleet::state) from.
+/// from which it was [taken](crate::Fleet::state).
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct FleetState {
     pub(crate) capacity: u32,
@@ -241,7 +241,7 @@ impl FleetState {
         admissions.filter(|(_, admission)| admission.present)
     }
 
-    /// As [`crate::Fleet::model_hash`].
+    /// Same as [`crate::Fleet::model_hash`].
     #[must_use]
     pub fn model_hash(&self) -> u64 {
         self.model_hash

@@ -8,7 +8,7 @@ use joulebus_predictor::INPUTS;
 
 use crate::estimate::energy::{EnergyLanes, EnergySamples};
 use crate::estimate::interval::IntervalLanes;
-use crate::estimate::online::{LessonLanes, Members, OnlineLanes};
+use crate::estimate::online::{Members, OnlineLanes, RlsUpdateLanes};
 use crate::estimate::window::{ClosedLanes, Gap, RequiredInputs, WindowLanes};
 use crate::ingest::last_sample::LastLanes;
 use crate::ingest::pending::{PendingBlock, PendingState};
@@ -91,18 +91,18 @@ fn learn(
 ) {
     // Copies, so that the compiler sees that nothing else writes to them.
     let (members, mut copy) = (*members, *online);
-    let (mut lessons, mut scored) = (LessonLanes::NONE, [false; LANES]);
+    let (mut updates, mut scored) = (RlsUpdateLanes::NONE, [false; LANES]);
     for lane in 0..LANES {
         let (window, mut robot) = (windows.get(lane), copy.get(lane));
         let reading_w = pending.samples.power_w[lane];
-        let lesson = robot.weigh(&members, &window.lags_w(), window.due(), reading_w);
-        lessons.set(lane, &lesson);
+        let update = robot.update_weights(&members, &window.lags_w(), window.due(), reading_w);
+        updates.set(lane, &update);
         scored[lane] = mask[lane] & window.is_scored();
         copy.set(lane, scored[lane], robot);
     }
     for lane in 0..LANES {
         let mut robot = copy.get(lane);
-        robot.follow(&lessons.get(lane));
+        robot.update_rls(&updates.get(lane));
         copy.set(lane, scored[lane], robot);
     }
     for lane in 0..LANES {

@@ -105,7 +105,7 @@ pub(crate) fn step(
     }
 }
 
-/// The reading after a gap says nothing of the power during it.
+/// The reading after a gap does not represent the power during it.
 fn energy_sample(pending: &Pending, elapsed_s: f32, on_time: bool) -> EnergySample {
     let (v_mps, omega_radps) = pending.command().unwrap_or((f32::NAN, f32::NAN));
     EnergySample {
