@@ -36,10 +36,10 @@
 //! **Alarms.** [`Planner::diagnostics`] states what is raised; [`AlarmFeed`] tells each raise and each end.
 //!
 //! **Gaps.** A planner always gets the newest frame. Skipped frames are counted
-//! ([`Forecasts::arrival`], [`Counts`]). A slow or stopped planner does not affect the worker.
+//! ([`Frame::arrival`], [`Counts`]). A slow or stopped planner does not affect the worker.
 //!
 //! **Lifetimes.** A frame lies in shared memory and is borrowed from the [`Planner`], or from the
-//! [`DiagnosticFeed`], [`BudgetFeed`] or [`PlanStateFeed`], each of which holds exactly one: it is unchanged until the
+//! [`Feed`] of another channel, each of which holds exactly one: it is unchanged until the
 //! next call that takes a newer one. To keep more, copy: rows are `Copy`; or keep up to two
 //! frames of forecasts where they lie ([`Planner::keep`]). [`Frame::robot`] takes
 //! constant time while no robots join or leave. Feeds are separate so that a frame of each may be
@@ -64,13 +64,13 @@ mod planner;
 mod tracker;
 
 pub use alarms::{AlarmChange, AlarmFeed, AlarmHistory, Change};
-pub use feed::{BudgetFeed, DiagnosticFeed, Feed, PlanStateFeed, QueryFeed};
+pub use feed::Feed;
 pub use fleet_alarms::{FleetAlarm, FleetAlarms};
-pub use frame::{Budgets, Diagnostics, Forecasts, Frame, KeptForecasts, PlanStates};
+pub use frame::{Frame, KeptForecasts};
 pub use joulebus_bus::{OpenError, clock};
 pub use joulebus_config::Config;
 pub use joulebus_connect::{ConnectError, error};
-pub use joulebus_wire as wire;
+pub use joulebus_wire::{self as wire, Budgets, Diagnostics, Forecasts, PlanStates, Queries};
 pub use newest::ReadError;
 pub use planner::{Event, Planner};
 pub use tracker::{Arrival, Counts, End, WorkerState};

@@ -6,21 +6,18 @@ use std::path::Path;
 use std::time::Duration;
 
 use joulebus_bus::{
-    Bus, ForecastReader, Limits, OpenError, PeerWatch, Poller, WaitError, Waiter, Woken, clock,
+    Bus, Limits, OpenError, PeerWatch, Poller, Reader, WaitError, Waiter, Woken, clock,
 };
 use joulebus_config::Config;
 use joulebus_connect::{ConnectError, join};
-use joulebus_wire::{
-    BudgetHeader, DiagnosticHeader, Forecast, ForecastHeader, PlanStateHeader, QueriesHeader,
-};
+use joulebus_wire::{Channel, Forecast, ForecastHeader};
 
 use crate::frame::{Frame, KeptForecasts};
 use crate::index::RobotIndex;
 use crate::newest::{ReadError, check_schema, newer};
 use crate::tracker::{Tracker, place};
 use crate::{
-    Arrival, BudgetFeed, Counts, DiagnosticFeed, End, Forecasts, PlanStateFeed, QueryFeed,
-    WorkerState,
+    Arrival, Budgets, Counts, Diagnostics, End, Feed, Forecasts, PlanStates, Queries, WorkerState,
 };
 
 /// What is done with each frame.
@@ -30,7 +27,7 @@ type Each<'a> = &'a mut dyn FnMut(&ForecastHeader, &[Forecast]);
 ///
 /// Stays connected while the worker ends and restarts. Belongs to one thread.
 pub struct Planner {
-    reader: ForecastReader,
+    reader: Reader<Forecasts>,
     waiting: Waiting,
     watch: Option<PeerWatch>,
     tracker: Tracker,
@@ -90,7 +87,7 @@ impl Waiting {
 #[non_exhaustive]
 pub enum Event<'a> {
     /// A frame that was not returned before.
-    Frame(Forecasts<'a>),
+    Frame(Frame<'a, Forecasts>),
     /// The worker has ended; reported once.
     Gone(End),
     /// The newest frame is older than two tick periods; reported once.
@@ -152,7 +149,7 @@ impl Planner {
         let limits = config.limits();
         let bus = join(config, name)?;
         let waiting = waiting(&bus, &limits)?;
-        let reader = bus.forecast_reader(&limits)?;
+        let reader = bus.reader(&limits)?;
         Ok(Self {
             reader,
             waiting,
@@ -235,7 +232,7 @@ impl Planner {
     ///
     /// # Errors
     /// [`ReadError`]; the next call may succeed.
-    pub fn latest(&mut self) -> Result<Option<Forecasts<'_>>, ReadError> {
+    pub fn latest(&mut self) -> Result<Option<Frame<'_, Forecasts>>, ReadError> {
         self.look(0)?;
         self.fetch(&mut None)?;
         Ok(self.current())
@@ -243,11 +240,10 @@ impl Planner {
 
     /// The last frame again.
     #[must_use]
-    pub fn current(&self) -> Option<Forecasts<'_>> {
+    pub fn current(&self) -> Option<Frame<'_, Forecasts>> {
         let held = self.reader.held()?;
         let number = self.tracker.counts().frames;
-        let id = |row: &Forecast| row.robot;
-        Some(Frame::new(held, number, id, &self.index, self.arrival))
+        Some(Frame::new(held, number, &self.index, self.arrival))
     }
 
     /// The frame of [`Planner::current`], to keep beyond the next call, in shared memory; there is no current one
@@ -274,15 +270,20 @@ impl Planner {
         self.tracker.counts()
     }
 
+    /// Opens a channel that the worker sends.
+    ///
+    /// # Errors
+    /// [`OpenError`] with the cause and the remedy.
+    pub fn feed<C: Channel>(&self) -> Result<Feed<C>, OpenError> {
+        self.bus.reader(&self.limits).map(Feed::new)
+    }
+
     /// Opens the diagnostics. Frames sent from now on can be read.
     ///
     /// # Errors
     /// [`OpenError`] with the cause and the remedy.
-    pub fn diagnostics(&self) -> Result<DiagnosticFeed, OpenError> {
-        let reader = self.bus.diagnostic_reader(&self.limits)?;
-        let of_header =
-            |header: &DiagnosticHeader| (header.schema, header.worker_epoch, header.tick);
-        Ok(DiagnosticFeed::new(reader, of_header, |row| row.robot))
+    pub fn diagnostics(&self) -> Result<Feed<Diagnostics>, OpenError> {
+        self.feed()
     }
 
     /// Opens the budgets. Frames sent before can be read as soon as the worker sends again, or
@@ -290,10 +291,8 @@ impl Planner {
     ///
     /// # Errors
     /// [`OpenError`] with the cause and the remedy.
-    pub fn budgets(&self) -> Result<BudgetFeed, OpenError> {
-        let reader = self.bus.budget_reader(&self.limits)?;
-        let of_header = |header: &BudgetHeader| (header.schema, header.worker_epoch, header.tick);
-        Ok(BudgetFeed::new(reader, of_header, |row| row.robot))
+    pub fn budgets(&self) -> Result<Feed<Budgets>, OpenError> {
+        self.feed()
     }
 
     /// Opens what plans start from. The worker sends it while somebody reads it: the first frame
@@ -301,11 +300,8 @@ impl Planner {
     ///
     /// # Errors
     /// [`OpenError`] with the cause and the remedy.
-    pub fn plan_states(&self) -> Result<PlanStateFeed, OpenError> {
-        let reader = self.bus.plan_state_reader(&self.limits)?;
-        let of_header =
-            |header: &PlanStateHeader| (header.schema, header.worker_epoch, header.tick);
-        Ok(PlanStateFeed::new(reader, of_header, |row| row.robot))
+    pub fn plan_states(&self) -> Result<Feed<PlanStates>, OpenError> {
+        self.feed()
     }
 
     /// Opens the records of questions that the worker was asked, whose header counts those answered and
@@ -313,11 +309,8 @@ impl Planner {
     ///
     /// # Errors
     /// [`OpenError`] with the cause and the remedy.
-    pub fn queries(&self) -> Result<QueryFeed, OpenError> {
-        let reader = self.bus.queries_reader(&self.limits)?;
-        let of_header = |header: &QueriesHeader| (header.schema, header.begun_ns, header.sent_ns);
-        // Words have no robot.
-        Ok(QueryFeed::new(reader, of_header, |_| 0))
+    pub fn queries(&self) -> Result<Feed<Queries>, OpenError> {
+        self.feed()
     }
 
     /// Connections to workers that failed or broke: frames are missing.

@@ -8,7 +8,9 @@ use joulebus_consumer::{Config, Event, Planner};
 use joulebus_publisher::{Publisher, RobotState};
 use joulebus_testkit::Place;
 use joulebus_testkit::counting::allocations;
-use joulebus_wire::{Budget, BudgetHeader, Forecast, ForecastHeader, SCHEMA_VERSION, WakeEvent};
+use joulebus_wire::{
+    Budget, BudgetHeader, Budgets, Forecast, ForecastHeader, Forecasts, SCHEMA_VERSION, WakeEvent,
+};
 
 #[test]
 fn only_loans_allocate_and_only_once() {
@@ -22,8 +24,8 @@ fn only_loans_allocate_and_only_once() {
     let bus = Bus::join(&config.domain().unwrap(), "worker").unwrap();
     // A reader, whose buffer overflows repeatedly.
     let samples = bus.sample_reader(&limits).unwrap();
-    let mut forecasts = bus.forecast_writer(&limits).unwrap();
-    let mut budget_writer = bus.budget_writer(&limits).unwrap();
+    let mut forecasts = bus.writer::<Forecasts>(&limits).unwrap();
+    let mut budget_writer = bus.writer::<Budgets>(&limits).unwrap();
     let waker = bus.planner_waker(&limits).unwrap();
 
     for round in 1..200_u64 {

@@ -1,0 +1,236 @@
+//! Limits of a fleet's services, and the resulting size of each.
+
+use joulebus_settings::bounds;
+use joulebus_wire::{Flow, FrameRows};
+
+/// Limits of a fleet's services. Every process of the fleet must use the same: the first to open a
+/// service fixes them, and a later one that differs gets an error with both.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limits {
+    /// Robots: the longest frame that can be sent. At least 1, as all of these; at most
+    /// [`bounds::CAPACITY`].
+    pub capacity: usize,
+    /// Processes that may publish samples at once; at most [`bounds::MAX_SOURCES`].
+    pub max_sources: usize,
+    /// Processes that may read forecasts at once; at most [`bounds::MAX_PLANNERS`].
+    pub max_planners: usize,
+    /// Frames of samples queued for the worker, per source; older ones are overwritten; at most
+    /// [`bounds::BUFFER_FRAMES`].
+    pub sample_frames: usize,
+    /// Frames of forecasts, diagnostics and budgets queued for a reader; at most 64.
+    pub forecast_frames: usize,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            capacity: 1_000,
+            max_sources: 8,
+            max_planners: 8,
+            sample_frames: 8,
+            forecast_frames: 2,
+        }
+    }
+}
+
+/// Spare ports of a service: a killed process holds its ports until the cleanup, and its successor
+/// may start earlier.
+const SPARE: usize = 2;
+/// Questions of a client that can be in transfer.
+pub const ACTIVE_QUERIES: usize = 1;
+/// Most clients that ask the worker.
+const MOST_QUERY_CLIENTS: usize = 16;
+/// The thread that answers questions waits as a planner does.
+const ANSWERING: usize = 1;
+/// Readers in the worker's own process: the checkpointer, and the thread that answers questions or, of diagnostics, the one
+/// that logs alarms.
+const OF_WORKER: usize = 2;
+/// Recorders that a fleet can have at once.
+const RECORDERS: usize = 2;
+/// Maximum number of frames that a journal lists, whatever the limits: 160 KiB.
+const MOST_LISTED: usize = 4_096;
+
+/// Bytes per robot in a piece of a keyframe: a robot takes about 350.
+const STATE_BYTES_PER_ROBOT: usize = 512;
+const STATE_PIECE_BYTES: (usize, usize) = (4 * 1024, 64 * 1024);
+
+impl Limits {
+    /// The limits, if all are in their ranges.
+    ///
+    /// # Errors
+    /// [`LimitsError`] states the first that is not.
+    pub fn checked(self) -> Result<Self, LimitsError> {
+        for (name, found, max) in [
+            ("capacity", self.capacity, *bounds::CAPACITY.end()),
+            ("max_sources", self.max_sources, *bounds::MAX_SOURCES.end()),
+            (
+                "max_planners",
+                self.max_planners,
+                *bounds::MAX_PLANNERS.end(),
+            ),
+            (
+                "sample_frames",
+                self.sample_frames,
+                *bounds::BUFFER_FRAMES.end(),
+            ),
+            ("forecast_frames", self.forecast_frames, 64),
+        ] {
+            let max = max as usize;
+            if found < 1 || found > max {
+                return Err(LimitsError { name, found, max });
+            }
+        }
+        Ok(self)
+    }
+
+    /// Text stored in each service for comparison by other processes.
+    #[must_use]
+    pub fn describe(&self) -> String {
+        format!(
+            "capacity={} max_sources={} max_planners={} sample_frames={} forecast_frames={}",
+            self.capacity,
+            self.max_sources,
+            self.max_planners,
+            self.sample_frames,
+            self.forecast_frames
+        )
+    }
+
+    /// Processes that can be members at once.
+    #[must_use]
+    pub const fn nodes(&self) -> usize {
+        2 * (self.max_sources + self.max_planners + SPARE)
+    }
+
+    /// Frames of samples that a tick's journal can list: all that can be queued when a tick begins,
+    /// up to 4,096.
+    #[must_use]
+    pub const fn listed_frames(&self) -> usize {
+        let waiting = self.max_sources * self.sample_frames;
+        if waiting < MOST_LISTED {
+            waiting
+        } else {
+            MOST_LISTED
+        }
+    }
+
+    /// The size of a channel's service.
+    #[must_use]
+    pub const fn shape(&self, flow: Flow) -> Shape {
+        match flow {
+            Flow::Sources => Shape {
+                publishers: self.max_sources + SPARE,
+                // The worker, and recorders.
+                subscribers: 1 + RECORDERS + SPARE,
+                buffer: self.sample_frames,
+                borrowed: 1,
+                history: 0,
+            },
+            Flow::Planners { kept, history } => Shape {
+                publishers: 1 + SPARE,
+                subscribers: self.max_planners + OF_WORKER + SPARE,
+                buffer: self.forecast_frames,
+                // The newest is received while the previous one is held.
+                borrowed: 2 + kept,
+                history,
+            },
+            Flow::Recorders { queued, history } => Shape {
+                publishers: 1 + SPARE,
+                subscribers: RECORDERS + SPARE,
+                buffer: queued,
+                borrowed: 1,
+                history,
+            },
+        }
+    }
+
+    /// The most rows that a frame may have.
+    #[must_use]
+    pub fn rows(&self, rows: FrameRows) -> usize {
+        match rows {
+            FrameRows::Robots => self.capacity,
+            FrameRows::Taken => self.listed_frames(),
+            FrameRows::Bytes => self.state_piece_bytes(),
+            FrameRows::Words(words) => words,
+        }
+    }
+
+    /// Clients that can ask the worker at once.
+    #[must_use]
+    pub const fn query_clients(&self) -> usize {
+        let wanted = self.max_planners + SPARE;
+        if wanted < MOST_QUERY_CLIENTS {
+            wanted
+        } else {
+            MOST_QUERY_CLIENTS
+        }
+    }
+
+    /// Questions that can be in transfer at once.
+    #[must_use]
+    pub const fn queries_in_transfer(&self) -> usize {
+        self.query_clients() * ACTIVE_QUERIES
+    }
+
+    /// Listeners and notifiers of the event that wakes clients; of that which wakes the worker the other
+    /// way round.
+    #[must_use]
+    pub const fn query_events(&self) -> (usize, usize) {
+        (self.query_clients(), 1 + SPARE)
+    }
+
+    /// Bytes of a piece of a keyframe.
+    fn state_piece_bytes(&self) -> usize {
+        let (least, most) = STATE_PIECE_BYTES;
+        self.capacity
+            .saturating_mul(STATE_BYTES_PER_ROBOT)
+            .clamp(least, most)
+    }
+
+    /// Listeners and notifiers of the sources' event.
+    #[must_use]
+    pub const fn arrivals(&self) -> (usize, usize) {
+        (1 + SPARE, self.max_sources + SPARE)
+    }
+
+    /// Listeners and notifiers of the worker's event.
+    #[must_use]
+    pub const fn wake(&self) -> (usize, usize) {
+        (self.max_planners + ANSWERING + SPARE, 1 + SPARE)
+    }
+}
+
+/// The size of one publish-subscribe service.
+#[derive(Debug, Clone, Copy)]
+pub struct Shape {
+    /// Ports that write.
+    pub publishers: usize,
+    /// Ports that read.
+    pub subscribers: usize,
+    /// Frames queued for a port that reads.
+    pub buffer: usize,
+    /// Frames that a port can hold at once.
+    pub borrowed: usize,
+    /// Frames that a port which comes later receives.
+    pub history: usize,
+}
+
+impl Shape {
+    /// Frames for which one publisher allocates memory, as iceoryx2 counts them with one loan.
+    #[must_use]
+    pub const fn frames(&self) -> usize {
+        self.subscribers * (self.buffer + self.borrowed) + self.history + 1
+    }
+}
+
+/// A limit outside its range.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{name} = {found}: allowed are 1 to {max}")]
+pub struct LimitsError {
+    /// Which limit.
+    pub name: &'static str,
+    /// Its value.
+    pub found: usize,
+    /// The greatest value allowed.
+    pub max: usize,
+}

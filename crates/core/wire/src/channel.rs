@@ -1,0 +1,194 @@
+//! What a channel is: a service of shared memory through which frames go, each a header and rows.
+//!
+//! A channel is declared once, here or in another crate. Its ports, its place in a capture, its way over a
+//! link and through a simulation follow from the declaration.
+
+use crate::{
+    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
+    PlanStateHeader, QueriesHeader, RECORD_WORDS, Row, Sample, SampleHeader, Service, StateHeader,
+    TakenFrame, TickHeader,
+};
+
+/// A service of shared memory through which frames go.
+pub trait Channel: std::fmt::Debug + Copy + Send + Sync + 'static {
+    /// Its service, which also names its topic in a capture.
+    const SERVICE: Service;
+    /// Name of a frame's message in a capture, without the package; that of a row is [`crate::StructLayout::name`].
+    const MESSAGE: &'static str;
+    /// Who sends and who reads.
+    const FLOW: Flow;
+    /// What its rows are.
+    const ROWS: FrameRows;
+    /// What a frame begins with.
+    type Header: FrameHeader;
+    /// What it consists of.
+    type Row: Row;
+
+    /// The robot of a row; none where rows are not of [`FrameRows::Robots`].
+    #[must_use]
+    fn robot(row: &Self::Row) -> Option<u32> {
+        let id = bytemuck::bytes_of(row).first_chunk();
+        id.filter(|_| Self::ROWS == FrameRows::Robots)
+            .map(|id| u32::from_ne_bytes(*id))
+    }
+}
+
+/// Who sends on a channel and who reads, which sizes its service.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Flow {
+    /// Sources send; the worker and recorders read.
+    Sources,
+    /// The worker sends; planners and recorders read.
+    Planners {
+        /// Frames that a planner can keep beside the newest.
+        kept: usize,
+        /// Frames that a reader which comes later receives.
+        history: usize,
+    },
+    /// The worker sends; recorders read.
+    Recorders {
+        /// Frames queued for a recorder.
+        queued: usize,
+        /// Frames that a reader which comes later receives.
+        history: usize,
+    },
+}
+
+/// What the rows of a frame are, which bounds their number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FrameRows {
+    /// One of each robot, which begins with the robot's id.
+    Robots,
+    /// One of each frame that a tick took.
+    Taken,
+    /// Bytes of a piece of a keyframe.
+    Bytes,
+    /// Words, at most so many.
+    Words(usize),
+}
+
+/// Where a frame stands among those of its channel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
+pub struct Place {
+    /// The run of the worker, or of the source.
+    pub run: u64,
+    /// The tick within it, the number of the source's frame, or the time of sending where frames have no number.
+    pub number: u64,
+}
+
+/// The header of a frame. It begins with [`crate::SCHEMA_VERSION`].
+pub trait FrameHeader: Row {
+    /// Version of its payloads.
+    fn schema(&self) -> u32;
+
+    /// Its place: a later frame has a greater one.
+    fn place(&self) -> Place;
+
+    /// Puts the frame at another place, sent by process `pid`.
+    fn set_place(&mut self, pid: u32, place: Place);
+
+    /// When the frame was sent, monotonic ns; none where that is not stated.
+    fn sent_ns(&self) -> Option<u64>;
+
+    /// When the frame was sent, Unix ns; none where that is not stated.
+    fn sent_unix_ns(&self) -> Option<u64>;
+
+    /// States when the frame is sent, monotonic ns and Unix ns, where it states that.
+    fn set_sent(&mut self, sent_ns: u64, sent_unix_ns: u64);
+
+    /// The period at which frames follow each other, ns, where it is stated.
+    fn period_ns(&mut self) -> Option<&mut u64>;
+}
+
+macro_rules! channels {
+    ($($(#[doc = $doc:literal])*
+    $name:ident: $service:literal, $header:ident { $($part:tt)* }, $row:ty, $flow:expr, $rows:expr;)*) => {$(
+        $(#[doc = $doc])*
+        #[derive(Debug, Clone, Copy)]
+        pub struct $name;
+
+        impl Channel for $name {
+            const SERVICE: Service = Service::named($service);
+            const MESSAGE: &'static str = stringify!($name);
+            const FLOW: Flow = $flow;
+            const ROWS: FrameRows = $rows;
+            type Header = $header;
+            type Row = $row;
+        }
+
+        $crate::frame_header!($header { $($part)* });
+    )*};
+}
+
+/// Implements [`FrameHeader`]: the fields of the place; of the times of sending and of the period, each where there is one.
+/// `frame_header!(ForecastHeader { place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns; })`.
+#[macro_export]
+macro_rules! frame_header {
+    ($header:ident {
+        place: $run:ident, $number:ident;
+        $(sent: $sent:ident $(, $unix:ident)?;)?
+        $(period: $period:ident;)?
+    }) => {
+        impl $crate::FrameHeader for $header {
+            fn schema(&self) -> u32 {
+                self.schema
+            }
+
+            fn place(&self) -> $crate::Place {
+                $crate::Place { run: self.$run, number: self.$number }
+            }
+
+            fn set_place(&mut self, pid: u32, place: $crate::Place) {
+                (self.pid, self.$run, self.$number) = (pid, place.run, place.number);
+            }
+
+            fn sent_ns(&self) -> Option<u64> {
+                $crate::frame_header!(@or None $(Some(self.$sent))?)
+            }
+
+            fn sent_unix_ns(&self) -> Option<u64> {
+                $crate::frame_header!(@or None $($(Some(self.$unix))?)?)
+            }
+
+            fn set_sent(&mut self, _sent_ns: u64, _sent_unix_ns: u64) {
+                $(self.$sent = _sent_ns; $(self.$unix = _sent_unix_ns;)?)?
+            }
+
+            fn period_ns(&mut self) -> Option<&mut u64> {
+                $crate::frame_header!(@or None $(Some(&mut self.$period))?)
+            }
+        }
+    };
+    (@or $none:ident) => { $none };
+    (@or $none:ident $some:expr) => { $some };
+}
+
+channels! {
+    /// Samples of the robots, from their controllers.
+    Samples: "samples", SampleHeader { place: source_epoch, frame_seq; sent: sent_ns, sent_unix_ns; },
+        Sample, Flow::Sources, FrameRows::Robots;
+    /// Forecasts, of every tick. A planner can keep two frames beside the newest: that of its loop's variable while
+    /// the next is waited for, and one more.
+    Forecasts: "forecasts", ForecastHeader {
+            place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns;
+        }, Forecast, Flow::Planners { kept: 2, history: 0 }, FrameRows::Robots;
+    /// Diagnostics, of every tick.
+    Diagnostics: "diagnostics", DiagnosticHeader { place: worker_epoch, tick; },
+        Diagnostic, Flow::Planners { kept: 0, history: 0 }, FrameRows::Robots;
+    /// Budgets: planners need the newest at once, and recorders read all.
+    Budgets: "budgets", BudgetHeader { place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; },
+        Budget, Flow::Planners { kept: 0, history: 1 }, FrameRows::Robots;
+    /// What plans start from: sent while somebody reads it.
+    PlanStates: "plan_states", PlanStateHeader {
+            place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns;
+        }, PlanState, Flow::Planners { kept: 0, history: 1 }, FrameRows::Robots;
+    /// The worker's journal: a second of it is queued at 30 Hz.
+    Ticks: "ticks", TickHeader { place: worker_epoch, tick; sent: sent_ns; },
+        TakenFrame, Flow::Recorders { queued: 32, history: 0 }, FrameRows::Taken;
+    /// Keyframes, in pieces: a reader empties the queue at every tick.
+    State: "state", StateHeader { place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; },
+        u8, Flow::Recorders { queued: 8, history: 0 }, FrameRows::Bytes;
+    /// Records of questions and answers: a reader that comes later needs the newest counts.
+    Queries: "queries", QueriesHeader { place: begun_ns, sent_ns; sent: sent_ns; },
+        u64, Flow::Recorders { queued: 6, history: 1 }, FrameRows::Words(RECORD_WORDS);
+}

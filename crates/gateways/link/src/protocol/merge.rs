@@ -1,0 +1,448 @@
+//! The newest frames of all shards as frames of one fleet.
+
+use joulebus_wire::{
+    Alarm, Budget, BudgetHeader, Budgets, Channel, Diagnostic, DiagnosticHeader, Diagnostics,
+    Forecast, ForecastHeader, Forecasts, FrameHeader as _, InvalidReason, Level, Place, PlanState,
+    PlanStateHeader, PlanStates, Quality, SCHEMA_VERSION, combine_hashes, forecast_flag,
+    plan_state_flag,
+};
+
+/// What a merged frame says of the one who merged it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Own {
+    pub(crate) pid: u32,
+    pub(crate) place: Place,
+}
+
+/// A channel whose frames of several shards become one.
+pub(crate) trait Merged: Channel {
+    /// The header of a frame of these `parts`, one of each shard that is heard and at least one: its times are those of the
+    /// oldest, so that nothing looks fresher than it is. Counts are sums over `all`, shards that are not heard too. The place
+    /// and the times of sending are set by [`Merge::write`].
+    fn merged(parts: &[Self::Header], all: &[Self::Header]) -> Self::Header;
+
+    /// What remains of a robot's row while the robot's worker is not heard.
+    fn silence(row: &mut Self::Row);
+}
+
+/// Pause after which a service begins anew, and the time that all shards then have for their first frames, periods: asking
+/// for it takes some.
+const BEGIN_PERIODS: u64 = 10;
+
+/// The newest frame of a shard.
+#[derive(Debug)]
+struct Part<C: Channel> {
+    header: C::Header,
+    rows: Vec<C::Row>,
+    is_new: bool,
+}
+
+/// The newest frames of one service.
+#[derive(Debug)]
+pub(crate) struct Merge<C: Channel> {
+    parts: Vec<Option<Part<C>>>,
+    written_ns: u64,
+    /// When the first part that has not been written came.
+    since_ns: Option<u64>,
+}
+
+impl<C: Merged> Merge<C> {
+    pub(crate) fn new(shards: usize) -> Self {
+        Self {
+            parts: (0..shards).map(|_| None).collect(),
+            written_ns: 0,
+            since_ns: None,
+        }
+    }
+
+    /// Takes a shard's frame in place of its last one.
+    pub(crate) fn put(
+        &mut self,
+        shard: usize,
+        header: C::Header,
+        rows: impl Iterator<Item = C::Row>,
+        now_ns: u64,
+    ) {
+        self.since_ns.get_or_insert(now_ns);
+        let last = self.parts[shard].take();
+        let mut kept = last.map(|part| part.rows).unwrap_or_default();
+        kept.clear();
+        kept.extend(rows);
+        self.parts[shard] = Some(Part {
+            header,
+            rows: kept,
+            is_new: true,
+        });
+    }
+
+    pub(crate) fn header(&self, shard: usize) -> Option<&C::Header> {
+        self.parts[shard].as_ref().map(|part| &part.header)
+    }
+
+    /// Whether a frame is to be written: each shard that is heard has a new one, or one has waited for a tick's period; a frame
+    /// comes every so many ticks. The first one waits, some frames, for all shards whose worker speaks: planners take a robot
+    /// without a row for unknown.
+    pub(crate) fn is_due(
+        &self,
+        (speaks, is_heard): (&[bool], &[bool]),
+        (now_ns, period_ns, every): (u64, u64, u32),
+    ) -> bool {
+        let is_new = |part: &Option<Part<C>>| part.as_ref().is_some_and(|part| part.is_new);
+        let frames_ns = period_ns.saturating_mul(u64::from(every));
+        let begin_ns = frames_ns.saturating_mul(BEGIN_PERIODS);
+        let begins = now_ns.saturating_sub(self.written_ns) > begin_ns;
+        let (awaited, patience_ns) = if begins {
+            (speaks, begin_ns)
+        } else {
+            (is_heard, period_ns)
+        };
+        let waited_ns = self
+            .since_ns
+            .map(|since_ns| now_ns.saturating_sub(since_ns));
+        let is_over = waited_ns.is_some_and(|waited_ns| waited_ns >= patience_ns);
+        let mut awaited = self
+            .parts
+            .iter()
+            .zip(awaited)
+            .filter(|(_, is_awaited)| **is_awaited);
+        let mut heard = self
+            .parts
+            .iter()
+            .zip(is_heard)
+            .filter(|(_, is_heard)| **is_heard);
+        heard.any(|(part, _)| is_new(part)) && (is_over || awaited.all(|(part, _)| is_new(part)))
+    }
+
+    /// The rows of a frame at most.
+    pub(crate) fn len(&self) -> usize {
+        self.parts
+            .iter()
+            .flatten()
+            .map(|part| part.rows.len())
+            .sum()
+    }
+
+    /// Writes all rows into `rows`, which has room for [`Merge::len`], those of shards that are not heard as silent, and
+    /// returns the header; `None` if no shard that is heard has sent any.
+    pub(crate) fn write(
+        &mut self,
+        is_heard: &[bool],
+        own: Own,
+        now_ns: u64,
+        mut each: impl FnMut(C::Row),
+    ) -> Option<C::Header> {
+        let headers = |(part, heard): (&Option<Part<C>>, &bool)| {
+            part.as_ref().map(|part| (part.header, *heard))
+        };
+        let all: Vec<(C::Header, bool)> = self
+            .parts
+            .iter()
+            .zip(is_heard)
+            .filter_map(headers)
+            .collect();
+        let heard = all.iter().filter(|(_, heard)| *heard);
+        let heard: Vec<C::Header> = heard.map(|(header, _)| *header).collect();
+        if heard.is_empty() {
+            return None;
+        }
+        let all: Vec<C::Header> = all.into_iter().map(|(header, _)| header).collect();
+        for (part, heard) in self.parts.iter_mut().zip(is_heard) {
+            let Some(part) = part else { continue };
+            part.is_new = false;
+            for row in &part.rows {
+                let mut row = *row;
+                if !heard {
+                    C::silence(&mut row);
+                }
+                each(row);
+            }
+        }
+        (self.written_ns, self.since_ns) = (now_ns, None);
+        let mut header = C::merged(&heard, &all);
+        header.set_place(own.pid, own.place);
+        // Of those that state it, on the monotonic clock and on the wall clock.
+        let sent_ns = earliest(heard.iter().filter_map(C::Header::sent_ns));
+        let sent_unix_ns = earliest(heard.iter().filter_map(C::Header::sent_unix_ns));
+        header.set_sent(sent_ns, sent_unix_ns);
+        Some(header)
+    }
+}
+
+/// The value that all agree on, or none.
+fn common(mut values: impl Iterator<Item = u64>) -> Option<u64> {
+    let first = values.next()?;
+    values.all(|value| value == first).then_some(first)
+}
+
+/// The least that is known; 0 if none is.
+fn earliest(values: impl Iterator<Item = u64>) -> u64 {
+    values.filter(|value| *value != 0).min().unwrap_or_default()
+}
+
+impl Merged for Forecasts {
+    fn merged(parts: &[ForecastHeader], all: &[ForecastHeader]) -> ForecastHeader {
+        let of = |field: fn(&ForecastHeader) -> u64| parts.iter().map(field);
+        let total =
+            |field: fn(&ForecastHeader) -> u64| all.iter().map(field).fold(0, u64::saturating_add);
+        let hashes = parts.iter().map(|part| part.model_hash);
+        let mut dropped = joulebus_wire::DropCounts::default();
+        for part in all {
+            for (total, count) in dropped.counts.iter_mut().zip(part.samples_dropped.counts) {
+                *total = total.saturating_add(count);
+            }
+        }
+        let taken = parts.iter().map(|part| part.frames_taken);
+        ForecastHeader {
+            schema: SCHEMA_VERSION,
+            period_ns: of(|it| it.period_ns).max().unwrap_or_default(),
+            model_hash: common(hashes.clone()).unwrap_or_else(|| combine_hashes(hashes)),
+            capacity: parts.iter().map(|it| it.capacity).max().unwrap_or_default(),
+            frames_taken: taken.fold(0, u32::saturating_add),
+            first_intended_ns: earliest(of(|it| it.first_intended_ns)),
+            first_sent_ns: earliest(of(|it| it.first_sent_ns)),
+            first_taken_ns: earliest(of(|it| it.first_taken_ns)),
+            compute_start_ns: earliest(of(|it| it.compute_start_ns)),
+            compute_end_ns: earliest(of(|it| it.compute_end_ns)),
+            ticks_skipped: total(|it| it.ticks_skipped),
+            ticks_late: total(|it| it.ticks_late),
+            samples_accepted: total(|it| it.samples_accepted),
+            samples_dropped: dropped,
+            ..ForecastHeader::default()
+        }
+    }
+
+    fn silence(row: &mut Forecast) {
+        row.flags &= !(forecast_flag::POWER | forecast_flag::INTERVAL);
+        (row.power_w, row.lo_w, row.hi_w) = (f32::NAN, f32::NAN, f32::NAN);
+        (row.quality, row.quality_detail) = STALE.encode();
+    }
+}
+
+impl Merged for Diagnostics {
+    fn merged(parts: &[DiagnosticHeader], _: &[DiagnosticHeader]) -> DiagnosticHeader {
+        let mut merged = DiagnosticHeader {
+            schema: SCHEMA_VERSION,
+            ..DiagnosticHeader::default()
+        };
+        // The first of each shard before the second of any.
+        let most = merged.refused.len();
+        let refused = (0..most).flat_map(|at| parts.iter().map(move |part| part.refused[at]));
+        let refused = refused.filter(|refusal| refusal.reason != 0);
+        for (to, refusal) in merged.refused.iter_mut().zip(refused) {
+            *to = refusal;
+        }
+        merged
+    }
+
+    /// Alarms that were raised stay so.
+    fn silence(row: &mut Diagnostic) {
+        let alarms = row.alarms().with(Alarm::NoData);
+        (row.alarms, row.alarm) = (alarms.0, alarms.first().code());
+        row.level = alarms.level().max(Level::Stale).code();
+    }
+}
+
+impl Merged for Budgets {
+    fn merged(_: &[BudgetHeader], _: &[BudgetHeader]) -> BudgetHeader {
+        BudgetHeader {
+            schema: SCHEMA_VERSION,
+            ..BudgetHeader::default()
+        }
+    }
+
+    /// It says itself until when it is valid.
+    fn silence(_: &mut Budget) {}
+}
+
+impl Merged for PlanStates {
+    /// Shards compute with the same settings and models: those that do not are left out before.
+    fn merged(parts: &[PlanStateHeader], _: &[PlanStateHeader]) -> PlanStateHeader {
+        let of = |field: fn(&PlanStateHeader) -> u64| parts.iter().map(field);
+        PlanStateHeader {
+            period_ns: of(|it| it.period_ns).max().unwrap_or_default(),
+            compute_start_ns: earliest(of(|it| it.compute_start_ns)),
+            ..parts[0]
+        }
+    }
+
+    fn silence(row: &mut PlanState) {
+        row.flags &= !plan_state_flag::LAGS;
+        (row.quality, row.quality_detail) = STALE.encode();
+    }
+}
+
+const STALE: Quality = Quality::Invalid(InvalidReason::Stale);
+
+/// Counters of a shard's worker, continued over its runs: a merged fleet is one run.
+#[derive(Debug, Default)]
+pub(crate) struct Continued {
+    /// The run, and its counters so far.
+    last: Option<ForecastHeader>,
+    /// Of runs that have ended.
+    before: ForecastHeader,
+}
+
+impl Continued {
+    /// Adds the counters of earlier runs to those of a header that has just come.
+    pub(crate) fn add(&mut self, header: &mut ForecastHeader) {
+        let own = *header;
+        if let Some(last) = self.last
+            && last.worker_epoch != own.worker_epoch
+        {
+            add_counters(&mut self.before, &last);
+        }
+        self.last = Some(own);
+        add_counters(header, &self.before);
+    }
+}
+
+fn add_counters(to: &mut ForecastHeader, from: &ForecastHeader) {
+    for (to, from) in [
+        (&mut to.ticks_skipped, from.ticks_skipped),
+        (&mut to.ticks_late, from.ticks_late),
+        (&mut to.samples_accepted, from.samples_accepted),
+    ] {
+        *to = to.saturating_add(from);
+    }
+    let counts = to.samples_dropped.counts.iter_mut();
+    for (to, from) in counts.zip(from.samples_dropped.counts) {
+        *to = to.saturating_add(from);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use joulebus_wire::AlarmSet;
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const OWN: Own = Own {
+        pid: 7,
+        place: Place { run: 90, number: 4 },
+    };
+
+    fn header(sent_ns: u64, accepted: u64) -> ForecastHeader {
+        ForecastHeader {
+            sent_ns,
+            samples_accepted: accepted,
+            period_ns: 33,
+            model_hash: 5,
+            ..ForecastHeader::default()
+        }
+    }
+
+    fn row(robot: u32) -> Forecast {
+        Forecast {
+            robot,
+            flags: forecast_flag::POWER | forecast_flag::SAMPLE,
+            power_w: 3.0,
+            quality: Quality::Fresh.encode().0,
+            stamp_ns: 11,
+            ..Forecast::default()
+        }
+    }
+
+    fn written(
+        merge: &mut Merge<Forecasts>,
+        is_heard: &[bool],
+    ) -> Option<(ForecastHeader, Vec<Forecast>)> {
+        let mut rows = Vec::new();
+        let header = merge.write(is_heard, OWN, 1_000, |row| rows.push(row));
+        header.map(|header| (header, rows))
+    }
+
+    #[test]
+    fn a_frame_is_as_old_as_its_oldest_part_and_counts_what_all_have_counted() {
+        let mut merge = Merge::<Forecasts>::new(3);
+        merge.put(0, header(900, 10), [row(1), row(2)].into_iter(), 0);
+        merge.put(1, header(880, 20), [row(3)].into_iter(), 0);
+        merge.put(2, header(500, 40), [row(4)].into_iter(), 0);
+        let (header, rows) = written(&mut merge, &[true, true, false]).unwrap();
+        assert_eq!((header.sent_ns, header.samples_accepted), (880, 70));
+        assert_eq!((header.pid, header.worker_epoch, header.tick), (7, 90, 4));
+        assert_eq!((header.model_hash, header.period_ns), (5, 33));
+        let known: Vec<_> = rows
+            .iter()
+            .map(|row| (row.robot, row.power_w().is_some()))
+            .collect();
+        assert_eq!(known, [(1, true), (2, true), (3, true), (4, false)]);
+        // What a robot said last stays known; the forecast does not.
+        let stale = Quality::Invalid(InvalidReason::Stale);
+        assert_eq!((rows[3].quality(), rows[3].stamp_ns), (stale, 11));
+        assert!(written(&mut merge, &[false; 3]).is_none());
+    }
+
+    #[test]
+    fn alarms_of_a_shard_that_is_not_heard_stay_and_no_data_is_one_of_them() {
+        let raised = AlarmSet::default().with(Alarm::BatteryLow);
+        let mut row = Diagnostic {
+            alarms: raised.0,
+            alarm: raised.first().code(),
+            level: raised.level().code(),
+            ..Diagnostic::default()
+        };
+        Diagnostics::silence(&mut row);
+        assert!(row.alarms().has(Alarm::BatteryLow) && row.alarms().has(Alarm::NoData));
+        assert_eq!(
+            (row.level(), row.alarm()),
+            (Level::Stale, row.alarms().first())
+        );
+    }
+
+    #[test]
+    fn counters_go_on_over_the_runs_of_a_worker_and_never_fall() {
+        let mut continued = Continued::default();
+        let mut last = 0;
+        for (run, accepted, sum) in [(1, 5, 5), (1, 9, 9), (2, 0, 9), (2, 3, 12), (7, 1, 13)] {
+            let mut header = header(0, accepted);
+            header.worker_epoch = run;
+            continued.add(&mut header);
+            assert_eq!(header.samples_accepted, sum);
+            assert!(header.samples_accepted >= last);
+            last = header.samples_accepted;
+        }
+    }
+
+    proptest! {
+        /// Against the rows and freshness of each shard kept apart.
+        #[test]
+        fn each_frame_has_the_newest_rows_of_every_shard_and_waits_for_no_shard_longer_than_its_patience(
+            steps in prop::collection::vec((0_usize..3, 0_u32..4, 1_u64..20), 1..60),
+            heard in prop::collection::vec(any::<bool>(), 3),
+            every in 1_u32..4,
+        ) {
+            let mut merge = Merge::<Forecasts>::new(3);
+            let (mut newest, mut is_new) = (vec![None; 3], [false; 3]);
+            let (mut now_ns, mut written_ns, mut since_ns) = (0, 0, None);
+            for (shard, rows, later) in steps {
+                now_ns += later;
+                let ids = (0..rows).map(|at| 10 * shard as u32 + at);
+                newest[shard] = Some(ids.clone().collect::<Vec<u32>>());
+                is_new[shard] = true;
+                merge.put(shard, header(now_ns, 0), ids.map(row), now_ns);
+                since_ns = since_ns.or(Some(now_ns));
+                let waits = heard.iter().zip(is_new).any(|(heard, is_new)| *heard && !is_new);
+                let any = heard.iter().zip(is_new).any(|(heard, is_new)| *heard && is_new);
+                let begin_ns = 330 * u64::from(every);
+                let patience = if now_ns - written_ns > begin_ns { begin_ns } else { 33 };
+                let due = any && (!waits || now_ns - since_ns.unwrap() >= patience);
+                prop_assert_eq!(merge.is_due((&heard, &heard), (now_ns, 33, every)), due);
+                if !due {
+                    continue;
+                }
+                let mut rows = Vec::new();
+                prop_assert_eq!(merge.len(), newest.iter().flatten().map(Vec::len).sum::<usize>());
+                let header = merge.write(&heard, OWN, now_ns, |row: Forecast| {
+                    rows.push((row.robot, row.power_w().is_some()));
+                });
+                prop_assert!(header.is_some());
+                let kept = newest.iter().zip(&heard).filter_map(|(ids, heard)| Some((ids.as_ref()?, *heard)));
+                let expected: Vec<(u32, bool)> =
+                    kept.flat_map(|(ids, heard)| ids.iter().map(move |id| (*id, heard))).collect();
+                prop_assert_eq!(rows, expected);
+                (is_new, written_ns, since_ns) = ([false; 3], now_ns, None);
+            }
+        }
+    }
+}

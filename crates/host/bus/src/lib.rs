@@ -1,0 +1,69 @@
+//! The bus: everything that happens in shared memory, and the only crate that names iceoryx2.
+//!
+//! A [`Domain`] is the location of a fleet's shared memory. A process joins it with [`Bus::join`],
+//! opens the ports it needs, and leaves by dropping them. Limits are the same for every process of
+//! a fleet; the first process to open a service creates it.
+//!
+//! | port | direction | payload |
+//! |---|---|---|
+//! | [`SampleWriter`] → [`SampleReader`] | sources → worker | [`joulebus_wire::Samples`] |
+//! | [`Bus::writer`] → [`Bus::reader`] | worker → planners, recorders | each other [`joulebus_wire::Channel`] |
+//! | [`QueryClient`] ⇄ [`QueryServer`] | planners ⇄ worker | [`joulebus_wire::QueryHeader`] and values, [`joulebus_wire::AnswerHeader`] and words |
+//! | [`Waker`] → [`Waiter`] | sources → worker, worker → planners | events |
+//!
+//! Ports, the [`Bus`] and the [`Waiter`] belong to the thread that made them. Every member runs a
+//! cleanup thread that removes stale files of dead processes ([`Bus::housekeeping`]). The last
+//! member to leave removes everything of the domain, in `/dev/shm` and in the root directory; what joulebus
+//! did not make, by its marker and names, it neither changes nor removes. A member whose own files are
+//! removed gets [`FilesRemoved`] from every port.
+//!
+//! A process may join several domains, and may use iceoryx2 for itself: the global configuration and
+//! the logger of iceoryx2 are left to it. `docs/decisions/iceoryx2.md` lists the defects of iceoryx2
+//! that this crate works around, each with a test.
+#![deny(unsafe_code)]
+
+mod bus;
+mod cleanup;
+mod directory;
+mod iceoryx_config;
+mod iceoryx_log;
+mod inspect;
+mod ipc;
+mod liveness;
+mod marker;
+mod membership;
+mod os;
+mod ports;
+mod preflight;
+mod private;
+mod reserved;
+
+pub use bus::Bus;
+pub use cleanup::removed::{RemovedFiles, removed_files};
+pub use cleanup::report::SweepReport;
+pub use cleanup::sweep::{SweepError, sweep};
+pub use cleanup::thread::Housekeeping;
+pub use directory::{prepare_domain, restrict_domain};
+pub use iceoryx_config::IceoryxConfigError;
+pub use iceoryx_log::trace_iceoryx2;
+pub use inspect::{InspectError, Inspection, NodeInfo, RootInfo, inspect};
+pub use joulebus_domain::{Domain, DomainError, Limits, LimitsError, STANDBY_FILES, Scheduling};
+pub use liveness::peer_watch::PeerWatch;
+pub use liveness::presence::FilesRemoved;
+pub use liveness::worker_lock::{WorkerLock, WorkerLockError, WorkerOwner};
+pub use membership::JoinError;
+pub use os::background::{Background, Panicked, Steps};
+pub use os::clock;
+pub use os::memory::touch_own_memory;
+pub use os::process_id;
+pub use os::scheduling::{
+    Rights, SchedulingError, page_faults, schedule_process, schedule_thread, set_timer_slack,
+    try_scheduling, yield_to_the_worker,
+};
+pub use ports::{
+    Frame, FrameBuf, IncomingFrame, KeptFrame, Loan, OpenError, OpenQuery, Poller, QueryClient,
+    QueryError, QueryServer, Reader, ReceiveError, SampleReader, SampleWriter, SendError,
+    WaitError, Waiter, Waker, Woken, Writer,
+};
+pub use preflight::{CapacityError, CapacityReport, Ports, check_capacity};
+pub use private::{DomainWarning, RootError};

@@ -1,0 +1,108 @@
+//! Ports: how a member opens a service.
+
+mod degradation;
+mod poll;
+mod query;
+mod reader;
+mod repair;
+mod samples;
+mod service;
+mod wait;
+mod worn;
+mod writer;
+
+use joulebus_wire::{Channel, Service};
+
+pub use self::poll::Poller;
+pub use self::query::{OpenQuery, QueryClient, QueryError, QueryServer};
+pub use self::reader::{Frame, KeptFrame, Reader, ReceiveError};
+pub use self::samples::{FrameBuf, IncomingFrame, SampleReader, SampleWriter};
+pub use self::service::OpenError;
+pub use self::wait::{WaitError, Waiter, Waker, Woken};
+pub use self::writer::{Loan, SendError, Writer};
+use crate::{Bus, Limits};
+
+impl Bus {
+    /// A source's port. `max_len`: maximum number of samples per frame, at most the capacity.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn sample_writer(
+        &self,
+        limits: &Limits,
+        max_len: usize,
+    ) -> Result<SampleWriter, OpenError> {
+        SampleWriter::open(self, limits, max_len)
+    }
+
+    /// The worker's port for samples of all sources.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn sample_reader(&self, limits: &Limits) -> Result<SampleReader, OpenError> {
+        self.reader(limits).map(SampleReader::new)
+    }
+
+    /// Reads a channel. On one of the worker only the frames of the process that holds the worker's lock are read.
+    /// While a reader of plan states, keyframes or records of questions is open, the worker sends them.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn reader<C: Channel>(&self, limits: &Limits) -> Result<Reader<C>, OpenError> {
+        Reader::open(self, limits)
+    }
+
+    /// Writes a channel, in frames of up to [`Limits::rows`]. Samples have their own: [`Bus::sample_writer`].
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn writer<C: Channel>(&self, limits: &Limits) -> Result<Writer<C>, OpenError> {
+        Writer::open(self, limits, limits.rows(C::ROWS))
+    }
+
+    /// The worker's port for questions.
+    ///
+    /// # Errors
+    /// [`OpenError`]: among others, there is one already.
+    pub fn query_server(&self, limits: &Limits) -> Result<QueryServer, OpenError> {
+        QueryServer::open(self, limits)
+    }
+
+    /// A client's port for questions.
+    ///
+    /// # Errors
+    /// [`OpenError`]: among others, there are as many as planners are allowed, or 16.
+    pub fn query_client(&self, limits: &Limits) -> Result<QueryClient, OpenError> {
+        QueryClient::open(self, limits)
+    }
+
+    /// Waits for samples: the worker.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn arrivals_waiter(&self, limits: &Limits) -> Result<Waiter, OpenError> {
+        Waiter::open(self, Service::ARRIVALS, limits, limits.arrivals())
+    }
+
+    /// Wakes planners: the worker.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn planner_waker(&self, limits: &Limits) -> Result<Waker, OpenError> {
+        Waker::open(self, Service::WAKE, limits, limits.wake())
+    }
+
+    /// Waits for forecasts: planners.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn planner_waiter(&self, limits: &Limits) -> Result<Waiter, OpenError> {
+        Waiter::open(self, Service::WAKE, limits, limits.wake())
+    }
+
+    /// Waits for times instead: readers that look now and then.
+    #[must_use]
+    pub fn planner_poller(&self) -> Poller {
+        Poller::new(self)
+    }
+}

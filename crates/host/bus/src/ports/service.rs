@@ -1,0 +1,390 @@
+//! Opens services: the first process creates a service, with limits that all others must share.
+
+use std::fmt::Debug;
+use std::time::Duration;
+
+use iceoryx2::prelude::{EventId, MessagingPattern, SemanticString, ServiceName};
+use iceoryx2::service::Service as _;
+use iceoryx2::service::attribute::{AttributeKey, AttributeValue, AttributeVerifier};
+use iceoryx2::service::builder::event::{EventCreateError, EventOpenError, EventOpenOrCreateError};
+use iceoryx2::service::builder::publish_subscribe::{
+    PublishSubscribeCreateError, PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError,
+};
+use iceoryx2::service::builder::request_response::{
+    RequestResponseCreateError, RequestResponseOpenError, RequestResponseOpenOrCreateError,
+};
+use iceoryx2::service::port_factory::PortFactory as PortFactoryOfAny;
+use iceoryx2::service::port_factory::event::PortFactory as EventFactory;
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use iceoryx2::service::port_factory::request_response::PortFactory as RequestResponseFactory;
+use joulebus_wire::{AnswerHeader, Channel, QueryHeader, Service, WakeEvent, service_name};
+
+use crate::cleanup::dead_nodes::remove_dead_nodes;
+use crate::cleanup::incomplete::{Abandoned, remove_incomplete};
+use crate::cleanup::objects::named;
+use crate::ipc::Ipc;
+use crate::liveness::presence::Need;
+use crate::preflight::{PORT_BYTES, check_left};
+use crate::reserved::take_shortage;
+use crate::{Bus, CapacityError, FilesRemoved, Limits, SweepReport, clock};
+use joulebus_domain::ACTIVE_QUERIES;
+
+/// The attribute of a service with its limits.
+const LIMITS_KEY: &[u8] = b"joulebus.limits";
+/// Timeout of retries of opening a service, ns.
+const OPEN_LIMIT_NS: u64 = 4_000_000_000;
+const OPEN_AGAIN_AFTER: Duration = Duration::from_millis(20);
+
+pub(super) fn open<C: Channel>(
+    bus: &Bus,
+    limits: &Limits,
+) -> Result<PortFactory<Ipc, [C::Row], C::Header>, OpenError> {
+    let (service, shape) = (C::SERVICE, limits.shape(C::FLOW));
+    bus.member.presence.look()?;
+    // Of an earlier attempt.
+    let _ = take_shortage();
+    let name = name(bus, service)?;
+    let open = || {
+        bus.node
+            .service_builder(&name)
+            .publish_subscribe::<[C::Row]>()
+            .user_header::<C::Header>()
+            .max_publishers(shape.publishers)
+            .max_subscribers(shape.subscribers)
+            .max_nodes(limits.nodes())
+            .subscriber_max_buffer_size(shape.buffer)
+            .subscriber_max_borrowed_samples(shape.borrowed)
+            .history_size(shape.history)
+            .enable_safe_overflow(true)
+            .open_or_create_with_attributes(&verifier(limits))
+    };
+    retry(bus, &name, open, is_transient).map_err(|reason| {
+        let differs = matches!(
+            reason,
+            PublishSubscribeOpenOrCreateError::PublishSubscribeOpenError(
+                PublishSubscribeOpenError::IncompatibleAttributes
+            )
+        );
+        let pattern = MessagingPattern::PublishSubscribe;
+        refused(bus, service, limits, pattern, differs, reason)
+    })
+}
+
+pub(super) fn open_event(
+    bus: &Bus,
+    service: Service,
+    limits: &Limits,
+    (listeners, notifiers): (usize, usize),
+) -> Result<EventFactory<Ipc>, OpenError> {
+    bus.member.presence.look()?;
+    // Of an earlier attempt.
+    let _ = take_shortage();
+    let name = name(bus, service)?;
+    let open = || {
+        bus.node
+            .service_builder(&name)
+            .event()
+            .max_listeners(listeners)
+            .max_notifiers(notifiers)
+            .max_nodes(limits.nodes())
+            .event_id_max_value(WakeEvent::Unreachable.id())
+            .notifier_dead_event(EventId::new(WakeEvent::Died.id()))
+            .open_or_create_with_attributes(&verifier(limits))
+    };
+    retry(bus, &name, open, is_transient_event).map_err(|reason| {
+        let differs = matches!(
+            reason,
+            EventOpenOrCreateError::EventOpenError(EventOpenError::IncompatibleAttributes)
+        );
+        let pattern = MessagingPattern::Event;
+        refused(bus, service, limits, pattern, differs, reason)
+    })
+}
+
+/// The service of questions.
+pub(super) type QueryFactory = RequestResponseFactory<Ipc, [f64], QueryHeader, [u64], AnswerHeader>;
+
+pub(super) fn open_queries(bus: &Bus, limits: &Limits) -> Result<QueryFactory, OpenError> {
+    bus.member.presence.look()?;
+    // Of an earlier attempt.
+    let _ = take_shortage();
+    let name = name(bus, Service::ASK)?;
+    let open = || {
+        bus.node
+            .service_builder(&name)
+            .request_response::<[f64], [u64]>()
+            .request_user_header::<QueryHeader>()
+            .response_user_header::<AnswerHeader>()
+            .max_servers(1)
+            .max_clients(limits.query_clients())
+            .max_nodes(limits.nodes())
+            .max_active_requests_per_client(ACTIVE_QUERIES)
+            .max_loaned_requests(1)
+            .max_response_buffer_size(1)
+            .max_borrowed_responses_per_pending_response(1)
+            .enable_safe_overflow_for_requests(false)
+            .enable_safe_overflow_for_responses(false)
+            .enable_fire_and_forget_requests(false)
+            .open_or_create_with_attributes(&verifier(limits))
+    };
+    retry(bus, &name, open, is_transient_query).map_err(|reason| {
+        let differs = matches!(
+            reason,
+            RequestResponseOpenOrCreateError::RequestResponseOpenError(
+                RequestResponseOpenError::IncompatibleAttributes
+            )
+        );
+        let pattern = MessagingPattern::RequestResponse;
+        refused(bus, Service::ASK, limits, pattern, differs, reason)
+    })
+}
+
+/// Opens a service. Errors caused by a process killed while it created or left the service are
+/// transient: cleaning up and retrying resolves them. iceoryx2 retries some of them (#1578).
+fn retry<S, E: Debug>(
+    bus: &Bus,
+    name: &ServiceName,
+    open: impl Fn() -> Result<S, E>,
+    is_transient: impl Fn(&E) -> bool,
+) -> Result<S, E> {
+    let limit_ns = clock::monotonic_ns() + OPEN_LIMIT_NS;
+    let mut abandoned = Abandoned::default();
+    loop {
+        let error = match open() {
+            Err(error) if is_transient(&error) => error,
+            result => return result,
+        };
+        let is_full = check_left(PORT_BYTES).is_err();
+        if is_full || clock::monotonic_ns() > limit_ns {
+            return Err(error);
+        }
+        let mut report = SweepReport::default();
+        remove_dead_nodes(bus.domain(), &bus.member.config, &mut report);
+        report.incomplete = remove_incomplete(bus.domain()).unwrap_or(0)
+            + abandoned.remove(bus.domain(), name.as_str());
+        tracing::info!(
+            service = name.as_str(),
+            ?error,
+            ?report,
+            "opening a service again"
+        );
+        std::thread::sleep(OPEN_AGAIN_AFTER);
+    }
+}
+
+/// Creates a port. The ports of killed processes take places until their nodes are removed, which members do once a second:
+/// where no place is left it is done at once, as long as there are such nodes.
+///
+/// # Errors
+/// That of iceoryx2.
+pub(super) fn create<P, E>(
+    bus: &Bus,
+    port: impl Fn() -> Result<P, E>,
+    is_full: impl Fn(&E) -> bool,
+) -> Result<P, E> {
+    let limit_ns = clock::monotonic_ns() + OPEN_LIMIT_NS;
+    loop {
+        match port() {
+            Err(error) if is_full(&error) => {}
+            result => return result,
+        }
+        let mut report = SweepReport::default();
+        let is_any_dead = remove_dead_nodes(bus.domain(), &bus.member.config, &mut report);
+        if !is_any_dead || clock::monotonic_ns() > limit_ns {
+            // Another member may have removed them meanwhile.
+            return port();
+        }
+        std::thread::sleep(OPEN_AGAIN_AFTER);
+    }
+}
+
+const fn is_transient(error: &PublishSubscribeOpenOrCreateError) -> bool {
+    use PublishSubscribeCreateError as Create;
+    use PublishSubscribeOpenError as Open;
+    use PublishSubscribeOpenOrCreateError as Error;
+    matches!(
+        error,
+        Error::SystemInFlux
+            | Error::PublishSubscribeOpenError(
+                Open::HangsInCreation
+                    | Open::IsMarkedForDestruction
+                    | Open::DoesNotExist
+                    | Open::ServiceInCorruptedState
+                    | Open::ExceedsMaxNumberOfNodes
+                    | Open::Interrupt
+            )
+            | Error::PublishSubscribeCreateError(
+                Create::HangsInCreation
+                    | Create::IsBeingCreatedByAnotherInstance
+                    | Create::AlreadyExists
+                    | Create::ServiceInCorruptedState
+                    | Create::Interrupt
+            )
+    )
+}
+
+const fn is_transient_event(error: &EventOpenOrCreateError) -> bool {
+    use EventCreateError as Create;
+    use EventOpenError as Open;
+    use EventOpenOrCreateError as Error;
+    matches!(
+        error,
+        Error::SystemInFlux
+            | Error::EventOpenError(
+                Open::HangsInCreation
+                    | Open::IsMarkedForDestruction
+                    | Open::DoesNotExist
+                    | Open::ServiceInCorruptedState
+                    | Open::ExceedsMaxNumberOfNodes
+                    | Open::Interrupt
+            )
+            | Error::EventCreateError(
+                Create::IsBeingCreatedByAnotherInstance
+                    | Create::AlreadyExists
+                    | Create::ServiceInCorruptedState
+                    | Create::Interrupt
+            )
+    )
+}
+
+const fn is_transient_query(error: &RequestResponseOpenOrCreateError) -> bool {
+    use RequestResponseCreateError as Create;
+    use RequestResponseOpenError as Open;
+    use RequestResponseOpenOrCreateError as Error;
+    matches!(
+        error,
+        Error::SystemInFlux
+            | Error::RequestResponseOpenError(
+                Open::HangsInCreation
+                    | Open::IsMarkedForDestruction
+                    | Open::DoesNotExist
+                    | Open::ServiceInCorruptedState
+                    | Open::ExceedsMaxNumberOfNodes
+                    | Open::Interrupt
+            )
+            | Error::RequestResponseCreateError(
+                Create::HangsInCreation
+                    | Create::IsBeingCreatedByAnotherInstance
+                    | Create::AlreadyExists
+                    | Create::ServiceInCorruptedState
+                    | Create::Interrupt
+            )
+    )
+}
+
+/// Returns an error if an object could not be created for lack of memory since the last call.
+pub(super) fn check_shortage() -> Result<(), CapacityError> {
+    take_shortage().map_or(Ok(()), Err)
+}
+
+/// Files that other processes need of a service that this process has open, and of its own port
+/// there, if any.
+pub(super) fn need(bus: &Bus, factory: &impl PortFactoryOfAny, port: Option<u128>) -> Need {
+    let domain = bus.domain();
+    let mut paths = named(domain, factory.service_hash().as_str(), &[".service"]);
+    let service = factory.unique_service_id().value().to_string();
+    paths.extend(named(domain, &service, &[".dynamic"]));
+    if let Some(port) = port {
+        let suffixes = [".data", ".event", ".event_mgmt"];
+        paths.extend(named(domain, &port.to_string(), &suffixes));
+    }
+    bus.member.presence.need(paths)
+}
+
+fn name(bus: &Bus, service: Service) -> Result<ServiceName, OpenError> {
+    ServiceName::new(&service_name(bus.domain().fleet(), service))
+        .map_err(|reason| OpenError::port(service, reason))
+}
+
+fn verifier(limits: &Limits) -> AttributeVerifier {
+    let key = AttributeKey::new(LIMITS_KEY);
+    let value = AttributeValue::new(limits.describe().as_bytes());
+    let (Ok(key), Ok(value)) = (key, value) else {
+        // Never: the key is constant, and five numbers of at most 20 digits are shorter than 256
+        // bytes.
+        return AttributeVerifier::new();
+    };
+    // One attribute always fits.
+    AttributeVerifier::new()
+        .require(&key, &value)
+        .unwrap_or_default()
+}
+
+fn refused(
+    bus: &Bus,
+    service: Service,
+    limits: &Limits,
+    pattern: MessagingPattern,
+    differs: bool,
+    reason: impl Debug,
+) -> OpenError {
+    if differs
+        && let Ok(name) = name(bus, service)
+        && let Ok(Some(details)) = Ipc::details(&name, &bus.member.config, pattern)
+        && let Ok(key) = AttributeKey::new(LIMITS_KEY)
+        && let Some(found) = details.static_details.attributes().key_value(&key, 0)
+    {
+        return OpenError::Limits {
+            service: service.name(),
+            found: found.to_string(),
+            wanted: limits.describe(),
+        };
+    }
+    OpenError::port(service, format_args!("{reason:?}"))
+}
+
+/// Reason that a port could not be opened.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum OpenError {
+    /// Another process of the fleet uses other limits.
+    #[error(
+        "service {service:?} runs with limits {found}, wanted are {wanted}; use one config for \
+         all processes of a fleet, and restart those with the old one"
+    )]
+    Limits {
+        /// The service.
+        service: &'static str,
+        /// Limits in use.
+        found: String,
+        /// Limits of this process.
+        wanted: String,
+    },
+    /// A length of frame of 0, or beyond the capacity.
+    #[error("frames of up to {found} samples: allowed are 1 to {allowed}, the fleet's capacity")]
+    Length {
+        /// Requested length.
+        found: usize,
+        /// The capacity.
+        allowed: usize,
+    },
+    /// Too little shared memory.
+    #[error(transparent)]
+    Capacity(#[from] CapacityError),
+    /// Files of this process were removed: iceoryx2 would recreate them for this process only.
+    #[error(transparent)]
+    Removed(#[from] FilesRemoved),
+    /// iceoryx2 refused.
+    #[error(
+        "service {service:?}: {reason}; are all processes of the same version, and are there more \
+         than the limits allow? `joulebus doctor` lists them"
+    )]
+    Port {
+        /// The service.
+        service: &'static str,
+        /// The error of iceoryx2.
+        reason: String,
+    },
+}
+
+impl OpenError {
+    pub(super) fn port(service: Service, reason: impl std::fmt::Display) -> Self {
+        match check_shortage().and_then(|()| check_left(PORT_BYTES)) {
+            Err(full) => Self::Capacity(full),
+            Ok(()) => Self::Port {
+                service: service.name(),
+                reason: reason.to_string(),
+            },
+        }
+    }
+}

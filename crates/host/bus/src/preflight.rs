@@ -1,0 +1,225 @@
+//! The preflight check: whether shared memory and file descriptors are sufficient, before anything
+//! is created.
+
+use std::io;
+
+use joulebus_wire::{
+    ANSWER_WORDS, AnswerHeader, Budgets, Channel, Diagnostics, Forecasts, PlanStates, QUERY_VALUES,
+    Queries, QueryHeader, Samples, State, Ticks,
+};
+use rustix::process::{Resource, getrlimit};
+
+use crate::Limits;
+use crate::os::memory::SHM_DIR;
+use joulebus_domain::ACTIVE_QUERIES;
+
+/// Header and padding of a frame in iceoryx2, upper bound.
+const FRAME_OVERHEAD: usize = 128;
+/// Bookkeeping of a publisher per segment: allocator and headers, upper bound.
+const SEGMENT_OVERHEAD: usize = 16 * 1024;
+/// One connection between two ports: two index queues and the list of used chunks.
+const CONNECTION_BYTES: usize = 16 * 1024;
+/// Services, nodes, events and what rounding to pages costs, per process.
+pub(crate) const PROCESS_BYTES: usize = 192 * 1024;
+/// A service's description and lists of ports, and the files of a port.
+pub(crate) const PORT_BYTES: usize = 64 * 1024;
+/// Descriptors of a process before it connects to anybody: node, locks, thirteen services.
+const BASE_DESCRIPTORS: u64 = 96;
+/// File descriptors that opening a node, service or port takes, upper bound.
+const PORT_DESCRIPTORS: u64 = 16;
+/// File descriptors of one connection, data and bookkeeping.
+const CONNECTION_DESCRIPTORS: u64 = 4;
+
+/// Number of processes of each kind that will create their ports.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Ports {
+    /// Processes that publish samples.
+    pub sources: usize,
+    /// Workers.
+    pub workers: usize,
+    /// Planners.
+    pub planners: usize,
+}
+
+/// Required and available capacity.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct CapacityReport {
+    /// Upper bound of the shared memory of the ports, bytes.
+    pub needed_bytes: u64,
+    /// Free in `/dev/shm`, bytes.
+    pub free_bytes: u64,
+    /// Size of `/dev/shm`, bytes.
+    pub total_bytes: u64,
+    /// File descriptors required by the worker, the process with the most connections.
+    pub descriptors_needed: u64,
+    /// Limit of open file descriptors of this process.
+    pub descriptors_limit: u64,
+    /// Open file descriptors of this process.
+    pub descriptors_used: u64,
+}
+
+/// Checks that the ports of `ports` fit, before any of them is created: writing to shared memory
+/// that does not fit raises SIGBUS instead of an error.
+///
+/// # Errors
+/// [`CapacityError`] with the required and the available capacity.
+pub fn check_capacity(limits: &Limits, ports: Ports) -> Result<CapacityReport, CapacityError> {
+    let report = CapacityReport {
+        needed_bytes: needed_bytes(limits, ports),
+        descriptors_needed: descriptors(limits),
+        ..measure()?
+    };
+    if report.needed_bytes > report.free_bytes {
+        return Err(CapacityError::Memory {
+            needed: report.needed_bytes,
+            free: report.free_bytes,
+        });
+    }
+    let descriptors = report.descriptors_needed + report.descriptors_used;
+    if descriptors > report.descriptors_limit {
+        return Err(CapacityError::Descriptors {
+            needed: descriptors,
+            used: report.descriptors_used,
+            limit: report.descriptors_limit,
+        });
+    }
+    Ok(report)
+}
+
+/// The state of this host and process, with nothing required.
+pub(crate) fn measure() -> Result<CapacityReport, CapacityError> {
+    let (free_bytes, total_bytes) = shared_memory()?;
+    Ok(CapacityReport {
+        needed_bytes: 0,
+        free_bytes,
+        total_bytes,
+        descriptors_needed: 0,
+        descriptors_limit: descriptors_limit(),
+        descriptors_used: descriptors_used().map_err(CapacityError::Measure)?,
+    })
+}
+
+fn descriptors_limit() -> u64 {
+    getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX)
+}
+
+/// Fails if none is left.
+fn descriptors_used() -> io::Result<u64> {
+    let used = std::fs::read_dir("/proc/self/fd")?.count();
+    // Includes the directory being read.
+    Ok(used.saturating_sub(1) as u64)
+}
+
+/// Free bytes and total bytes of `/dev/shm`.
+pub(crate) fn shared_memory() -> Result<(u64, u64), CapacityError> {
+    let shm = rustix::fs::statvfs(SHM_DIR).map_err(|error| CapacityError::Measure(error.into()))?;
+    Ok((
+        shm.f_bavail.saturating_mul(shm.f_frsize),
+        shm.f_blocks.saturating_mul(shm.f_frsize),
+    ))
+}
+
+/// Checks that a node, service or port would have the file descriptors and `needed` bytes of shared memory: the
+/// errors of iceoryx2 do not state that one of them is lacking (#624).
+pub(crate) fn check_left(needed: usize) -> Result<(), CapacityError> {
+    check_free(needed)?;
+    let limit = descriptors_limit();
+    let used = descriptors_used().unwrap_or(limit);
+    let needed = used.saturating_add(PORT_DESCRIPTORS);
+    if needed > limit {
+        return Err(CapacityError::Descriptors {
+            needed,
+            used,
+            limit,
+        });
+    }
+    Ok(())
+}
+
+/// Checks that `needed` bytes are free in shared memory.
+pub(crate) fn check_free(needed: usize) -> Result<(), CapacityError> {
+    let (needed, (free, _)) = (needed as u64, shared_memory()?);
+    if needed > free {
+        return Err(CapacityError::Memory { needed, free });
+    }
+    Ok(())
+}
+
+/// Bytes of the memory that one publisher writes its frames to: a header and up to `max_len` rows.
+pub(crate) fn segment_bytes<C: Channel>(limits: &Limits, max_len: usize) -> u64 {
+    let frame = FRAME_OVERHEAD + size_of::<C::Header>() + size_of::<C::Row>() * max_len;
+    (limits.shape(C::FLOW).frames() * frame + SEGMENT_OVERHEAD) as u64
+}
+
+/// Bytes of the memory that the port for answers writes to, as iceoryx2 counts them: for each question that
+/// can be in transfer, in both its queue and its client's hands, one response buffered, borrowed and loaned.
+pub(crate) const fn server_bytes(clients: usize) -> u64 {
+    let frame = FRAME_OVERHEAD + size_of::<AnswerHeader>() + 8 * ANSWER_WORDS;
+    (clients * 2 * ACTIVE_QUERIES * 3 * frame + SEGMENT_OVERHEAD) as u64
+}
+
+/// Bytes of the memory that a client writes its questions to.
+pub(crate) const fn client_bytes() -> u64 {
+    let frame = FRAME_OVERHEAD + size_of::<QueryHeader>() + 8 * QUERY_VALUES;
+    ((2 * ACTIVE_QUERIES + 1) * frame + SEGMENT_OVERHEAD) as u64
+}
+
+fn needed_bytes(limits: &Limits, ports: Ports) -> u64 {
+    fn of<C: Channel>(limits: &Limits) -> u64 {
+        segment_bytes::<C>(limits, limits.rows(C::ROWS))
+    }
+    let samples = of::<Samples>(limits);
+    let of_worker = of::<Forecasts>(limits)
+        + of::<Diagnostics>(limits)
+        + of::<Budgets>(limits)
+        + of::<PlanStates>(limits)
+        + of::<State>(limits)
+        + of::<Ticks>(limits)
+        + of::<Queries>(limits)
+        + server_bytes(limits.query_clients());
+    let connections = ports.workers * (ports.sources + 4 * ports.planners);
+    let processes = ports.sources + ports.workers + ports.planners;
+    let small = connections * CONNECTION_BYTES + processes * PROCESS_BYTES;
+    ports.sources as u64 * samples + ports.workers as u64 * of_worker + small as u64
+}
+
+fn descriptors(limits: &Limits) -> u64 {
+    let connections =
+        limits.shape(Samples::FLOW).publishers + 5 * limits.shape(Forecasts::FLOW).subscribers;
+    BASE_DESCRIPTORS + CONNECTION_DESCRIPTORS * connections as u64
+}
+
+/// Reason that the ports would not fit.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum CapacityError {
+    /// Too little shared memory.
+    #[error(
+        "shared memory: {needed} bytes needed, {free} free in {SHM_DIR}; lower `capacity` or \
+         `max_planners`, enlarge it (`mount -o remount,size=… {SHM_DIR}`, in a container \
+         `--shm-size`), or remove stale files with `joulebus doctor --fix`"
+    )]
+    Memory {
+        /// Bytes needed.
+        needed: u64,
+        /// Bytes free.
+        free: u64,
+    },
+    /// Too few file descriptors.
+    #[error(
+        "file descriptors: {needed} needed ({used} of them in use), {limit} allowed; raise the \
+         limit (`ulimit -n {needed}`)"
+    )]
+    Descriptors {
+        /// Total required.
+        needed: u64,
+        /// In use.
+        used: u64,
+        /// Allowed.
+        limit: u64,
+    },
+    /// Free shared memory or file descriptors could not be read.
+    #[error("cannot read how much shared memory or how many file descriptors are free: {0}")]
+    Measure(io::Error),
+}

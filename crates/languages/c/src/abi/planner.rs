@@ -1,0 +1,372 @@
+//! A reader of forecasts, diagnostics and budgets, in place.
+
+use std::ffi::c_char;
+use std::ptr;
+use std::time::Duration;
+
+use joulebus_consumer::{
+    Budgets, Config, Diagnostics, End, Event, Feed, Forecasts, Frame, KeptForecasts, Planner,
+    ReadError, WorkerState,
+};
+use joulebus_wire::{Channel, Forecast};
+
+use crate::abi::types::{
+    joulebus_budgets, joulebus_diagnostics, joulebus_end, joulebus_error, joulebus_event,
+    joulebus_event_kind, joulebus_forecasts, joulebus_frame, joulebus_planner,
+    joulebus_planner_status, joulebus_worker,
+};
+use crate::failure::{Failure, entry};
+use crate::handles::{self, kind};
+use crate::memory::{out, text};
+use crate::version;
+
+/// A planner and what it has opened.
+pub(crate) struct Ports {
+    planner: Planner,
+    diagnostics: Option<Feed<Diagnostics>>,
+    budgets: Option<Feed<Budgets>>,
+}
+
+kind!(Ports, joulebus_planner, "planner", 2);
+kind!(KeptForecasts, joulebus_frame, "frame", 3);
+
+const NO_FRAME: joulebus_forecasts = joulebus_forecasts {
+    header: ptr::null(),
+    robots: ptr::null(),
+    count: 0,
+    ticks_missed: 0,
+    restarted: 0,
+};
+
+/// Joins the fleet of a config file as a planner. The worker need not run.
+///
+/// @param header      JOULEBUS_HEADER.
+/// @param config_path The fleet's config file.
+/// @param name        1 to 128 bytes, shown to operators; need not be unique.
+/// @param planner     The new handle.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn joulebus_planner_open(
+    header: *const c_char,
+    config_path: *const c_char,
+    name: *const c_char,
+    planner: *mut *mut joulebus_planner,
+) -> joulebus_error {
+    entry(|| {
+        // SAFETY: the caller's promises, in joulebus.h.
+        let (header, config_path, name, mut planner) = unsafe {
+            (
+                text("header", header)?,
+                text("config_path", config_path)?,
+                text("name", name)?,
+                out("planner", planner)?,
+            )
+        };
+        version::check(header)?;
+        let connect = |text: String| Failure::new(joulebus_error::Connect, text);
+        let config = Config::load(config_path).map_err(|error| connect(error.to_string()))?;
+        let ports = Planner::with_config(&config, name);
+        let ports = Ports {
+            planner: ports.map_err(|error| connect(error.to_string()))?,
+            diagnostics: None,
+            budgets: None,
+        };
+        planner.set(handles::open(ports)?);
+        Ok(())
+    })
+}
+
+/// Waits for a frame that was not returned before, the worker's end, a frame that is too old, or a signal. Of several
+/// frames it returns the newest; skipped ones are counted. Frames stay where they are in shared memory: the event's
+/// pointers are valid until the next call of joulebus_planner_wait, joulebus_planner_latest or joulebus_planner_close
+/// with this planner.
+///
+/// @param timeout_ns Time to wait, ns; UINT64_MAX for ever, 0 not at all.
+/// @param event      What happened.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn joulebus_planner_wait(
+    planner: *mut joulebus_planner,
+    timeout_ns: u64,
+    event: *mut joulebus_event,
+) -> joulebus_error {
+    entry(|| {
+        // SAFETY: the caller's promises, in joulebus.h.
+        let mut event = unsafe { out("event", event) }?;
+        let found = handles::with(planner, |ports: &mut Ports| {
+            let found = ports.planner.wait_next(Duration::from_nanos(timeout_ns));
+            found.map(told).map_err(|error| read_failed(&error))
+        })?;
+        event.set(found);
+        Ok(())
+    })
+}
+
+/// The newest frame, without waiting, whether or not it was returned before; its header is NULL until the first has
+/// arrived. Pointers are valid as of joulebus_planner_wait.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn joulebus_planner_latest(
+    planner: *mut joulebus_planner,
+    frame: *mut joulebus_forecasts,
+) -> joulebus_error {
+    entry(|| {
+        // SAFETY: the caller's promises, in joulebus.h.
+        let mut frame = unsafe { out("frame", frame) }?;
+        let found = handles::with(planner, |ports: &mut Ports| {
+            let found = ports
+                .planner
+                .latest()
+                .map_err(|error| read_failed(&error))?;
+            Ok(found.as_ref().map_or(NO_FRAME, forecasts))
+        })?;
+        frame.set(found);
+        Ok(())
+    })
+}
+
+/// One robot of the frame that was returned last, in constant time while no robots join or leave; NULL if it is not in
+/// the frame, or the frame was kept. Valid as of joulebus_planner_wait.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn joulebus_planner_robot(
+    planner: *mut joulebus_planner,
+    robot: u32,
+    row: *mut *const Forecast,
+) -> joulebus_error {
+    entry(|| {
+        // SAFETY: the caller's promises, in joulebus.h.
+        let mut row = unsafe { out("row", row) }?;
+        let found = handles::with(planner, |ports: &mut Ports| {
+            let current = ports.planner.current();
+            let found = current.as_ref().and_then(|frame| frame.robot(robot));
+            Ok(found.map_or(ptr::null(), ptr::from_ref))
+        })?;
+        row.set(found);
+        Ok(())
+    })
+}
+
+/// Keeps the frame that was returned last: its pointers stay valid until joulebus_frame_close, also after the planner is
+/// closed and the worker has ended. Two may be kept; with more, reading is an error until one is closed. Without a frame,
+/// JOULEBUS_ERROR_NO_FRAME.
+///
+/// @param frame The new handle.
+/// @param view  The frame that is kept; NULL if it is not wanted.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn joulebus_planner_keep(
+    planner: *mut joulebus_planner,
+    frame: *mut *mut joulebus_frame,
+    view: *mut joulebus_forecasts,
+) -> joulebus_error {
+    entry(|| {
+        // SAFETY: the caller's promises, in joulebus.h.
+        let (mut frame, view) = unsafe {
+            let view = (!view.is_null()).then(|| out("view", view));
+            (out("frame", frame)?, view.transpose()?)
+        };
+        let kept = handles::with(planner, |ports: &mut Ports| {
+            let seen = ports.planner.current().as_ref().map(forecasts);
+            Ok(seen.zip(ports.planner.keep()))
+        })?;
+        let (seen, kept) = kept.ok_or_else(|| {
+            let text = "no frame to keep: none has arrived, or it is kept already";
+            Failure::new(joulebus_error::NoFrame, text)
+        })?;
+        frame.set(handles::open(kept)?);
+        if let Some(mut view) = view {
+            view.set(seen);
+        }
+        Ok(())
+    })
+}
+
+/// Gives a kept frame back. NULL is closed already.
+#[unsafe(no_mangle)]
+pub extern "C" fn joulebus_frame_close(frame: *mut joulebus_frame) -> joulebus_error {
+    entry(|| handles::close::<KeptForecasts>(frame))
+}
+
+/// The fleet's newest diagnostics, without waiting. The first call opens them: frames sent from then on are read. The
+/// header is NULL until the first has arrived. Valid until the next call of this function, or joulebus_planner_close.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn joulebus_planner_diagnostics(
+    planner: *mut joulebus_planner,
+    frame: *mut joulebus_diagnostics,
+) -> joulebus_error {
+    entry(|| {
+        // SAFETY: the caller's promises, in joulebus.h.
+        let mut frame = unsafe { out("frame", frame) }?;
+        let found = handles::with(planner, |ports: &mut Ports| {
+            let feed = match &mut ports.diagnostics {
+                Some(feed) => feed,
+                none => none.insert(ports.planner.diagnostics().map_err(not_opened)?),
+            };
+            let found = feed.latest().map_err(|error| read_failed(&error))?;
+            Ok(parts(found))
+        })?;
+        let (header, robots, count) = found;
+        frame.set(joulebus_diagnostics {
+            header,
+            robots,
+            count,
+        });
+        Ok(())
+    })
+}
+
+/// The fleet's newest budgets, without waiting. The first call opens them: frames sent before are read as soon as the
+/// worker sends again. The header is NULL until the first has arrived. Valid until the next call of this function, or
+/// joulebus_planner_close.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn joulebus_planner_budgets(
+    planner: *mut joulebus_planner,
+    frame: *mut joulebus_budgets,
+) -> joulebus_error {
+    entry(|| {
+        // SAFETY: the caller's promises, in joulebus.h.
+        let mut frame = unsafe { out("frame", frame) }?;
+        let found = handles::with(planner, |ports: &mut Ports| {
+            let feed = match &mut ports.budgets {
+                Some(feed) => feed,
+                none => none.insert(ports.planner.budgets().map_err(not_opened)?),
+            };
+            let found = feed.latest().map_err(|error| read_failed(&error))?;
+            Ok(parts(found))
+        })?;
+        let (header, robots, count) = found;
+        frame.set(joulebus_budgets {
+            header,
+            robots,
+            count,
+        });
+        Ok(())
+    })
+}
+
+/// The worker as seen by the last call that read, and what was counted.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn joulebus_planner_get_status(
+    planner: *mut joulebus_planner,
+    status: *mut joulebus_planner_status,
+) -> joulebus_error {
+    entry(|| {
+        // SAFETY: the caller's promises, in joulebus.h.
+        let mut status = unsafe { out("status", status) }?;
+        status.set(handles::with(planner, |ports: &mut Ports| {
+            Ok(seen(&ports.planner))
+        })?);
+        Ok(())
+    })
+}
+
+/// Leaves the fleet. Frames that are kept stay valid. NULL is closed already.
+#[unsafe(no_mangle)]
+pub extern "C" fn joulebus_planner_close(planner: *mut joulebus_planner) -> joulebus_error {
+    entry(|| handles::close::<Ports>(planner))
+}
+
+fn told(event: Event<'_>) -> joulebus_event {
+    let nothing = joulebus_event {
+        kind: joulebus_event_kind::TimedOut,
+        end: joulebus_end::None,
+        age_ns: 0,
+        frame: NO_FRAME,
+    };
+    match event {
+        Event::Frame(frame) => joulebus_event {
+            kind: joulebus_event_kind::Frame,
+            frame: forecasts(&frame),
+            ..nothing
+        },
+        Event::Gone(end) => joulebus_event {
+            kind: joulebus_event_kind::Gone,
+            end: ended(end),
+            ..nothing
+        },
+        Event::Stale { age_ns } => joulebus_event {
+            kind: joulebus_event_kind::Stale,
+            age_ns,
+            ..nothing
+        },
+        Event::Interrupted => joulebus_event {
+            kind: joulebus_event_kind::Interrupted,
+            ..nothing
+        },
+        _ => nothing,
+    }
+}
+
+fn forecasts(frame: &Frame<'_, Forecasts>) -> joulebus_forecasts {
+    let arrival = frame.arrival();
+    joulebus_forecasts {
+        header: frame.header(),
+        robots: frame.robots().as_ptr(),
+        count: frame.robots().len(),
+        ticks_missed: arrival.ticks_missed,
+        restarted: arrival.restarted.into(),
+    }
+}
+
+fn parts<C: Channel>(frame: Option<Frame<'_, C>>) -> (*const C::Header, *const C::Row, usize) {
+    frame.map_or((ptr::null(), ptr::null(), 0), |frame| {
+        let robots = frame.robots();
+        (ptr::from_ref(frame.header()), robots.as_ptr(), robots.len())
+    })
+}
+
+fn ended(end: End) -> joulebus_end {
+    match end {
+        End::Ended => joulebus_end::Ended,
+        End::Exited => joulebus_end::Exited,
+        End::Unreachable => joulebus_end::Unreachable,
+        _ => joulebus_end::FoundDead,
+    }
+}
+
+fn seen(planner: &Planner) -> joulebus_planner_status {
+    let (worker, end) = match planner.worker() {
+        WorkerState::Waiting => (joulebus_worker::Waiting, joulebus_end::None),
+        WorkerState::Alive => (joulebus_worker::Alive, joulebus_end::None),
+        WorkerState::Gone(end) => (joulebus_worker::Gone, ended(end)),
+        _ => (joulebus_worker::Stale, joulebus_end::None),
+    };
+    let counts = planner.counts();
+    joulebus_planner_status {
+        worker,
+        end,
+        frames: counts.frames,
+        gaps: counts.gaps,
+        ticks_missed: counts.ticks_missed,
+        workers: counts.workers,
+        degraded: planner.degraded(),
+        foreign: planner.foreign(),
+    }
+}
+
+fn not_opened(error: impl ToString) -> Failure {
+    Failure::new(joulebus_error::Connect, error)
+}
+
+pub(crate) fn read_failed(error: &ReadError) -> Failure {
+    let text = match error {
+        ReadError::Schema { .. } => format!("{error}; {}", version::remedy()),
+        _ => error.to_string(),
+    };
+    Failure::new(joulebus_error::Read, text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frame_of_another_version_is_refused_with_both_and_what_to_install() {
+        let refused = read_failed(&ReadError::Schema { found: 3 });
+        assert_eq!(refused.code, joulebus_error::Read);
+        for part in [
+            "schema version 3",
+            "allowed is 4",
+            concat!("this library is joulebus ", env!("CARGO_PKG_VERSION")),
+            "which release to install",
+        ] {
+            assert!(refused.text.contains(part), "{}", refused.text);
+        }
+    }
+}
