@@ -39,11 +39,14 @@ pub(crate) fn step_block(
     let (pending, windows) = (&mut columns.pending[block], &mut columns.windows[block]);
     let (lasts, intervals) = (&mut columns.lasts[block], &mut columns.intervals[block]);
     let (first, mask) = (block * LANES, next.mask);
+    // Every lane is computed, and the mask selects those that are stored: a branch for each lane
+    // would keep the loops from being vectorised.
     let (mut elapsed_s, mut forecast_w) = ([0.0; LANES], [0.0; LANES]);
     for lane in 0..LANES {
         elapsed_s[lane] = seconds(next.elapsed_ns[lane]);
         forecast_w[lane] = windows.get(lane).close(Gap::None);
     }
+    // The residual is that of the network's own forecast, whatever was published.
     let mut network_w = forecast_w;
     if let Some(members) = &context.members {
         let online = &mut columns.online[block];
@@ -74,6 +77,7 @@ pub(crate) fn step_block(
         mask,
         &elapsed_s,
     );
+    // Admissions are stored by robot, not by lane, so this loop may branch.
     for lane in (0..LANES).filter(|lane| mask[*lane]) {
         columns.admissions[first + lane].accept(&pending.samples.get(lane));
     }
