@@ -37,7 +37,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         let rovers = [RobotState::new(200).reading(31.0)];
         publisher.publish(gternals.chain(huskies).chain(rovers))?;
         if let Event::Frame(_) = planner.wait_next(Duration::from_secs(1))? {}
-        // Two seconds. Where a program gets no processor for a while, the windows of its robots begin anew.
+        // Two seconds. Where a program gets no processor for a while, the windows of its robots
+        // begin anew.
         let frame = planner.current();
         let known = frame.map_or(0, |frame| {
             frame.iter().filter_map(Forecast::power_w).count()

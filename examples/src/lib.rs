@@ -25,23 +25,23 @@ mod readme {
     }
     compile! {
         Joulebus = "../../README.md",
-        Wire = "../../crates/wire/README.md",
-        Predictor = "../../crates/predictor/README.md",
-        Config = "../../crates/config/README.md",
+        Wire = "../../crates/core/wire/README.md",
+        Predictor = "../../crates/core/predictor/README.md",
+        Config = "../../crates/host/config/README.md",
         Publisher = "../../crates/publisher/README.md",
         Consumer = "../../crates/consumer/README.md",
-        Planner = "../../crates/planner/README.md",
-        PlanServer = "../../crates/plan-server/README.md",
+        Planner = "../../crates/planning/planner/README.md",
+        PlanServer = "../../crates/planning/plan-server/README.md",
         Planning = "../../docs/planning.md",
         Queries = "../../docs/queries.md",
         PredictorWorker = "../../crates/predictor-worker/README.md",
         Capture = "../../crates/capture/format/README.md",
-        Dataset = "../../crates/dataset/README.md",
-        Plant = "../../crates/plant/README.md",
-        Sim = "../../crates/sim/README.md",
-        Train = "../../crates/train/README.md",
-        Eval = "../../crates/eval/README.md",
-        ModelFiles = "../../crates/model-files/README.md",
+        Dataset = "../../crates/lab/dataset/README.md",
+        Plant = "../../crates/lab/plant/README.md",
+        Sim = "../../crates/lab/sim/README.md",
+        Train = "../../crates/lab/train/README.md",
+        Eval = "../../crates/lab/eval/README.md",
+        ModelFiles = "../../crates/lab/model-files/README.md",
     }
 }
 
@@ -130,7 +130,8 @@ impl Drop for PrivateFleet {
 /// Records a fleet of ten robots for two seconds, as `joulebus record` does, into `file`.
 ///
 /// # Errors
-/// The fleet cannot start, the file cannot be written, or the recorder got no processor in time and lost messages.
+/// The fleet cannot start, the file cannot be written, or the recorder got no processor in time and
+/// lost messages.
 pub fn record(file: &Path) -> Result<(), Box<dyn Error>> {
     let mut fleet =
         PrivateFleet::new("[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n")?;

@@ -148,12 +148,12 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         // What a page shows beside its values.
         "serve/src/http/reader.rs",
         // Times that other hosts are told.
-        "bridge/src/telling.rs",
+        "bridge/src/outbound.rs",
         // Captures and their names contain their creation time.
         "capture/recorder/src/attachments.rs",
         "cli/src/demo/capture.rs",
         // Platform files contain the date of their calibration.
-        "lab/src/calibrate.rs",
+        "lab/program/src/calibrate.rs",
     ];
     for Member {
         name, directory, ..

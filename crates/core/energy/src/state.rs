@@ -1,0 +1,449 @@
+//! The energy state of a robot.
+
+// Several arrays are indexed alike, level by level.
+#![allow(clippy::needless_range_loop)]
+
+use serde::{Deserialize, Serialize};
+
+use crate::command::Motion;
+use crate::levels::{LEVELS, LEVELS_S, Level, Parts};
+use crate::model::EnergyModel;
+
+/// Number of horizons at which a robot's own errors are watched.
+pub const SHADOWS: usize = 3;
+
+/// Horizons at which a robot's own errors are watched, s, ascending.
+pub const SHADOWS_S: [f32; SHADOWS] = [1.0, 10.0, 100.0];
+
+/// Time before the first shadow forecast, s, because the first readings are not representative.
+const SETTLE_S: f32 = 1.0;
+/// A shadow forecast with a negative time waits to be made, and is due from here on.
+const DUE_S: f32 = -1.0;
+/// Share of errors outside the interval that the factor of a robot's errors aims at.
+const MISSES: f32 = 0.1;
+/// Limits of that factor.
+const FACTOR: [f32; 2] = [0.5, 8.0];
+
+/// One sample of a robot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EnergySample {
+    /// Power read with it, W; NaN if there was no reading.
+    pub power_w: f32,
+    /// Time since the robot's sample before, s; 0 or NaN if there was none, or if the time between
+    /// the two is not to be counted.
+    pub elapsed_s: f32,
+    /// Commanded linear velocity from now on, m/s; NaN if unknown.
+    pub v_mps: f32,
+    /// Commanded angular velocity from now on, rad/s; NaN if unknown.
+    pub omega_radps: f32,
+}
+
+/// The energy state of a robot: plain numbers without padding, so that it can be kept in columns,
+/// in files and in shared memory.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[repr(C)]
+pub struct EnergyState {
+    /// The part that changes with every sample.
+    pub metered: Metered,
+    /// The part that changes when a shadow forecast has ended.
+    pub learned: Learned,
+}
+
+/// Sums that every sample adds to, and the command in force.
+///
+/// Discounted sums over the readings so far give the robot's levels.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[repr(C)]
+pub struct Metered {
+    /// Discounted energy of each level, J.
+    pub energy_j: [f32; LEVELS],
+    /// Energy by the command model for the same time, J.
+    pub command_j: [f32; LEVELS],
+    /// Discounted time, s.
+    pub time_s: [f32; LEVELS],
+    /// The command in force, m/s; NaN if unknown.
+    pub v_mps: f32,
+    /// The command in force, rad/s; NaN if unknown.
+    pub omega_radps: f32,
+    /// Power of the command in force, W.
+    pub command_w: f32,
+    /// Energy measured since each shadow forecast was made, J.
+    pub shadow_energy_j: [f32; SHADOWS],
+    /// Energy by the command model for the commands since then, J.
+    pub shadow_command_j: [f32; SHADOWS],
+    /// Time since then, s; negative while the next one waits to be made.
+    pub shadow_s: [f32; SHADOWS],
+}
+
+/// Results of the robot's *shadow forecasts*: one at a time for each of [`SHADOWS_S`]. Each is made
+/// as if for a planner that knew the commands in advance, and is compared with the measured energy
+/// when its time is over.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[repr(C)]
+pub struct Learned {
+    /// Factor of the command model's energy in each shadow forecast.
+    pub shadow_factor: [f32; SHADOWS],
+    /// Added power in each shadow forecast, W.
+    pub shadow_added_w: [f32; SHADOWS],
+    /// Power that each shadow forecast would expect for any commands, W.
+    pub shadow_mean_w: [f32; SHADOWS],
+    /// Factor of the errors at these horizons.
+    pub error_factor: [f32; SHADOWS],
+    /// How far the commands explain this robot's power: 1 as far as the platform's, 0 not at all.
+    pub command_trust: f32,
+    /// Discounted products of the energy explained by the commands and the energy to be explained.
+    pub trust_product: f32,
+    /// Discounted squares of the energy explained by the commands.
+    pub trust_square: f32,
+}
+
+impl Metered {
+    /// Number of f32 in it.
+    pub const FLOATS: usize = 3 * LEVELS + 3 + 3 * SHADOWS;
+
+    /// Takes a sample. Without branches.
+    #[inline(always)]
+    pub fn advance(&mut self, model: &EnergyModel, sample: &EnergySample) {
+        let elapsed_s = sample.elapsed_s;
+        let counted = (elapsed_s > 0.0) & elapsed_s.is_finite();
+        let elapsed_s = if counted { elapsed_s } else { 0.0 };
+        let known = counted & sample.power_w.is_finite() & self.command_w.is_finite();
+        let added_j = if known {
+            sample.power_w * elapsed_s
+        } else {
+            0.0
+        };
+        let command_j = if known {
+            self.command_w * elapsed_s
+        } else {
+            0.0
+        };
+        let added_s = if known { elapsed_s } else { 0.0 };
+        for level in 0..LEVELS {
+            let keeps = LEVELS_S[level] / (LEVELS_S[level] + elapsed_s);
+            self.energy_j[level] = keeps * (self.energy_j[level] + added_j);
+            self.command_j[level] = keeps * (self.command_j[level] + command_j);
+            self.time_s[level] = keeps * (self.time_s[level] + added_s);
+        }
+        for shadow in 0..SHADOWS {
+            let runs = self.shadow_s[shadow] >= 0.0;
+            let next_s = self.shadow_s[shadow] + added_s;
+            // One that waits stays negative; one with time missing cannot be compared.
+            let waiting_s = next_s.min(0.5 * DUE_S);
+            let waiting_s = if runs { DUE_S - SETTLE_S } else { waiting_s };
+            self.shadow_s[shadow] = if runs & known { next_s } else { waiting_s };
+            self.shadow_energy_j[shadow] += added_j;
+            self.shadow_command_j[shadow] += command_j;
+        }
+        self.command_to(model, sample);
+    }
+
+    /// The sample's command is in force from now on.
+    #[inline(always)]
+    fn command_to(&mut self, model: &EnergyModel, sample: &EnergySample) {
+        let command = (sample.v_mps, sample.omega_radps);
+        let before = (self.v_mps, self.omega_radps);
+        let motion = Motion::new(command, before, sample.elapsed_s);
+        self.command_w = model.command.power_w(&motion);
+        (self.v_mps, self.omega_radps) = command;
+    }
+
+    /// Whether a shadow forecast has ended, or the first is due.
+    #[inline(always)]
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        let mut ended = false;
+        for shadow in 0..SHADOWS {
+            ended |= self.is_over(shadow);
+        }
+        ended
+    }
+
+    #[inline(always)]
+    fn is_over(&self, shadow: usize) -> bool {
+        let shadow_s = self.shadow_s[shadow];
+        let due = (DUE_S..0.0).contains(&shadow_s);
+        due | (shadow_s >= SHADOWS_S[shadow])
+    }
+
+    /// All numbers, in the order of the fields.
+    #[inline(always)]
+    #[must_use]
+    pub fn to_array(&self) -> [f32; Self::FLOATS] {
+        let mut numbers = [0.0; Self::FLOATS];
+        let mut at = 0;
+        let mut put = |values: &[f32]| {
+            for value in values {
+                numbers[at] = *value;
+                at += 1;
+            }
+        };
+        put(&self.energy_j);
+        put(&self.command_j);
+        put(&self.time_s);
+        put(&[self.v_mps, self.omega_radps, self.command_w]);
+        put(&self.shadow_energy_j);
+        put(&self.shadow_command_j);
+        put(&self.shadow_s);
+        numbers
+    }
+
+    /// Creates it from [`Metered::to_array`].
+    #[inline(always)]
+    #[must_use]
+    pub fn from_array(numbers: &[f32; Self::FLOATS]) -> Self {
+        let levels = |at: usize| std::array::from_fn(|level| numbers[at + level]);
+        let shadows = |group: usize| {
+            std::array::from_fn(|place| numbers[3 * LEVELS + 3 + group * SHADOWS + place])
+        };
+        Self {
+            energy_j: levels(0),
+            command_j: levels(LEVELS),
+            time_s: levels(2 * LEVELS),
+            v_mps: numbers[3 * LEVELS],
+            omega_radps: numbers[3 * LEVELS + 1],
+            command_w: numbers[3 * LEVELS + 2],
+            shadow_energy_j: shadows(0),
+            shadow_command_j: shadows(1),
+            shadow_s: shadows(2),
+        }
+    }
+}
+
+impl Learned {
+    /// Number of f32 in it.
+    pub const FLOATS: usize = 4 * SHADOWS + 3;
+
+    /// Before the first shadow forecast has ended.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            shadow_factor: [0.0; SHADOWS],
+            shadow_added_w: [0.0; SHADOWS],
+            shadow_mean_w: [0.0; SHADOWS],
+            error_factor: [1.0; SHADOWS],
+            command_trust: 1.0,
+            trust_product: 0.0,
+            trust_square: 0.0,
+        }
+    }
+
+    /// The shadow forecast's parts.
+    fn parts(&self, shadow: usize) -> Parts {
+        Parts {
+            factor: self.shadow_factor[shadow],
+            added_w: self.shadow_added_w[shadow],
+            mean_w: self.shadow_mean_w[shadow],
+        }
+    }
+
+    /// Adapts the trust in commands to the part of `measured_j` that they explained: the share with
+    /// the least squared error between the forecasts with and without commands.
+    fn trust(
+        &mut self,
+        parts: &Parts,
+        command_j: f32,
+        duration_s: f32,
+        measured_j: f32,
+        mean_j: f32,
+    ) {
+        /// The discount factor of the sums.
+        const KEEPS: f32 = 0.97;
+        /// Weight of full trust, in the unit of the sums.
+        const PRIOR: f32 = 0.2;
+        /// Errors below this share of the platform's mean do not weigh more.
+        const MIN: f32 = 0.02;
+        let without_j = parts.mean_w * duration_s;
+        let with_j = parts.factor * command_j + parts.added_w * duration_s;
+        let explained = (with_j - without_j) / mean_j;
+        let wanted = (measured_j - without_j) / mean_j;
+        // Large errors weigh by their size instead of its square.
+        let weight = 1.0 / (wanted.abs() + explained.abs()).max(MIN);
+        let product = KEEPS * self.trust_product + weight * explained * wanted;
+        let square = KEEPS * self.trust_square + weight * explained * explained;
+        if product.is_finite() && square.is_finite() {
+            (self.trust_product, self.trust_square) = (product, square);
+            self.command_trust = ((PRIOR + product) / (PRIOR + square)).clamp(0.0, 1.0);
+        }
+    }
+
+    /// All numbers, in the order of the fields.
+    #[inline(always)]
+    #[must_use]
+    pub fn to_array(&self) -> [f32; Self::FLOATS] {
+        let mut numbers = [0.0; Self::FLOATS];
+        let groups = [
+            self.shadow_factor,
+            self.shadow_added_w,
+            self.shadow_mean_w,
+            self.error_factor,
+            [self.command_trust, self.trust_product, self.trust_square],
+        ];
+        for (place, number) in numbers.iter_mut().enumerate() {
+            *number = groups[place / SHADOWS][place % SHADOWS];
+        }
+        numbers
+    }
+
+    /// Creates it from [`Learned::to_array`].
+    #[inline(always)]
+    #[must_use]
+    pub fn from_array(numbers: &[f32; Self::FLOATS]) -> Self {
+        let group = |group: usize| std::array::from_fn(|place| numbers[group * SHADOWS + place]);
+        Self {
+            shadow_factor: group(0),
+            shadow_added_w: group(1),
+            shadow_mean_w: group(2),
+            error_factor: group(3),
+            command_trust: numbers[4 * SHADOWS],
+            trust_product: numbers[4 * SHADOWS + 1],
+            trust_square: numbers[4 * SHADOWS + 2],
+        }
+    }
+}
+
+impl Default for Learned {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl EnergyState {
+    /// Before the first sample. `phase` spreads the shadow forecasts of robots that start together
+    /// over time, for instance the robot's place.
+    #[must_use]
+    pub fn new(phase: u32) -> Self {
+        let waits_s = SETTLE_S + (phase % 32) as f32 / 32.0;
+        Self {
+            metered: Metered {
+                energy_j: [0.0; LEVELS],
+                command_j: [0.0; LEVELS],
+                time_s: [0.0; LEVELS],
+                v_mps: f32::NAN,
+                omega_radps: f32::NAN,
+                command_w: f32::NAN,
+                shadow_energy_j: [0.0; SHADOWS],
+                shadow_command_j: [0.0; SHADOWS],
+                shadow_s: [DUE_S - waits_s; SHADOWS],
+            },
+            learned: Learned::new(),
+        }
+    }
+
+    /// The command in force: m/s and rad/s, NaN if unknown.
+    #[must_use]
+    pub fn command(&self) -> (f32, f32) {
+        (self.metered.v_mps, self.metered.omega_radps)
+    }
+
+    /// Takes a sample.
+    pub fn observe(&mut self, model: &EnergyModel, sample: &EnergySample) {
+        self.metered.advance(model, sample);
+        if self.metered.has_ended() {
+            self.compare(model);
+        }
+    }
+
+    /// Compares the shadow forecasts that have ended with the measured energy, and makes the next
+    /// ones. It follows [`Metered::advance`] if one [has ended](Metered::has_ended).
+    pub fn compare(&mut self, model: &EnergyModel) {
+        for shadow in 0..SHADOWS {
+            if !self.metered.is_over(shadow) {
+                continue;
+            }
+            if self.metered.shadow_s[shadow] >= SHADOWS_S[shadow] {
+                self.learn(model, shadow);
+            }
+            let parts = self.parts(model, SHADOWS_S[shadow]);
+            self.learned.shadow_factor[shadow] = parts.factor;
+            self.learned.shadow_added_w[shadow] = parts.added_w;
+            self.learned.shadow_mean_w[shadow] = parts.mean_w;
+            self.metered.shadow_energy_j[shadow] = 0.0;
+            self.metered.shadow_command_j[shadow] = 0.0;
+            self.metered.shadow_s[shadow] = 0.0;
+        }
+    }
+
+    /// Adapts the factor of the errors so that nine of ten lie inside the 90 % interval, and the
+    /// trust in commands.
+    fn learn(&mut self, model: &EnergyModel, shadow: usize) {
+        /// Change of the factor per error.
+        const STEP: f32 = 0.2;
+        let (metered, learned) = (&self.metered, &mut self.learned);
+        let (duration_s, command_j) = (metered.shadow_s[shadow], metered.shadow_command_j[shadow]);
+        let measured_j = metered.shadow_energy_j[shadow];
+        let parts = learned.parts(shadow);
+        let forecast_j = parts
+            .level(learned.command_trust)
+            .energy_j(command_j, duration_s);
+        let scale_j = model.scale_j(forecast_j, duration_s) * learned.error_factor[shadow];
+        let error_j = measured_j - forecast_j;
+        let errors = model.errors_at(SHADOWS_S[shadow]);
+        let inside = errors[1] * scale_j <= error_j && error_j <= errors[7] * scale_j;
+        let change = if inside {
+            -STEP * MISSES
+        } else {
+            STEP * (1.0 - MISSES)
+        };
+        let factor = learned.error_factor[shadow] * (1.0 + change);
+        learned.error_factor[shadow] = factor.clamp(FACTOR[0], FACTOR[1]);
+        let mean_j = model.command.mean_w * duration_s;
+        learned.trust(&parts, command_j, duration_s, measured_j, mean_j);
+    }
+
+    /// Factor of the errors at a horizon, linear between the watched ones and constant beyond.
+    pub(crate) fn error_factor(&self, horizon_s: f32) -> f32 {
+        let last = SHADOWS - 2;
+        let segment = (0..last)
+            .find(|index| horizon_s < SHADOWS_S[index + 1])
+            .unwrap_or(last);
+        let (from_s, to_s) = (SHADOWS_S[segment], SHADOWS_S[segment + 1]);
+        let share = ((horizon_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0);
+        let factors = &self.learned.error_factor;
+        let (from, to) = (factors[segment], factors[segment + 1]);
+        from + share * (to - from)
+    }
+
+    /// The robot's level over a horizon: its levels, weighted.
+    pub(crate) fn level(&self, model: &EnergyModel, horizon_s: f32) -> Level {
+        let parts = self.parts(model, horizon_s);
+        parts.level(self.learned.command_trust)
+    }
+
+    fn parts(&self, model: &EnergyModel, horizon_s: f32) -> Parts {
+        let (weights, added_share) = model.weights_at(horizon_s);
+        let (spread, mean_w) = (model.spread_at(horizon_s), model.command.mean_w);
+        let mut parts = Parts::default();
+        for level in 0..LEVELS {
+            let weight = weights[level];
+            let time_s = self.metered.time_s[level];
+            let command_j = self.metered.command_j[level];
+            if !((time_s > 0.0) & (command_j > 0.0)) {
+                parts.factor += weight;
+                parts.mean_w += weight * mean_w;
+                continue;
+            }
+            let energy_j = self.metered.energy_j[level];
+            let differs = energy_j / command_j - 1.0;
+            let shrunk = shrunk(time_s, model.prior_s[level], differs / spread);
+            let above_j = shrunk * (energy_j - command_j);
+            parts.factor += weight * (1.0 + (1.0 - added_share) * above_j / command_j);
+            parts.added_w += weight * (added_share * above_j / time_s);
+            parts.mean_w += weight * (mean_w + shrunk * (energy_j / time_s - mean_w));
+        }
+        parts
+    }
+}
+
+/// Weight of a level after `time_s` of readings. The rest is the platform's level, because few
+/// readings are not representative. `deviation` is the level's distance from the platform's, in
+/// deviations of the forecast errors. A level that is too far away for a robot of this platform,
+/// for instance on another floor, is drawn to the platform's for a shorter time.
+fn shrunk(time_s: f32, prior_s: f32, deviation: f32) -> f32 {
+    /// Time after which most of a deviation is not due to the first readings, s.
+    const START_S: f32 = 3.0;
+    let is_level = time_s / (time_s + START_S);
+    let square = deviation * deviation * time_s / (time_s + prior_s);
+    let prior_s = prior_s / (1.0 + square * is_level * is_level);
+    time_s / (time_s + prior_s)
+}

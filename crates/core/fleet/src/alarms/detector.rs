@@ -1,0 +1,380 @@
+//! Residual monitoring (bias by CUSUM, noise, model mismatch), and hysteresis for all alarms.
+
+use joulebus_settings::AlarmSettings;
+use joulebus_wire::{Alarm, AlarmSet};
+use serde::{Deserialize, Serialize};
+
+use crate::layout::lanes::{Block, Lanes, put};
+
+/// Serial correlation above which whitening would only amplify noise.
+const CORRELATION_MAX: f32 = 0.9;
+
+/// Limit of residuals, W, and of standardised residuals. Without it, one absurd forecast would turn
+/// the sums into NaN, and no alarm would ever be raised again.
+const RESIDUAL_MAX: f32 = 1e6;
+
+/// The sums stay within this many times their limit, so that an alarm is cleared soon after its
+/// cause ends.
+const CUSUM_MAX: f32 = 1.2;
+/// Largest squared residual that the noise ratio believes: one step of the load is not noise.
+const NOISE_SQUARE_MAX: f32 = 300.0;
+/// The model is judged over this many times as many readings as the noise: few of them carry the
+/// changes that it is there for.
+const MISMATCH_MEMORY: f32 = 10.0;
+/// Limits of an error and of a change in that judgement, and its minimum squared error, in standard
+/// deviations of the training's residuals. A model that errs as in training is not worse for a
+/// robot that stands still, where the last reading is nearly exact.
+const MISMATCH_ERROR_MAX: f32 = 20.0;
+const MISMATCH_SQUARE_MIN: f32 = 3.0;
+
+/// Number of alarms that are decided here. Those of the battery follow.
+const ALARMS: usize = Alarm::WatchdogStop.code() as usize;
+
+/// Residual statistics of one robot.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Detector {
+    pub bias_w: f32,
+    pub cusum_up: f32,
+    pub cusum_down: f32,
+    pub noise_ratio: f32,
+    z_last: f32,
+    z_square: f32,
+    z_product: f32,
+    /// Recent squared errors of the model and of persistence, in squared standard deviations.
+    error_square: f32,
+    persistence_square: f32,
+    /// Number of consecutive samples for which the condition of an alarm has required a change.
+    agreeing: [u16; ALARMS],
+    /// Alarms for which that number is not zero.
+    changing: AlarmSet,
+    raised: AlarmSet,
+}
+
+/// Alarms whose condition holds, and alarms that stay raised if they are raised.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct Conditions {
+    pub raise: AlarmSet,
+    pub stay: AlarmSet,
+}
+
+impl Conditions {
+    /// A condition without hysteresis band.
+    #[inline(always)]
+    pub(crate) fn when(&mut self, holds: bool, alarm: Alarm) {
+        self.between(holds, holds, alarm);
+    }
+
+    #[inline(always)]
+    fn between(&mut self, raise: bool, stay: bool, alarm: Alarm) {
+        let bit = AlarmSet(0).with(alarm).0;
+        self.raise.0 |= if raise { bit } else { 0 };
+        self.stay.0 |= if raise | stay { bit } else { 0 };
+    }
+}
+
+impl Detector {
+    pub(crate) fn new() -> Self {
+        Self {
+            bias_w: 0.0,
+            cusum_up: 0.0,
+            cusum_down: 0.0,
+            noise_ratio: 1.0,
+            z_last: 0.0,
+            z_square: 1.0,
+            z_product: 0.0,
+            // Equal, until there are readings.
+            error_square: 1.0,
+            persistence_square: 1.0,
+            agreeing: [0; ALARMS],
+            changing: AlarmSet::default(),
+            raised: AlarmSet::default(),
+        }
+    }
+
+    /// Records a residual and the change of the reading, W, both finite; `per_sigma` is 1
+    /// over the residual standard deviation in training, 1/W, above 0.
+    #[inline(always)]
+    pub(crate) fn observe(
+        &mut self,
+        residual_w: f32,
+        change_w: f32,
+        per_sigma: f32,
+        settings: &AlarmSettings,
+    ) {
+        let residual_w = residual_w.clamp(-RESIDUAL_MAX, RESIDUAL_MAX);
+        self.bias_w += settings.bias_weight * (residual_w - self.bias_w);
+        let z = (residual_w * per_sigma).clamp(-RESIDUAL_MAX, RESIDUAL_MAX);
+        let white = self.whiten(z, settings.bias_weight);
+        let ceiling = CUSUM_MAX * settings.cusum_limit;
+        self.cusum_up = (self.cusum_up + white - settings.cusum_slack).clamp(0.0, ceiling);
+        self.cusum_down = (self.cusum_down - white - settings.cusum_slack).clamp(0.0, ceiling);
+        let square = (white * white).min(NOISE_SQUARE_MAX);
+        self.noise_ratio += settings.noise_weight * (square - self.noise_ratio);
+        let weight = settings.noise_weight / MISMATCH_MEMORY;
+        let bounded = |z: f32| z.clamp(-MISMATCH_ERROR_MAX, MISMATCH_ERROR_MAX);
+        let (error, step) = (bounded(z), bounded(change_w * per_sigma));
+        self.error_square += weight * (error * error - self.error_square);
+        self.persistence_square += weight * (step * step - self.persistence_square);
+    }
+
+    /// Removes the serial correlation from `z`: a cumulative sum of correlated residuals would
+    /// alarm on every slow wave.
+    #[inline(always)]
+    fn whiten(&mut self, z: f32, weight: f32) -> f32 {
+        let correlation =
+            (self.z_product / self.z_square.max(f32::MIN_POSITIVE)).clamp(0.0, CORRELATION_MAX);
+        let white = (z - correlation * self.z_last) / (1.0 - correlation * correlation).sqrt();
+        self.z_square += weight * (z * z - self.z_square);
+        self.z_product += weight * (z * self.z_last - self.z_product);
+        self.z_last = z;
+        white
+    }
+
+    /// The conditions of the residual alarms, after enough residuals were `observed`.
+    #[inline(always)]
+    pub(crate) fn conditions(&self, observed: u64, settings: &AlarmSettings) -> Conditions {
+        let settled = observed >= settings.settle_samples.into();
+        let mut conditions = Conditions::default();
+        let bias = settings.cusum_limit;
+        let (up, down) = (self.cusum_up, self.cusum_down);
+        conditions.between(up > bias, up > 0.5 * bias, Alarm::BiasHigh);
+        conditions.between(down > bias, down > 0.5 * bias, Alarm::BiasLow);
+        let (ratio, noise) = (self.noise_ratio, settings.noise_limit);
+        conditions.between(ratio > noise, ratio > 0.5 * noise, Alarm::NoiseHigh);
+        let expected = self.persistence_square.max(MISMATCH_SQUARE_MIN);
+        let worst = settings.mismatch_limit * expected;
+        let (error, floor) = (self.error_square, 0.9 * worst);
+        conditions.between(error > worst, error > floor, Alarm::ModelMismatch);
+        Conditions {
+            raise: AlarmSet(if settled { conditions.raise.0 } else { 0 }),
+            stay: AlarmSet(if settled { conditions.stay.0 } else { 0 }),
+        }
+    }
+
+    /// Alarms that the conditions require to change.
+    #[inline(always)]
+    fn change(&self, conditions: Conditions) -> u32 {
+        (self.raised.0 & !conditions.stay.0) | (!self.raised.0 & conditions.raise.0)
+    }
+
+    /// Whether [`Detector::decide`] would change anything, which is rare.
+    #[inline(always)]
+    pub(crate) fn is_moved_by(&self, conditions: Conditions) -> bool {
+        self.change(conditions) | self.changing.0 != 0
+    }
+
+    /// Raises and clears with hysteresis: an alarm changes only after its condition has required it
+    /// for the configured number of consecutive samples.
+    pub(crate) fn decide(&mut self, conditions: Conditions, settings: &AlarmSettings) {
+        let change = self.change(conditions);
+        let mut look = change | self.changing.0;
+        self.changing.0 = change;
+        while look != 0 {
+            let (bit, place) = (look & look.wrapping_neg(), look.trailing_zeros() as usize);
+            look &= !bit;
+            // Conditions contain only existing alarms.
+            let Some(agreeing) = self.agreeing.get_mut(place) else {
+                return;
+            };
+            if change & bit == 0 {
+                *agreeing = 0;
+                continue;
+            }
+            *agreeing = agreeing.saturating_add(1);
+            let raised = self.raised.0 & bit != 0;
+            let needed = if raised {
+                settings.clear_samples
+            } else {
+                settings.raise_samples
+            };
+            if *agreeing >= needed {
+                self.raised.0 ^= bit;
+                self.changing.0 &= !bit;
+                *agreeing = 0;
+            }
+        }
+    }
+}
+
+/// The detectors of a block.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+#[repr(align(64))]
+pub(crate) struct DetectorLanes {
+    pub bias_w: Lanes<f32>,
+    pub cusum_up: Lanes<f32>,
+    pub cusum_down: Lanes<f32>,
+    pub noise_ratio: Lanes<f32>,
+    z_last: Lanes<f32>,
+    z_square: Lanes<f32>,
+    z_product: Lanes<f32>,
+    error_square: Lanes<f32>,
+    persistence_square: Lanes<f32>,
+    changing: Lanes<u32>,
+    raised: Lanes<u32>,
+    /// Rarely accessed: robot by robot.
+    agreeing: Lanes<[u16; ALARMS]>,
+}
+
+impl DetectorLanes {
+    #[inline(always)]
+    pub(crate) fn raised(&self, lane: usize) -> AlarmSet {
+        AlarmSet(self.raised[lane])
+    }
+
+    /// Same as [`Block::set`], for the fields that [`Detector::observe`] changes.
+    #[inline(always)]
+    pub(crate) fn set_observed(&mut self, lane: usize, mask: bool, robot: &Detector) {
+        put(&mut self.bias_w[lane], mask, robot.bias_w);
+        put(&mut self.cusum_up[lane], mask, robot.cusum_up);
+        put(&mut self.cusum_down[lane], mask, robot.cusum_down);
+        put(&mut self.noise_ratio[lane], mask, robot.noise_ratio);
+        put(&mut self.z_last[lane], mask, robot.z_last);
+        put(&mut self.z_square[lane], mask, robot.z_square);
+        put(&mut self.z_product[lane], mask, robot.z_product);
+        put(&mut self.error_square[lane], mask, robot.error_square);
+        let persistence = robot.persistence_square;
+        put(&mut self.persistence_square[lane], mask, persistence);
+    }
+}
+
+impl Block for DetectorLanes {
+    type Robot = Detector;
+
+    #[inline(always)]
+    fn get(&self, lane: usize) -> Detector {
+        Detector {
+            bias_w: self.bias_w[lane],
+            cusum_up: self.cusum_up[lane],
+            cusum_down: self.cusum_down[lane],
+            noise_ratio: self.noise_ratio[lane],
+            z_last: self.z_last[lane],
+            z_square: self.z_square[lane],
+            z_product: self.z_product[lane],
+            error_square: self.error_square[lane],
+            persistence_square: self.persistence_square[lane],
+            agreeing: self.agreeing[lane],
+            changing: AlarmSet(self.changing[lane]),
+            raised: AlarmSet(self.raised[lane]),
+        }
+    }
+
+    #[inline(always)]
+    fn set(&mut self, lane: usize, mask: bool, robot: Detector) {
+        self.set_observed(lane, mask, &robot);
+        put(&mut self.changing[lane], mask, robot.changing.0);
+        put(&mut self.raised[lane], mask, robot.raised.0);
+        put(&mut self.agreeing[lane], mask, robot.agreeing);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SETTINGS: AlarmSettings = AlarmSettings {
+        bias_weight: 0.01,
+        cusum_slack: 0.5,
+        cusum_limit: 20.0,
+        noise_weight: 0.01,
+        noise_limit: 4.0,
+        mismatch_limit: 2.0,
+        settle_samples: 50,
+        raise_samples: 5,
+        clear_samples: 30,
+        training_margin: 0.1,
+    };
+
+    /// A sum of uniforms: approximately normal, variance 1.
+    fn noise(state: &mut u64) -> f32 {
+        (0..12)
+            .map(|_| {
+                *state = state
+                    .wrapping_mul(6_364_136_223_846_793_005)
+                    .wrapping_add(1);
+                (*state >> 40) as f32 / (1 << 24) as f32
+            })
+            .sum::<f32>()
+            - 6.0
+    }
+
+    fn run(
+        detector: &mut Detector,
+        steps: usize,
+        mut residual: impl FnMut(f32) -> f32,
+        state: &mut u64,
+    ) {
+        for step in 0..steps {
+            let unit = noise(state);
+            detector.observe(residual(unit), 1.0, 1.0, &SETTINGS);
+            detector.decide(detector.conditions(step as u64, &SETTINGS), &SETTINGS);
+        }
+    }
+
+    #[test]
+    fn each_fault_raises_its_own_alarm_and_clears_when_it_ends() {
+        type Fault = fn(f32) -> f32;
+        let cases: [(Fault, Alarm); 3] = [
+            (|unit| unit + 2.0, Alarm::BiasHigh),
+            (|unit| unit - 2.0, Alarm::BiasLow),
+            (|unit| 4.0 * unit, Alarm::NoiseHigh),
+        ];
+        for (fault, alarm) in cases {
+            let (mut detector, mut state) = (Detector::new(), 1);
+            run(&mut detector, 5_000, |unit| unit, &mut state);
+            assert_eq!(
+                detector.raised,
+                AlarmSet::default(),
+                "false alarm before {alarm:?}"
+            );
+            run(&mut detector, 300, fault, &mut state);
+            assert!(detector.raised.has(alarm), "{alarm:?}: {detector:?}");
+            run(&mut detector, 5_000, |unit| unit, &mut state);
+            assert_eq!(
+                detector.raised,
+                AlarmSet::default(),
+                "{alarm:?} did not clear"
+            );
+        }
+    }
+
+    #[test]
+    fn one_absurd_residual_does_not_disable_the_detector() {
+        for absurd in [f32::MAX, -f32::MAX] {
+            let (mut detector, mut state) = (Detector::new(), 1);
+            detector.observe(absurd, 1.0, 1e6, &SETTINGS);
+            assert!(detector.error_square.is_finite(), "{detector:?}");
+            run(&mut detector, 10_000, |unit| unit, &mut state);
+            assert_eq!(detector.raised, AlarmSet::default(), "{detector:?}");
+            run(&mut detector, 300, |unit| unit + 2.0, &mut state);
+            assert!(detector.raised.has(Alarm::BiasHigh), "{detector:?}");
+        }
+    }
+
+    #[test]
+    fn a_flickering_condition_neither_raises_nor_clears_an_alarm() {
+        let mut detector = Detector::new();
+        let mut on = Conditions::default();
+        on.when(true, Alarm::StuckSensor);
+        for step in 0..100 {
+            let now = if step % 5 == 4 {
+                Conditions::default()
+            } else {
+                on
+            };
+            detector.decide(now, &SETTINGS);
+            assert!(!detector.raised.has(Alarm::StuckSensor));
+        }
+        for _ in 0..5 {
+            detector.decide(on, &SETTINGS);
+        }
+        for step in 0..100 {
+            let now = if step % 29 == 28 {
+                on
+            } else {
+                Conditions::default()
+            };
+            detector.decide(now, &SETTINGS);
+            assert!(detector.raised.has(Alarm::StuckSensor));
+        }
+    }
+}

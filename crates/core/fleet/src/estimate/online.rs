@@ -1,0 +1,848 @@
+//! Forecasts that learn online: the model's members combined per robot by its own readings.
+//!
+//! With A the model's autoregression, P the last reading, N the network, M the mean of the robot's
+//! readings and r the mean size of their changes,
+//!
+//! ```text
+//! u = (P − A, N − A, M − A, r)
+//! S = A + θ·u                                          the stack
+//! F = w_P P + w_N N + w_S S                            the forecast
+//! ```
+//!
+//! θ follows the readings y by recursive least squares with a bounded innovation and a covariance
+//! that is pulled back to its start, so that it neither winds up nor stops learning:
+//!
+//! ```text
+//! g = Σu / (r² + uᵀΣu)
+//! θ ← θ + g · clamp(y − S, ±2.5 r)
+//! Σ ← Σ − g (Σu)ᵀ,   Σ ← Σ + 0.002 (Σ₀ − Σ)
+//! ```
+//!
+//! The weights w are those of [`Hedge`], whose documentation states and proves the bound on F
+//! against each member. They are kept separately for readings with and without a new measurement
+//! due: where none is, the last reading is nearly always exact, and only it and the stack take
+//! part.
+//!
+//! Coefficients are dimensionless and sizes are the robot's own, so that a model of another robot
+//! and another power is corrected as well. The start, the same for every model, is that of a
+//! network that is nearly right. Where the mean power lies outside the range that the model was
+//! trained on, or is small beside the model's own error, the network cannot be nearly right: such a
+//! robot starts from its last reading, and the network and the stack must earn their weights.
+
+// Index loops: the compiler vectorises them.
+#![allow(clippy::needless_range_loop)]
+
+use joulebus_predictor::{FeatureSet, LAGS, Linear, Model, canonical};
+use serde::{Deserialize, Serialize};
+
+use crate::estimate::hedge::{Hedge, MEMBERS, dot};
+use crate::layout::lanes::{Block, LANES, Lanes, put};
+
+/// Deviations that the stack weighs: of the last reading, the network and the mean from the
+/// autoregression, and the level.
+const TERMS: usize = 4;
+/// Numbers of a symmetric matrix of that size: row by row, from the diagonal on.
+const PAIRS: usize = 10;
+const PAIR: [[usize; 2]; PAIRS] = [
+    [0, 0],
+    [0, 1],
+    [0, 2],
+    [0, 3],
+    [1, 1],
+    [1, 2],
+    [1, 3],
+    [2, 2],
+    [2, 3],
+    [3, 3],
+];
+
+/// θ at the start, and the variances Σ₀, uncorrelated.
+const START: [f32; TERMS] = [0.1, 0.95, 0.1, 0.0];
+const VARIANCE: [f32; TERMS] = [0.09, 0.04, 0.04, 0.25];
+const COVARIANCE: [f32; PAIRS] = {
+    let mut all = [0.0; PAIRS];
+    let mut pair = 0;
+    while pair < PAIRS {
+        let [row, column] = PAIR[pair];
+        if row == column {
+            all[pair] = VARIANCE[row];
+        }
+        pair += 1;
+    }
+    all
+};
+/// Share of the distance to Σ₀ that Σ returns with each reading.
+const PULL: f32 = 0.002;
+/// Largest innovation that θ follows, and largest deviation, in r.
+const INNOVATION_MAX: f32 = 2.5;
+const DEVIATION_MAX: f32 = 30.0;
+/// θ stays within ±this.
+const COEFFICIENT_MAX: f32 = 100.0;
+/// Readings that the model's own error counts for in r.
+const TRUST: f32 = 8.0;
+/// Initial losses for readings with a new measurement due, in r². The last reading is a fallback.
+const LOSS_LAST: f32 = 300.0;
+const LOSS_NETWORK: f32 = 1.0;
+/// Initial losses of the network and the stack for a mean power unlike any in the training, with
+/// and without a new measurement due, in r². The last reading's is then 0.
+const LOSS_UNLIKE: f32 = 20.0;
+const LOSS_UNLIKE_HELD: f32 = 40.0;
+/// How far the mean power may lie outside the training range, in the model's own error, and its
+/// least share of that error.
+const OUTSIDE_MAX: f32 = 0.5;
+const SHARE_MIN: f32 = 0.125;
+/// Δ is at least this, in r².
+const COST: f32 = 2.0;
+/// Share of the stack in the last reading's forecast if no measurement is due, because some
+/// measurements come early.
+const EARLY: f32 = 0.02;
+/// Largest size that is believed, W.
+const SIZE_MAX: f32 = 1e6;
+
+/// The members that a platform's robots combine, prepared for the tick.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Members {
+    /// The autoregression A: bias, W, and weights of the last readings, newest first.
+    bias_w: f32,
+    lags: [f32; LAGS],
+    /// r of an unknown robot, W.
+    change_w: f32,
+    /// Minimum r, W.
+    floor_w: f32,
+    /// Range of mean power for which the network is nearly right, W.
+    least_w: f32,
+    most_w: f32,
+}
+
+/// Mean absolute value of a normal distribution with unit deviation.
+const MEAN_OF_NORMAL: f32 = 0.8;
+
+impl Members {
+    /// `None` without a network. `sigma_w` is the deviation of its residuals, `resolution_w` the
+    /// power monitor's, both above 0, W.
+    pub(crate) fn new(model: &Model, sigma_w: f32, resolution_w: f32) -> Option<Self> {
+        let Model::Network(_) = model else {
+            return None;
+        };
+        let (bias_w, lags) = match model.linear() {
+            Some(Linear {
+                feature_set: FeatureSet::PowerOnly,
+                bias_w,
+                weights,
+                ..
+            }) => {
+                let first = FeatureSet::PowerOnly.first();
+                (*bias_w, std::array::from_fn(|lag| weights[first + lag]))
+            }
+            // Model files without an autoregression: the last reading in its place.
+            _ => (0.0, [1.0, 0.0, 0.0, 0.0, 0.0]),
+        };
+        let change_w = (MEAN_OF_NORMAL * sigma_w).max(resolution_w);
+        let newest = FeatureSet::PowerOnly.first();
+        let trained = model.training_range();
+        let (min_w, max_w) = trained.map_or((f32::NEG_INFINITY, f32::INFINITY), |range| {
+            (range.min[newest], range.max[newest])
+        });
+        Some(Self {
+            bias_w,
+            lags,
+            change_w,
+            floor_w: resolution_w,
+            least_w: (min_w - OUTSIDE_MAX * change_w).max(SHARE_MIN * change_w),
+            most_w: max_w + OUTSIDE_MAX * change_w,
+        })
+    }
+
+    /// Whether the model was trained on nothing like a robot of this mean power.
+    #[inline(always)]
+    pub(crate) fn is_unlike(&self, mean_w: f32) -> bool {
+        !((self.least_w <= mean_w) & (mean_w <= self.most_w))
+    }
+
+    #[inline(always)]
+    fn autoregression(&self, lag_w: &[f32; LAGS]) -> f32 {
+        let [a, b, c, d, e] = self.lags;
+        let [first, second, third, fourth, fifth] = *lag_w;
+        ((((self.bias_w + a * first) + b * second) + c * third) + d * fourth) + e * fifth
+    }
+}
+
+/// `value` within ±`most`. Without the check of `clamp`, whose branch would keep loops from
+/// becoming vectors.
+#[inline(always)]
+fn within(value: f32, most: f32) -> f32 {
+    value.max(-most).min(most)
+}
+
+/// What a robot's forecast has learned from its readings.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Learned {
+    /// The network's own forecast of the next reading, W; NaN before the first.
+    pub network_w: f32,
+    /// Mean of the readings, W; the newest counts 1/256 at least.
+    pub mean_w: f32,
+    /// Mean size of the changes between new measurements, W.
+    pub change_w: f32,
+    /// Weights of the last reading, the network and the stack if a new measurement is due:
+    /// non-negative, with sum 1.
+    pub weights: [f32; 3],
+    /// Weights of the last reading and the stack if the last reading will be held.
+    pub held_weights: [f32; 2],
+    /// Gains within the stack, on the deviations of the last reading, the network and the mean of
+    /// the readings from the model's autoregression.
+    pub gains: [f32; 3],
+    /// Level that the stack adds, W.
+    pub level_w: f32,
+}
+
+impl Learned {
+    /// Of a robot that does not learn: all NaN.
+    pub(crate) const NONE: Self = Self {
+        network_w: f32::NAN,
+        mean_w: f32::NAN,
+        change_w: f32::NAN,
+        weights: [f32::NAN; 3],
+        held_weights: [f32::NAN; 2],
+        gains: [f32::NAN; 3],
+        level_w: f32::NAN,
+    };
+}
+
+/// Weights as in [`Learned`], with and without a new measurement due.
+pub(crate) type Weights = ([f32; 3], [f32; 2]);
+
+/// One robot's.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Online {
+    theta: [f32; TERMS],
+    covariance: [f32; PAIRS],
+    /// The network's forecast of the next reading, W, if the robot has a forecast.
+    pub network_w: f32,
+    /// Mean of the readings so far, W; the newest counts 1/256 at least.
+    pub mean_w: f32,
+    /// r: mean size of their changes, W.
+    change_w: f32,
+    /// [`Hedge`] for readings with a measurement due, and without.
+    due_above: [f32; 2],
+    due_cost: f32,
+    held_above: f32,
+    held_cost: f32,
+    /// Readings so far, up to 255.
+    seen: u8,
+}
+
+/// The members' forecasts, and the stack's inputs.
+struct MemberForecasts {
+    members_w: [f32; MEMBERS],
+    u: [f32; TERMS],
+    unlike: bool,
+}
+
+/// The update of the stack by a reading.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct RlsUpdate {
+    u: [f32; TERMS],
+    innovation_w: f32,
+    /// r².
+    square: f32,
+    due: bool,
+}
+
+/// [`RlsUpdate`]s of a block.
+pub(crate) struct RlsUpdateLanes {
+    u: [Lanes<f32>; TERMS],
+    innovation_w: Lanes<f32>,
+    square: Lanes<f32>,
+    due: Lanes<bool>,
+}
+
+impl RlsUpdateLanes {
+    pub(crate) const NONE: Self = Self {
+        u: [[0.0; LANES]; TERMS],
+        innovation_w: [0.0; LANES],
+        square: [1.0; LANES],
+        due: [false; LANES],
+    };
+
+    #[inline(always)]
+    pub(crate) fn get(&self, lane: usize) -> RlsUpdate {
+        RlsUpdate {
+            u: [
+                self.u[0][lane],
+                self.u[1][lane],
+                self.u[2][lane],
+                self.u[3][lane],
+            ],
+            innovation_w: self.innovation_w[lane],
+            square: self.square[lane],
+            due: self.due[lane],
+        }
+    }
+
+    #[inline(always)]
+    pub(crate) fn set(&mut self, lane: usize, update: &RlsUpdate) {
+        for term in 0..TERMS {
+            self.u[term][lane] = update.u[term];
+        }
+        self.innovation_w[lane] = update.innovation_w;
+        self.square[lane] = update.square;
+        self.due[lane] = update.due;
+    }
+}
+
+impl Online {
+    /// Empty lanes.
+    pub(crate) const NONE: Self = Self {
+        theta: START,
+        covariance: COVARIANCE,
+        network_w: f32::NAN,
+        mean_w: 0.0,
+        change_w: 0.0,
+        due_above: [0.0; 2],
+        due_cost: 0.0,
+        held_above: 0.0,
+        held_cost: 0.0,
+        seen: 0,
+    };
+
+    pub(crate) fn new(members: &Members) -> Self {
+        Self {
+            change_w: members.change_w,
+            ..Self::NONE
+        }
+    }
+
+    /// The forecast after the readings `lag_w`, newest first, given the network's finite forecast
+    /// `network_w`. `due` states whether a new measurement is due.
+    #[inline(always)]
+    pub(crate) fn forecast(
+        &self,
+        members: &Members,
+        lag_w: &[f32; LAGS],
+        network_w: f32,
+        due: bool,
+    ) -> f32 {
+        let forecasts = self.member_forecasts(members, lag_w, network_w, due);
+        dot(
+            &self.hedge(forecasts.unlike, due).weights(),
+            &forecasts.members_w,
+        )
+    }
+
+    #[inline(always)]
+    fn member_forecasts(
+        &self,
+        members: &Members,
+        lag_w: &[f32; LAGS],
+        network_w: f32,
+        due: bool,
+    ) -> MemberForecasts {
+        let a_w = members.autoregression(lag_w);
+        let (last_w, most_w) = (lag_w[0], DEVIATION_MAX * self.change_w);
+        let deviation = |watts: f32| within(watts - a_w, most_w);
+        let u = [
+            deviation(last_w),
+            deviation(network_w),
+            deviation(self.mean_w),
+            self.change_w,
+        ];
+        let [p, n, m, level] = self.theta;
+        let stack_w = a_w + ((p * u[0] + n * u[1]) + (m * u[2] + level * u[3]));
+        let unlike = members.is_unlike(self.mean_w);
+        let early_w = if due | unlike {
+            0.0
+        } else {
+            EARLY * (stack_w - last_w)
+        };
+        MemberForecasts {
+            members_w: [last_w + early_w, network_w, stack_w],
+            u,
+            unlike,
+        }
+    }
+
+    /// Learns the reading that the forecast after `lag_w` was made for.
+    #[inline(always)]
+    pub(crate) fn learn(
+        &mut self,
+        members: &Members,
+        lag_w: &[f32; LAGS],
+        due: bool,
+        reading_w: f32,
+    ) {
+        let update = self.update_weights(members, lag_w, due, reading_w);
+        self.update_rls(&update);
+    }
+
+    /// Updates the weights: the first part of [`Online::learn`], before [`Online::follow`].
+    #[inline(always)]
+    pub(crate) fn update_weights(
+        &mut self,
+        members: &Members,
+        lag_w: &[f32; LAGS],
+        due: bool,
+        reading_w: f32,
+    ) -> RlsUpdate {
+        let forecasts = self.member_forecasts(members, lag_w, self.network_w, due);
+        let (members_w, u) = (forecasts.members_w, forecasts.u);
+        let square = self.change_w * self.change_w;
+        let mut hedge = self.hedge(forecasts.unlike, due);
+        hedge.learn(
+            members_w.map(|member_w| member_w - reading_w),
+            COST * square,
+        );
+        put(&mut self.due_above[0], due, hedge.above[0]);
+        put(&mut self.due_above[1], due, hedge.above[1]);
+        put(&mut self.due_cost, due, hedge.cost);
+        put(&mut self.held_above, !due, hedge.above[0]);
+        put(&mut self.held_cost, !due, hedge.cost);
+        let most_w = INNOVATION_MAX * self.change_w;
+        RlsUpdate {
+            u,
+            innovation_w: within(reading_w - members_w[2], most_w),
+            square,
+            due,
+        }
+    }
+
+    /// A step of the recursive least squares, if a measurement was due.
+    #[inline(always)]
+    pub(crate) fn update_rls(&mut self, update: &RlsUpdate) {
+        let RlsUpdate {
+            u,
+            innovation_w,
+            square,
+            due,
+        } = *update;
+        let c = &self.covariance;
+        let product = [
+            (c[0] * u[0] + c[1] * u[1]) + (c[2] * u[2] + c[3] * u[3]),
+            (c[1] * u[0] + c[4] * u[1]) + (c[5] * u[2] + c[6] * u[3]),
+            (c[2] * u[0] + c[5] * u[1]) + (c[7] * u[2] + c[8] * u[3]),
+            (c[3] * u[0] + c[6] * u[1]) + (c[8] * u[2] + c[9] * u[3]),
+        ];
+        let spread =
+            (product[0] * u[0] + product[1] * u[1]) + (product[2] * u[2] + product[3] * u[3]);
+        let gain = 1.0 / (square + spread);
+        for row in 0..TERMS {
+            let theta = self.theta[row] + product[row] * (gain * innovation_w);
+            let theta = theta.clamp(-COEFFICIENT_MAX, COEFFICIENT_MAX);
+            put(&mut self.theta[row], due, theta);
+        }
+        for (pair, [row, column]) in PAIR.into_iter().enumerate() {
+            let less = self.covariance[pair] - product[row] * (product[column] * gain);
+            let pulled = less + PULL * (COVARIANCE[pair] - less);
+            put(&mut self.covariance[pair], due, pulled);
+        }
+    }
+
+    /// Updates mean and size with a reading. `last_w` is the previous reading, NaN if it does not
+    /// directly precede this one. `due` states whether a new measurement was due.
+    #[inline(always)]
+    pub(crate) fn read(&mut self, members: &Members, last_w: f32, due: bool, reading_w: f32) {
+        let seen = f32::from(self.seen);
+        self.mean_w += (reading_w - self.mean_w) / (1.0 + seen);
+        let size_w = (reading_w - last_w).abs().min(SIZE_MAX);
+        let change_w = self.change_w + (size_w - self.change_w) / (1.0 + TRUST + seen);
+        let counts = due & !last_w.is_nan();
+        put(&mut self.change_w, counts, change_w.max(members.floor_w));
+        self.seen = self.seen.saturating_add(1);
+    }
+
+    /// The weights' state for readings with or without a measurement due. It is the initial state
+    /// if nothing was learned there. `unlike` is [`Members::is_unlike`].
+    #[inline(always)]
+    fn hedge(&self, unlike: bool, due: bool) -> Hedge {
+        let square = self.change_w * self.change_w;
+        let cost = if due { self.due_cost } else { self.held_cost };
+        let started = cost > 0.0;
+        let last = if due {
+            self.due_above[0]
+        } else {
+            self.held_above
+        };
+        let familiar = if due { LOSS_LAST } else { 0.0 };
+        let of_others = if due { LOSS_UNLIKE } else { LOSS_UNLIKE_HELD };
+        let last_start = if unlike { -of_others } else { familiar };
+        let network_start = if unlike { 0.0 } else { LOSS_NETWORK };
+        let network = if started {
+            self.due_above[1]
+        } else {
+            network_start * square
+        };
+        Hedge {
+            above: [
+                if started { last } else { last_start * square },
+                if due { network } else { f32::INFINITY },
+            ],
+            cost: if started { cost } else { COST * square },
+            of_three: due,
+        }
+    }
+
+    /// Weights of last reading, network and stack if a new measurement is due, and of last reading
+    /// and stack if none is.
+    #[inline(always)]
+    pub(crate) fn weights(&self, unlike: bool) -> Weights {
+        let [last, _, stack] = self.hedge(unlike, false).weights();
+        (self.hedge(unlike, true).weights(), [last, stack])
+    }
+
+    #[inline(always)]
+    pub(crate) fn learned(&self, (weights, held_weights): Weights) -> Learned {
+        let [p, n, m, level] = self.theta;
+        Learned {
+            network_w: canonical(self.network_w),
+            mean_w: canonical(self.mean_w),
+            change_w: canonical(self.change_w),
+            weights: weights.map(canonical),
+            held_weights: held_weights.map(canonical),
+            gains: [p, n, m].map(canonical),
+            level_w: canonical(level * self.change_w),
+        }
+    }
+}
+
+/// What the robots of a block have learned.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+#[repr(align(16))]
+pub(crate) struct OnlineLanes {
+    theta: [Lanes<f32>; TERMS],
+    covariance: [Lanes<f32>; PAIRS],
+    pub network_w: Lanes<f32>,
+    pub mean_w: Lanes<f32>,
+    change_w: Lanes<f32>,
+    due_above: [Lanes<f32>; 2],
+    due_cost: Lanes<f32>,
+    held_above: Lanes<f32>,
+    held_cost: Lanes<f32>,
+    seen: Lanes<u8>,
+}
+
+const _: () = assert!(size_of::<OnlineLanes>() <= 90 * crate::layout::lanes::LANES);
+
+impl Block for OnlineLanes {
+    type Robot = Online;
+
+    #[inline(always)]
+    fn get(&self, lane: usize) -> Online {
+        let mut robot = Online::NONE;
+        for term in 0..TERMS {
+            robot.theta[term] = self.theta[term][lane];
+        }
+        for pair in 0..PAIRS {
+            robot.covariance[pair] = self.covariance[pair][lane];
+        }
+        robot.network_w = self.network_w[lane];
+        robot.mean_w = self.mean_w[lane];
+        robot.change_w = self.change_w[lane];
+        robot.due_above = [self.due_above[0][lane], self.due_above[1][lane]];
+        robot.due_cost = self.due_cost[lane];
+        robot.held_above = self.held_above[lane];
+        robot.held_cost = self.held_cost[lane];
+        robot.seen = self.seen[lane];
+        robot
+    }
+
+    #[inline(always)]
+    fn set(&mut self, lane: usize, mask: bool, robot: Online) {
+        for term in 0..TERMS {
+            put(&mut self.theta[term][lane], mask, robot.theta[term]);
+        }
+        for pair in 0..PAIRS {
+            put(
+                &mut self.covariance[pair][lane],
+                mask,
+                robot.covariance[pair],
+            );
+        }
+        put(&mut self.network_w[lane], mask, robot.network_w);
+        put(&mut self.mean_w[lane], mask, robot.mean_w);
+        put(&mut self.change_w[lane], mask, robot.change_w);
+        put(&mut self.due_above[0][lane], mask, robot.due_above[0]);
+        put(&mut self.due_above[1][lane], mask, robot.due_above[1]);
+        put(&mut self.due_cost[lane], mask, robot.due_cost);
+        put(&mut self.held_above[lane], mask, robot.held_above);
+        put(&mut self.held_cost[lane], mask, robot.held_cost);
+        put(&mut self.seen[lane], mask, robot.seen);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const MEMBERS: Members = Members {
+        bias_w: 0.0,
+        lags: [1.0, 0.0, 0.0, 0.0, 0.0],
+        change_w: 0.8,
+        floor_w: 0.01,
+        least_w: 0.1,
+        most_w: 1e9,
+    };
+
+    /// A robot that draws `power_w`, beside a network that forecasts `network_w`. Returns the mean
+    /// squared error of the forecasts over the last fifth, and over all that count.
+    fn run(
+        online: &mut Online,
+        steps: u32,
+        power_w: impl Fn(u32) -> f32,
+        network_w: impl Fn(u32) -> f32,
+    ) -> f32 {
+        let (mut lag_w, mut sum, mut count) = ([f32::NAN; LAGS], 0.0, 0.0);
+        for step in 0..steps {
+            let reading_w = power_w(step);
+            if !lag_w[LAGS - 1].is_nan() {
+                online.network_w = network_w(step);
+                let forecast_w = online.forecast(&MEMBERS, &lag_w, online.network_w, true);
+                if step > steps / 5 * 4 {
+                    sum += (forecast_w - reading_w).powi(2);
+                    count += 1.0;
+                }
+                online.learn(&MEMBERS, &lag_w, true, reading_w);
+            }
+            online.read(&MEMBERS, lag_w[0], true, reading_w);
+            lag_w.rotate_right(1);
+            lag_w[0] = reading_w;
+        }
+        sum / count
+    }
+
+    #[test]
+    fn a_gain_and_a_level_are_learned_and_followed_when_they_change() {
+        let mut online = Online::new(&MEMBERS);
+        let power_w = |step: u32| 30.0 + 8.0 * (step as f32 * 1.37).sin();
+        for (gain, level) in [(1.0, 0.0), (1.3, -4.0), (0.8, 6.0), (-1.0, 20.0)] {
+            let error = run(&mut online, 5_000, power_w, |step| {
+                gain * power_w(step) + level
+            });
+            // The readings alone hardly help: their variance is 32.
+            assert!(
+                error < 1.0,
+                "gain {gain}, level {level}: {error}, {online:?}"
+            );
+        }
+    }
+
+    /// A robot of 3 W under a model whose network is hundreds of watts off, because the power is
+    /// outside the training range or tiny beside the model's error. The first forecasts are the
+    /// last reading.
+    #[test]
+    fn a_robot_unlike_any_in_the_training_starts_from_its_last_reading() {
+        let power_w = |step: u32| 3.0 + 0.05 * (step as f32 * 0.37).sin();
+        let far = Members {
+            least_w: 14.0,
+            most_w: 900.0,
+            ..MEMBERS
+        };
+        let faint = Members {
+            change_w: 46.0,
+            bias_w: 40.0,
+            least_w: SHARE_MIN * 46.0,
+            ..MEMBERS
+        };
+        for members in [far, faint] {
+            for every in [1, 3] {
+                let mut online = Online::new(&members);
+                let mut lag_w = [f32::NAN; LAGS];
+                for step in 0..600 {
+                    let (due, reading_w) = (step % every == 0, power_w(step / every * every));
+                    if !lag_w[LAGS - 1].is_nan() {
+                        online.network_w = 240.0;
+                        let forecast_w = online.forecast(&members, &lag_w, 240.0, due);
+                        let off_w = (forecast_w - lag_w[0]).abs();
+                        assert!(off_w < 0.05, "step {step}: {off_w}, {online:?}");
+                        online.learn(&members, &lag_w, due, reading_w);
+                    }
+                    online.read(&members, lag_w[0], due, reading_w);
+                    lag_w.rotate_right(1);
+                    lag_w[0] = reading_w;
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn standing_still_for_a_day_winds_nothing_up() {
+        let mut online = Online::new(&MEMBERS);
+        run(&mut online, 30 * 3600 * 24, |_| 30.0, |_| 30.5);
+        for (pair, start) in online.covariance.iter().zip(COVARIANCE) {
+            assert!(
+                pair.abs() <= 0.26 && (start == 0.0 || *pair >= 0.0),
+                "{online:?}"
+            );
+        }
+        let power_w = |step: u32| 30.0 + 8.0 * (step as f32 * 1.37).sin();
+        let error = run(&mut online, 2_000, power_w, |step| power_w(step) + 0.5);
+        assert!(error < 1.0, "{error}, {online:?}");
+    }
+
+    /// The quantities in the bound of [`Hedge`], of the readings with or without a measurement due.
+    #[derive(Default)]
+    struct Phase {
+        /// Squared error of the published forecast relative to each participating member's, the
+        /// newest with weight 1, minus the remaining initial losses.
+        regret: Option<[f64; 3]>,
+        largest: f64,
+        floor: f64,
+    }
+
+    impl Phase {
+        fn take(
+            &mut self,
+            hedge: &Hedge,
+            square: f32,
+            forecasts: &MemberForecasts,
+            forecast_w: f32,
+            reading_w: f32,
+        ) {
+            let memory = f64::from(crate::estimate::hedge::MEMORY);
+            let wrong = |watts: f32| (f64::from(watts) - f64::from(reading_w)).powi(2);
+            let least = hedge
+                .above
+                .iter()
+                .fold(0.0f32, |least, above| least.min(*above));
+            let [last, network] = hedge.above;
+            let start = [last, network, 0.0].map(|loss| -f64::from(loss - least));
+            let before = self.regret.unwrap_or(start);
+            let mut regret = [f64::NEG_INFINITY; 3];
+            for (place, member_w) in forecasts.members_w.iter().enumerate() {
+                if hedge.weights()[place] > 0.0 {
+                    regret[place] = memory * before[place] + wrong(forecast_w) - wrong(*member_w);
+                    // Between two members, or one and the reading.
+                    self.largest = self.largest.max(4.0 * wrong(*member_w));
+                }
+            }
+            self.regret = Some(regret);
+            self.floor = self.floor.max(f64::from(COST * square));
+        }
+
+        fn check(&self, cost: f32, log: f32) -> Result<(), TestCaseError> {
+            let cost = f64::from(cost);
+            let rounding = 1e-3 * (self.floor + self.largest);
+            for regret in self.regret.into_iter().flatten() {
+                prop_assert!(regret <= 2.0 * cost + rounding, "{regret} above {cost}");
+            }
+            let most =
+                2.0 * self.largest * f64::from(log) / f64::from(crate::estimate::hedge::MEMORY);
+            prop_assert!(
+                cost <= most.max(self.floor) + self.largest + rounding,
+                "{cost}"
+            );
+            Ok(())
+        }
+    }
+
+    /// Plays a robot against readings and a network of `next`, which knows everything, and checks
+    /// the bound of the published forecast, with and without a measurement due.
+    fn holds_its_bound(
+        steps: usize,
+        mut next: impl FnMut(usize, &Online, &[f32; LAGS]) -> (bool, f32, f32),
+    ) -> Result<(), TestCaseError> {
+        let (mut online, mut lag_w) = (Online::new(&MEMBERS), [3.0; LAGS]);
+        let mut phases = [Phase::default(), Phase::default()];
+        for _ in 0..LAGS {
+            online.read(&MEMBERS, f32::NAN, true, 3.0);
+        }
+        for step in 0..steps {
+            let (due, network_w, reading_w) = next(step, &online, &lag_w);
+            online.network_w = network_w;
+            let forecast_w = online.forecast(&MEMBERS, &lag_w, network_w, due);
+            let forecasts = online.member_forecasts(&MEMBERS, &lag_w, network_w, due);
+            let (hedge, square) = (
+                online.hedge(forecasts.unlike, due),
+                online.change_w * online.change_w,
+            );
+            let phase = &mut phases[usize::from(due)];
+            phase.take(&hedge, square, &forecasts, forecast_w, reading_w);
+            online.learn(&MEMBERS, &lag_w, due, reading_w);
+            let cost = if due {
+                online.due_cost
+            } else {
+                online.held_cost
+            };
+            phase.check(cost, hedge.log())?;
+            online.read(&MEMBERS, lag_w[0], due, reading_w);
+            lag_w.rotate_right(1);
+            lag_w[0] = reading_w;
+        }
+        Ok(())
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_published_holds_its_bound_against_each_member_for_any_readings(
+            steps in prop::collection::vec(
+                (any::<bool>(), -50.0f32..50.0, -50.0f32..50.0, -3i32..2), 1..400
+            ),
+        ) {
+            holds_its_bound(steps.len(), |step, _, _| {
+                let (due, network_w, reading_w, exponent) = steps[step];
+                let scale = 10f32.powi(exponent);
+                (due, scale * network_w, scale * reading_w)
+            })?;
+        }
+
+        /// An adversary that sees weights and forecasts. In bursts it chooses the reading that the
+        /// most trusted member is farthest from, or the one on the other side of the published
+        /// forecast.
+        #[test]
+        fn what_is_published_holds_its_bound_against_an_adversary(
+            period in 1usize..5,
+            burst in 1usize..60,
+            wait in 1usize..400,
+            distance in 0.05f32..40.0,
+            mirrored in any::<bool>(),
+        ) {
+            holds_its_bound(3_000, |step, online, lag_w| {
+                let due = step % period == 0;
+                let network_w = lag_w[0] + if step % 2 == 0 { distance } else { -distance };
+                let forecasts = online.member_forecasts(&MEMBERS, lag_w, network_w, due);
+                let weights = online.hedge(forecasts.unlike, due).weights();
+                let trusted = (0..3).max_by(|a, b| weights[*a].total_cmp(&weights[*b])).unwrap_or(0);
+                let forecast_w = dot(&weights, &forecasts.members_w);
+                let trusted_w = forecasts.members_w[trusted];
+                let reading_w = if step % (burst + wait) >= burst {
+                    lag_w[0]
+                } else if mirrored {
+                    forecast_w - distance * (trusted_w - lag_w[0]).signum()
+                } else {
+                    trusted_w + distance * (lag_w[0] - trusted_w).signum()
+                };
+                (due, network_w, reading_w.clamp(-1e3, 1e3))
+            })?;
+        }
+
+        #[test]
+        fn whatever_comes_forecasts_stay_finite(
+            steps in prop::collection::vec((-1.0f32..1.0, -1.0f32..1.0, -8i32..7, any::<bool>()), 6..400),
+        ) {
+            let mut online = Online::new(&MEMBERS);
+            let mut lag_w = [1.0; LAGS];
+            for (reading, network, exponent, due) in steps {
+                let scale = 10f32.powi(exponent);
+                let reading_w = reading * scale;
+                online.network_w = network * scale * scale;
+                let forecast_w = online.forecast(&MEMBERS, &lag_w, online.network_w, due);
+                prop_assert!(forecast_w.is_finite(), "{online:?}");
+                online.learn(&MEMBERS, &lag_w, due, reading_w);
+                online.read(&MEMBERS, lag_w[0], due, reading_w);
+                lag_w.rotate_right(1);
+                lag_w[0] = reading_w;
+                let learned = online.learned(online.weights(MEMBERS.is_unlike(online.mean_w)));
+                let shares = learned.weights.iter().chain(&learned.held_weights);
+                for share in shares {
+                    prop_assert!((0.0..=1.0).contains(share), "{learned:?}");
+                }
+                for (pair, [row, column]) in PAIR.into_iter().enumerate() {
+                    if row == column {
+                        let allowed = -1e-3..=VARIANCE[row] + 1e-3;
+                        prop_assert!(allowed.contains(&online.covariance[pair]), "{online:?}");
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,151 @@
+//! Windows of a block of robots.
+
+use joulebus_predictor::{LAGS, ReadingAge};
+use serde::{Deserialize, Serialize};
+
+use super::{Lags, Window};
+use crate::layout::lanes::{Block, LANES, Lanes, put};
+
+/// The windows of a block.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+#[repr(align(64))]
+pub(crate) struct WindowLanes {
+    pub closed: ClosedLanes,
+    open: LagLanes,
+}
+
+const _: () = assert!(size_of::<WindowLanes>() == 64 * LANES);
+
+/// The windows without their open-loop part.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+#[repr(align(64))]
+pub(crate) struct ClosedLanes {
+    closed: LagLanes,
+    v_mps: Lanes<f32>,
+    omega_radps: Lanes<f32>,
+    open_steps: Lanes<u16>,
+    unread_steps: Lanes<u16>,
+    have: Lanes<u8>,
+    commanded: Lanes<bool>,
+    reading_age: [Lanes<u8>; 2],
+}
+
+/// [`Lags`] of a block.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+struct LagLanes {
+    lag_w: [Lanes<f32>; LAGS],
+    forecast_w: Lanes<f32>,
+}
+
+impl LagLanes {
+    #[inline(always)]
+    fn lags_w(&self, lane: usize) -> [f32; LAGS] {
+        let [first, second, third, fourth, fifth] = &self.lag_w;
+        [
+            first[lane],
+            second[lane],
+            third[lane],
+            fourth[lane],
+            fifth[lane],
+        ]
+    }
+
+    #[inline(always)]
+    fn put(&mut self, lane: usize, mask: bool, lags: &Lags) {
+        put(&mut self.lag_w[0][lane], mask, lags.lag_w[0]);
+        put(&mut self.lag_w[1][lane], mask, lags.lag_w[1]);
+        put(&mut self.lag_w[2][lane], mask, lags.lag_w[2]);
+        put(&mut self.lag_w[3][lane], mask, lags.lag_w[3]);
+        put(&mut self.lag_w[4][lane], mask, lags.lag_w[4]);
+        put(&mut self.forecast_w[lane], mask, lags.forecast_w);
+    }
+}
+
+impl ClosedLanes {
+    /// A window without open-loop steps.
+    #[inline(always)]
+    pub(crate) fn get(&self, lane: usize) -> Window {
+        let [age, interval] = &self.reading_age;
+        Window {
+            closed: Lags {
+                lag_w: self.closed.lags_w(lane),
+                forecast_w: self.closed.forecast_w[lane],
+            },
+            open: Lags::EMPTY,
+            v_mps: self.v_mps[lane],
+            omega_radps: self.omega_radps[lane],
+            open_steps: self.open_steps[lane],
+            unread_steps: self.unread_steps[lane],
+            have: self.have[lane],
+            commanded: self.commanded[lane],
+            reading_age: ReadingAge::from_bytes([age[lane], interval[lane]]),
+        }
+    }
+
+    #[inline(always)]
+    pub(crate) fn put(&mut self, lane: usize, mask: bool, robot: &Window) {
+        self.closed.put(lane, mask, &robot.closed);
+        put(&mut self.v_mps[lane], mask, robot.v_mps);
+        put(&mut self.omega_radps[lane], mask, robot.omega_radps);
+        put(&mut self.open_steps[lane], mask, robot.open_steps);
+        put(&mut self.unread_steps[lane], mask, robot.unread_steps);
+        put(&mut self.have[lane], mask, robot.have);
+        put(&mut self.commanded[lane], mask, robot.commanded);
+        let [age, interval] = robot.reading_age.to_bytes();
+        put(&mut self.reading_age[0][lane], mask, age);
+        put(&mut self.reading_age[1][lane], mask, interval);
+    }
+}
+
+impl Block for WindowLanes {
+    type Robot = Window;
+
+    #[inline(always)]
+    fn get(&self, lane: usize) -> Window {
+        Window {
+            open: Lags {
+                lag_w: self.open.lags_w(lane),
+                forecast_w: self.open.forecast_w[lane],
+            },
+            ..self.closed.get(lane)
+        }
+    }
+
+    #[inline(always)]
+    fn set(&mut self, lane: usize, mask: bool, robot: Window) {
+        self.open.put(lane, mask, &robot.open);
+        self.closed.put(lane, mask, &robot);
+    }
+}
+
+impl WindowLanes {
+    /// Stores the forecast for the row that [`Window::next_row`] returned, W, where the mask is
+    /// set.
+    #[inline(always)]
+    pub(crate) fn forecast(&mut self, lane: usize, mask: bool, forecast_w: f32) {
+        put(&mut self.closed.closed.forecast_w[lane], mask, forecast_w);
+    }
+
+    /// The forecast for the row that [`Window::open_towards`] gave.
+    pub(crate) fn opened(&mut self, lane: usize, forecast_w: f32) {
+        self.open.forecast_w[lane] = forecast_w;
+    }
+
+    /// Whether a window has open-loop steps.
+    #[inline(always)]
+    pub(crate) fn is_open(&self, lane: usize) -> bool {
+        self.closed.open_steps[lane] > 0
+    }
+
+    /// Readings in a window.
+    #[inline(always)]
+    pub(crate) fn have(&self, lane: usize) -> u8 {
+        self.closed.have[lane]
+    }
+
+    /// The reading before the newest one, W.
+    #[inline(always)]
+    pub(crate) fn previous_w(&self, lane: usize) -> f32 {
+        self.closed.closed.lag_w[1][lane]
+    }
+}

@@ -1,0 +1,332 @@
+//! The fleet: takes samples, ticks, and returns results per robot.
+
+mod intake;
+mod membership;
+mod snapshot;
+
+use std::sync::atomic::AtomicU64;
+
+use joulebus_energy::{EnergyModel, EnergyState};
+use joulebus_predictor::Model;
+use joulebus_settings::{FleetSettings, SettingsError};
+use joulebus_wire::{
+    Budget, Diagnostic, DropCounts, Forecast, LISTED_MODELS, PlanState, Refusal, combine_hashes,
+};
+
+use crate::estimate::online::Learned;
+use crate::estimate::scores::Scores;
+use crate::ingest::frame::TickIntake;
+use crate::ingest::refused::Refused;
+use crate::ingest::sources::Sources;
+use crate::layout::index::Index;
+use crate::layout::lanes::{self, LANES};
+use crate::layout::slots::{Slots, WORD};
+use crate::ledger::departed::Departed;
+use crate::ledger::energy::Ledger;
+use crate::state::columns::{BlockRef, Columns, ColumnsMut, Needed};
+use crate::tick::batch::Batch;
+use crate::tick::context::TickContext;
+use crate::tick::features::build_rows;
+use crate::tick::infer::infer;
+use crate::tick::score::Score;
+use crate::tick::shard::{Outputs, Shard};
+use crate::tick::write::budgets::Budgets;
+use crate::tick::write::diagnostics::Diagnostics;
+use crate::tick::write::forecasts::Forecasts;
+use crate::tick::write::learned::LearnedLanes;
+use crate::tick::write::plan_states::PlanStates;
+
+/// The state of all robots, in columns indexed by slot, and everything one tick needs.
+///
+/// All memory is allocated in [`Fleet::new`], for the configured capacity.
+#[derive(Debug)]
+pub struct Fleet {
+    /// Inputs of a tick: settings, platforms with their models, and the time.
+    tick: TickContext,
+    settings_hash: u64,
+    /// Ranges of robot ids, ascending, with their platform.
+    ranges: Vec<(u32, u32, u16)>,
+    columns: Columns,
+    /// The slots in use.
+    slots: Slots,
+    slot_of: Index,
+    departed: Departed,
+    /// Expected slot of the next sample: sources list their robots in the same order.
+    likely_slot: usize,
+    /// For samples that are processed before the tick.
+    single: Batch,
+    /// For a tick on one thread.
+    batch: Batch,
+    sources: Sources,
+    refused: Refused,
+    drops: DropCounts,
+    accepted: u64,
+    /// Robots that have reported in this tick.
+    reported: usize,
+    intake: TickIntake,
+    /// Lower bound of the times at which the robots' last samples were taken, monotonic ns.
+    oldest_ns: AtomicU64,
+}
+
+impl Fleet {
+    /// A fleet without robots; `models[i]` is the model of `settings.platforms[i]`.
+    ///
+    /// # Errors
+    /// The settings are inconsistent ([`FleetSettings::check`]) or the models do not match.
+    pub fn new(settings: FleetSettings, models: Vec<Model>) -> Result<Self, SettingsError> {
+        settings.check()?;
+        let tick = TickContext::new(settings, models)?;
+        let settings = &tick.settings;
+        let needed = Needed {
+            online: tick.platforms.iter().any(|it| it.members.is_some()),
+            batteries: settings.has_batteries(),
+        };
+        let capacity = settings.capacity as usize;
+        Ok(Self {
+            settings_hash: settings.fingerprint(),
+            ranges: tick.robot_ranges(),
+            columns: Columns::new(capacity.next_multiple_of(LANES), needed),
+            slots: Slots::new(capacity, tick.platforms.len()),
+            slot_of: Index::new(settings.capacity),
+            departed: Departed::new(settings.capacity, needed.batteries),
+            likely_slot: 0,
+            single: Batch::of_slots(WORD),
+            batch: Batch::default(),
+            sources: Sources::new(settings),
+            refused: Refused::default(),
+            drops: DropCounts::default(),
+            accepted: 0,
+            reported: 0,
+            intake: TickIntake::default(),
+            oldest_ns: AtomicU64::new(u64::MAX),
+            tick,
+        })
+    }
+
+    /// Whether every robot whose next sample is due at `now_ns` has reported since the last tick.
+    #[must_use]
+    pub fn complete(&self, now_ns: u64) -> bool {
+        self.reported == self.len()
+            || self.slots.iter().all(|slot| {
+                let admission = &self.columns.admissions[slot];
+                let platform = &self.tick.platforms[usize::from(admission.platform)].platform;
+                let silent_ns = now_ns.saturating_sub(admission.taken_ns);
+                let due = silent_ns > platform.period_ns * 3 / 4;
+                admission.reported || !due || silent_ns > platform.stale_after_ns
+            })
+    }
+
+    /// Intake of the tick in preparation so far.
+    #[must_use]
+    pub fn intake(&self) -> TickIntake {
+        self.intake
+    }
+
+    /// Computes: residuals, ledgers, windows, forecasts, intervals, alarms. `deadline_missed`: the
+    /// tick before this one was late or skipped others. Returns the intake.
+    ///
+    /// The same as [`Fleet::begin`] and a [`Shard`] of all robots, without output: read
+    /// [forecasts](Fleet::forecast), [diagnostics](Fleet::diagnostic) and [budgets](Fleet::budget)
+    /// afterwards.
+    pub fn tick(&mut self, now_ns: u64, deadline_missed: bool) -> TickIntake {
+        let intake = self.begin(now_ns, deadline_missed);
+        let (mut shard, batch) = self.shard_and_batch();
+        shard.run(batch, Outputs::default(), &mut |_| {});
+        intake
+    }
+
+    /// Begins a tick: robots that have been silent for too long leave, and the remaining
+    /// [`Fleet::len`] robots have to be ticked as a [`Fleet::shard`], once. Returns the intake.
+    pub fn begin(&mut self, now_ns: u64, deadline_missed: bool) -> TickIntake {
+        self.tick.now_ns = now_ns;
+        self.tick.deadline_missed = deadline_missed;
+        let silent_ns = now_ns.saturating_sub(*self.oldest_ns.get_mut());
+        if silent_ns > self.tick.settings.intake.leave_after_ns {
+            self.release_departed();
+        }
+        *self.oldest_ns.get_mut() = u64::MAX;
+        self.reported = 0;
+        std::mem::take(&mut self.intake)
+    }
+
+    /// All robots, to be ticked on one thread or split among several. Between [`Fleet::begin`] and
+    /// the next [`Fleet::take`], all of them must be ticked.
+    pub fn shard(&mut self) -> Shard<'_> {
+        self.shard_and_batch().0
+    }
+
+    fn shard_and_batch(&mut self) -> (Shard<'_>, &mut Batch) {
+        let shard = Shard {
+            tick: &self.tick,
+            columns: self.columns.view_mut(self.slots.words()),
+            oldest_ns: &self.oldest_ns,
+        };
+        (shard, &mut self.batch)
+    }
+
+    /// Robots in the fleet: the length of every output frame.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.slots.used()
+    }
+
+    /// Whether no robot is in the fleet.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Maximum number of robots.
+    #[must_use]
+    pub fn capacity(&self) -> u32 {
+        self.tick.settings.capacity
+    }
+
+    /// Samples accepted so far.
+    #[must_use]
+    pub fn accepted(&self) -> u64 {
+        self.accepted
+    }
+
+    /// Samples dropped so far, by reason.
+    #[must_use]
+    pub fn drops(&self) -> DropCounts {
+        self.drops
+    }
+
+    /// Number of accounts of departed robots that were given up for those of other robots. As many
+    /// as the capacity are kept.
+    #[must_use]
+    pub fn accounts_given_up(&self) -> u64 {
+        self.departed.given_up()
+    }
+
+    /// Recently refused robots, with the reason and the source.
+    #[must_use]
+    pub fn refusals(&self) -> [Refusal; 16] {
+        self.refused.places()
+    }
+
+    /// Hash of the model of all platforms. If they use different models, a combination of their
+    /// hashes in the order of the platforms.
+    #[must_use]
+    pub fn model_hash(&self) -> u64 {
+        let platforms = self.tick.platforms.iter();
+        combine_hashes(platforms.map(|context| context.model.hash()))
+    }
+
+    /// Hashes of the platforms' models, in their order; 0 beyond the last.
+    #[must_use]
+    pub fn model_hashes(&self) -> [u64; LISTED_MODELS] {
+        let mut hashes = [0; LISTED_MODELS];
+        for (hash, context) in hashes.iter_mut().zip(&self.tick.platforms) {
+            *hash = context.model.hash();
+        }
+        hashes
+    }
+
+    /// Hash of the settings.
+    #[must_use]
+    pub const fn settings_hash(&self) -> u64 {
+        self.settings_hash
+    }
+
+    /// Scores of a robot, if it is in the fleet.
+    #[must_use]
+    pub fn scores(&self, robot: u32) -> Option<Scores> {
+        let slot = self.find(robot)?;
+        Some(lanes::get(&self.columns.scores, slot))
+    }
+
+    /// State of a robot's online learning; `None` for a robot that is not in the fleet, or whose
+    /// platform learns nothing online.
+    #[must_use]
+    pub fn learned(&self, robot: u32) -> Option<Learned> {
+        let slot = self.find(robot)?;
+        let platform = usize::from(self.columns.admissions[slot].platform);
+        let members = self.tick.platforms[platform].members?;
+        let online = lanes::get(&self.columns.online, slot);
+        let weights = online.weights(members.is_unlike(online.mean_w));
+        Some(online.learned(weights))
+    }
+
+    /// A robot's state for the energy of its plans, if it is in the fleet.
+    #[must_use]
+    pub fn energy(&self, robot: u32) -> Option<EnergyState> {
+        let slot = self.find(robot)?;
+        Some(lanes::get(&self.columns.energy, slot))
+    }
+
+    /// The energy model of the platform at `index` of the settings. One [without
+    /// training](EnergyModel::untrained) if its model has none.
+    #[must_use]
+    pub fn energy_model(&self, index: usize) -> Option<&EnergyModel> {
+        Some(&self.tick.platforms.get(index)?.energy)
+    }
+
+    /// Account of a robot, in the fleet or departed.
+    #[must_use]
+    pub fn ledger(&self, robot: u32) -> Option<Ledger> {
+        let live = self.find(robot);
+        let live = live.map(|slot| lanes::get(&self.columns.ledgers, slot));
+        live.or_else(|| self.departed.ledger(robot).copied())
+    }
+
+    /// The forecast of the robot at `place` (0 to [`Fleet::len`] − 1) in the last tick. A [`Shard`]
+    /// writes those of all robots faster.
+    #[must_use]
+    pub fn forecast(&self, place: usize) -> Forecast {
+        let (block, lane) = self.block_of(place);
+        Forecasts::of(block).get(&self.tick, lane)
+    }
+
+    /// The diagnostics of the robot at `place`, as of the last tick.
+    #[must_use]
+    pub fn diagnostic(&self, place: usize) -> Diagnostic {
+        let (block, lane) = self.block_of(place);
+        let learned = LearnedLanes::of(&self.tick, &block);
+        Diagnostics::of(block, &learned).get(&self.tick, lane)
+    }
+
+    /// The budget of the robot at `place`, as of the last tick.
+    #[must_use]
+    pub fn budget(&self, place: usize) -> Budget {
+        let (block, lane) = self.block_of(place);
+        Budgets::of(&self.tick, block).get(&self.tick, lane)
+    }
+
+    /// The start of a plan of the robot at `place`, in the last tick.
+    #[must_use]
+    pub fn plan_state(&self, place: usize) -> PlanState {
+        let (block, lane) = self.block_of(place);
+        let learned = LearnedLanes::of(&self.tick, &block);
+        PlanStates::of(block, &learned).get(&self.tick, lane)
+    }
+
+    /// The block of the robot at a place, and its lane.
+    fn block_of(&self, place: usize) -> (BlockRef<'_>, usize) {
+        let slot = self.slots.at(place);
+        let slot = slot.expect("a place is below the number of robots");
+        (self.columns.block(slot / LANES), slot % LANES)
+    }
+
+    /// Absorbs and scores the waiting sample of one robot at once, because the next one has
+    /// arrived.
+    fn catch_up(&mut self, slot: usize) {
+        let tick = &self.tick;
+        let alone = [1 << (slot % WORD)];
+        let (_, from) = self.columns.view_mut(self.slots.words()).split(slot / WORD);
+        let mut columns = ColumnsMut {
+            words: &alone,
+            ..from.split(1).0
+        };
+        let platform = columns.admissions[slot % WORD].platform;
+        build_rows(tick, platform, &mut columns, &mut self.single, false);
+        let context = &tick.platforms[usize::from(platform)];
+        infer(context, &mut columns, &mut self.single);
+        tick.simd_level.run(Score {
+            tick,
+            columns: &mut columns,
+        });
+    }
+}

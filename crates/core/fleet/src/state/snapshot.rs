@@ -1,0 +1,214 @@
+//! A fleet's state as a value, for storing, sending and resuming.
+
+use joulebus_settings::FleetSettings;
+use serde::{Deserialize, Serialize};
+
+use crate::ingest::admission::AdmissionState;
+use crate::ingest::codes::drop_counts;
+use crate::ingest::frame::TickIntake;
+use crate::ingest::refused::Refused;
+use crate::ingest::sources::Source;
+use crate::ledger::battery::Known;
+use crate::ledger::departed::Account;
+use crate::ledger::energy::Ledger;
+use crate::state::columns::{Columns, Needed};
+
+/// First bytes of the encoding. The last of them is its version, incremented whenever a column
+/// gains, loses or moves a field.
+const MAGIC: [u8; 8] = *b"jbstate\x0a";
+
+/// Everything that a tick depends on except the settings and the models, bit for bit: membership,
+/// windows, ledgers, intervals, scores, detectors, energy states, online learning, accounts of
+/// departed robots, sources, refusals and drops.
+///
+/// A fleet into which it is [restored](crate::Fleet::restore_state) continues exactly like the one
+/// from which it was [taken](crate::Fleet::state).
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct FleetState {
+    pub(crate) capacity: u32,
+    pub(crate) platforms: u32,
+    pub(crate) settings_hash: u64,
+    pub(crate) model_hash: u64,
+    pub(crate) counters: Counters,
+    /// The slots ever used.
+    pub(crate) columns: Columns,
+    pub(crate) departed: Vec<Account>,
+    pub(crate) sources: Vec<Source>,
+    pub(crate) refused: Refused,
+}
+
+/// Counters common to all robots.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+pub(crate) struct Counters {
+    #[serde(with = "drop_counts")]
+    pub drops: joulebus_wire::DropCounts,
+    pub accepted: u64,
+    pub reported: u32,
+    pub intake: TickIntake,
+    pub now_ns: u64,
+    pub deadline_missed: bool,
+}
+
+/// Errors of restoring a state.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum StateError {
+    /// Not a state, or one of another version.
+    #[error(
+        "not a fleet's state in version {expected}: it begins with {found:02x?}; read it with the \
+         version of joulebus that wrote it"
+    )]
+    Version {
+        /// Its first bytes.
+        found: Vec<u8>,
+        /// The version that this program reads.
+        expected: u8,
+    },
+    /// The bytes end too early or are invalid.
+    #[error("a fleet's state of {bytes} bytes cannot be read: {reason}")]
+    Malformed {
+        /// Bytes given.
+        bytes: usize,
+        /// The decoder's error.
+        reason: String,
+    },
+    /// The state of a fleet with another capacity.
+    #[error("a state of a fleet with capacity {found}, expected {expected}; use the same config")]
+    Capacity {
+        /// Capacity in the state.
+        found: u32,
+        /// Capacity of this fleet.
+        expected: u32,
+    },
+    /// The state of a fleet with other platforms.
+    #[error("a state of a fleet with {found} platforms, expected {expected}; use the same config")]
+    Platforms {
+        /// Platforms in the state.
+        found: u32,
+        /// Platforms of this fleet.
+        expected: u32,
+    },
+    /// The state of a fleet with other settings.
+    #[error(
+        "a state taken with settings {found:016x}, these are {expected:016x}; use the same config"
+    )]
+    FleetSettings {
+        /// Hash of the settings in the state.
+        found: u64,
+        /// Hash of this fleet's.
+        expected: u64,
+    },
+    /// The state of a fleet with other models.
+    #[error(
+        "a state taken with models {found:016x}, these are {expected:016x}; use the same models"
+    )]
+    Models {
+        /// Hash of the models in the state.
+        found: u64,
+        /// Hash of this fleet's.
+        expected: u64,
+    },
+    /// It is inconsistent.
+    #[error("the state contradicts itself: {what} is {found}, allowed is {allowed}")]
+    Corrupt {
+        /// The inconsistent quantity.
+        what: &'static str,
+        /// Its value.
+        found: u64,
+        /// Its maximum.
+        allowed: u64,
+    },
+}
+
+impl FleetState {
+    /// Allocates and touches memory for the state of a fleet with the capacity of `settings`, so
+    /// that [`crate::Fleet::state_into`] neither allocates nor faults. The content is not a valid
+    /// state.
+    #[must_use]
+    pub fn with_capacity_for(settings: &FleetSettings) -> Self {
+        let robots = settings.capacity as usize;
+        let mut columns = Columns::new(robots, Needed::by(settings));
+        columns.clear();
+        Self {
+            capacity: 0,
+            platforms: 0,
+            settings_hash: 0,
+            model_hash: 0,
+            counters: Counters::default(),
+            columns,
+            departed: with_capacity(
+                robots,
+                Account {
+                    robot: 0,
+                    charged: false,
+                    ledger: Ledger::default(),
+                    battery: Known::Nothing,
+                },
+            ),
+            sources: with_capacity(settings.intake.max_sources.into(), Source::default()),
+            refused: Refused::default(),
+        }
+    }
+
+    /// Encodes the state: eight bytes of magic, then [postcard](https://postcard.jamesmunns.com).
+    /// About 480 bytes per robot. Replaces the contents of `bytes`.
+    pub fn encode_into(&self, bytes: &mut Vec<u8>) {
+        bytes.clear();
+        bytes.extend_from_slice(&MAGIC);
+        let encoded = postcard::to_extend(self, std::mem::take(bytes));
+        // Serialisation into a growing vector of known lengths cannot fail.
+        *bytes = encoded.unwrap_or_default();
+    }
+
+    /// Decodes a state.
+    ///
+    /// # Errors
+    /// [`StateError::Version`] or [`StateError::Malformed`].
+    pub fn decode(bytes: &[u8]) -> Result<Self, StateError> {
+        let Some(encoded) = bytes.strip_prefix(&MAGIC) else {
+            return Err(StateError::Version {
+                found: bytes.iter().take(MAGIC.len()).copied().collect(),
+                expected: MAGIC[7],
+            });
+        };
+        let malformed = |reason: String| StateError::Malformed {
+            bytes: bytes.len(),
+            reason,
+        };
+        match postcard::take_from_bytes(encoded) {
+            Ok((state, [])) => Ok(state),
+            Ok((_, more)) => Err(malformed(format!("{} bytes are left over", more.len()))),
+            Err(error) => Err(malformed(error.to_string())),
+        }
+    }
+
+    /// Robots in the fleet.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.present().count()
+    }
+
+    /// Whether no robot is in the fleet.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.present().next().is_none()
+    }
+
+    pub(crate) fn present(&self) -> impl Iterator<Item = (usize, &AdmissionState)> {
+        let admissions = self.columns.admissions.iter().enumerate();
+        admissions.filter(|(_, admission)| admission.present)
+    }
+
+    /// Same as [`crate::Fleet::model_hash`].
+    #[must_use]
+    pub fn model_hash(&self) -> u64 {
+        self.model_hash
+    }
+}
+
+/// An empty vector with capacity for `length` items, all of it touched.
+fn with_capacity<T: Clone>(length: usize, item: T) -> Vec<T> {
+    let mut items = vec![item; length];
+    items.clear();
+    items
+}

@@ -1,0 +1,274 @@
+//! The common case, sixteen robots at a time: samples with readings that follow the last ones
+//! without a gap. Uses the functions of [`super::step`].
+
+// Indexed by lane, so that the compiler vectorises the loop.
+#![allow(clippy::needless_range_loop)]
+
+use joulebus_predictor::INPUTS;
+
+use crate::estimate::energy::{EnergyLanes, EnergySamples};
+use crate::estimate::interval::IntervalLanes;
+use crate::estimate::online::{Members, OnlineLanes, RlsUpdateLanes};
+use crate::estimate::window::{ClosedLanes, Gap, RequiredInputs, WindowLanes};
+use crate::ingest::last_sample::LastLanes;
+use crate::ingest::pending::{PendingBlock, PendingState};
+use crate::layout::lanes::{Block as _, LANES, Lanes, put};
+use crate::state::columns::ColumnsMut;
+use crate::tick::batch::Batch;
+use crate::tick::features::step::{Step, quality, read, seconds};
+use crate::tick::platform_context::PlatformContext;
+
+/// Samples that follow the last ones of their robots without a gap, with readings.
+#[derive(Clone, Copy)]
+pub(crate) struct InSequence<'a> {
+    /// Lanes with such a sample.
+    pub mask: &'a Lanes<bool>,
+    /// Time since the previous sample, ns.
+    pub elapsed_ns: &'a Lanes<u64>,
+}
+
+/// Takes the samples in sequence of a block, and adds the rows for the next forecasts.
+#[inline(always)]
+pub(crate) fn step_block(
+    context: &PlatformContext,
+    columns: &mut ColumnsMut<'_>,
+    block: usize,
+    next: &InSequence<'_>,
+    batch: &mut Batch,
+) {
+    let (pending, windows) = (&mut columns.pending[block], &mut columns.windows[block]);
+    let (lasts, intervals) = (&mut columns.lasts[block], &mut columns.intervals[block]);
+    let (first, mask) = (block * LANES, next.mask);
+    // Every lane is computed, and the mask selects those that are stored: a branch for each lane
+    // would keep the loops from being vectorised.
+    let (mut elapsed_s, mut forecast_w) = ([0.0; LANES], [0.0; LANES]);
+    for lane in 0..LANES {
+        elapsed_s[lane] = seconds(next.elapsed_ns[lane]);
+        forecast_w[lane] = windows.get(lane).close(Gap::None);
+    }
+    // The residual is that of the network's own forecast, whatever was published.
+    let mut network_w = forecast_w;
+    if let Some(members) = &context.members {
+        let online = &mut columns.online[block];
+        for lane in 0..LANES {
+            let known = !forecast_w[lane].is_nan();
+            put(&mut network_w[lane], known, online.network_w[lane]);
+        }
+        learn(members, online, &windows.closed, pending, mask);
+    }
+    read_lasts(lasts, pending, mask, &elapsed_s, &network_w);
+    let mut steps = StepLanes::NONE;
+    let closed = &mut windows.closed;
+    read_windows(
+        context.required,
+        closed,
+        pending,
+        mask,
+        &elapsed_s,
+        &mut steps,
+    );
+    qualify(context.required, lasts, pending, mask, windows, &steps);
+    store_expected(pending, mask, &steps);
+    adapt_intervals(context, intervals, pending, &steps);
+    observe_energy(
+        context,
+        &mut columns.energy[block],
+        pending,
+        mask,
+        &elapsed_s,
+    );
+    // Admissions are stored by robot, not by lane, so this loop may branch.
+    for lane in (0..LANES).filter(|lane| mask[*lane]) {
+        columns.admissions[first + lane].accept(&pending.samples.get(lane));
+    }
+    batch.push_block(first, &steps.ready, &steps.rows);
+}
+
+/// Learns the readings of a block, before they become part of the windows.
+#[inline(always)]
+fn learn(
+    members: &Members,
+    online: &mut OnlineLanes,
+    windows: &ClosedLanes,
+    pending: &PendingBlock,
+    mask: &Lanes<bool>,
+) {
+    // Copies, so that the compiler sees that nothing else writes to them.
+    let (members, mut copy) = (*members, *online);
+    let (mut updates, mut scored) = (RlsUpdateLanes::NONE, [false; LANES]);
+    for lane in 0..LANES {
+        let (window, mut robot) = (windows.get(lane), copy.get(lane));
+        let reading_w = pending.samples.power_w[lane];
+        let update = robot.update_weights(&members, &window.lags_w(), window.due(), reading_w);
+        updates.set(lane, &update);
+        scored[lane] = mask[lane] & window.is_scored();
+        copy.set(lane, scored[lane], robot);
+    }
+    for lane in 0..LANES {
+        let mut robot = copy.get(lane);
+        robot.update_rls(&updates.get(lane));
+        copy.set(lane, scored[lane], robot);
+    }
+    for lane in 0..LANES {
+        let (window, mut robot) = (windows.get(lane), copy.get(lane));
+        let reading_w = pending.samples.power_w[lane];
+        robot.read(&members, window.last_w(), window.due(), reading_w);
+        copy.set(lane, mask[lane], robot);
+    }
+    *online = copy;
+}
+
+/// Advances the energy states of a block.
+#[inline(always)]
+fn observe_energy(
+    context: &PlatformContext,
+    energy: &mut EnergyLanes,
+    pending: &PendingBlock,
+    mask: &Lanes<bool>,
+    elapsed_s: &Lanes<f32>,
+) {
+    let (mut v_mps, mut omega_radps) = ([f32::NAN; LANES], [f32::NAN; LANES]);
+    for lane in 0..LANES {
+        let sample = pending.samples.get(lane);
+        let command = sample.command();
+        put(&mut v_mps[lane], command.is_some(), sample.v_mps);
+        put(
+            &mut omega_radps[lane],
+            command.is_some(),
+            sample.omega_radps,
+        );
+    }
+    let samples = EnergySamples {
+        power_w: &pending.samples.power_w,
+        elapsed_s,
+        v_mps: &v_mps,
+        omega_radps: &omega_radps,
+    };
+    let learns = context.platform.energy_online;
+    energy.observe(&context.energy, learns, mask, &samples);
+}
+
+/// Replaces the last samples of a block by the next.
+#[inline(always)]
+fn read_lasts(
+    lasts: &mut LastLanes,
+    pending: &PendingBlock,
+    mask: &Lanes<bool>,
+    elapsed_s: &Lanes<f32>,
+    forecast_w: &Lanes<f32>,
+) {
+    // A copy, so that the compiler knows that it is not aliased.
+    let mut copy = *lasts;
+    for lane in 0..LANES {
+        let mut last = copy.get(lane);
+        let pending = pending.samples.get(lane);
+        last.seq = pending.seq;
+        last.read(&pending, forecast_w[lane], elapsed_s[lane]);
+        copy.set(lane, mask[lane], last);
+    }
+    *lasts = copy;
+}
+
+/// Advances the windows of a block by their readings and commands.
+#[inline(always)]
+fn read_windows(
+    required: RequiredInputs,
+    windows: &mut ClosedLanes,
+    pending: &PendingBlock,
+    mask: &Lanes<bool>,
+    elapsed_s: &Lanes<f32>,
+    steps: &mut StepLanes,
+) {
+    // A copy, so that the compiler knows that it is not aliased.
+    let mut copy = *windows;
+    for lane in 0..LANES {
+        let mut window = copy.get(lane);
+        let forecast_w = (window.close(Gap::None), true);
+        let pending = pending.samples.get(lane);
+        let step = read(required, &mut window, &pending, forecast_w, elapsed_s[lane]);
+        copy.put(lane, mask[lane], &window);
+        steps.set(lane, mask[lane], &step);
+    }
+    *windows = copy;
+}
+
+/// Sets the quality of the forecasts of a block.
+#[inline(always)]
+fn qualify(
+    required: RequiredInputs,
+    lasts: &mut LastLanes,
+    pending: &PendingBlock,
+    mask: &Lanes<bool>,
+    windows: &WindowLanes,
+    steps: &StepLanes,
+) {
+    for lane in 0..LANES {
+        let (pending, have) = (pending.samples.get(lane), windows.have(lane));
+        let quality = quality(required, &pending, have, steps.ready[lane]);
+        lasts.set_quality(lane, mask[lane], quality);
+    }
+}
+
+/// Stores the forecasts of a block's readings.
+#[inline(always)]
+fn store_expected(pending: &mut PendingBlock, mask: &Lanes<bool>, steps: &StepLanes) {
+    for lane in 0..LANES {
+        pending.mark(lane, mask[lane], PendingState::Absorbed);
+        put(
+            &mut pending.expected_w[lane],
+            mask[lane],
+            steps.expected_w[lane],
+        );
+    }
+}
+
+/// Adapts the intervals of a block to the residuals.
+#[inline(always)]
+fn adapt_intervals(
+    context: &PlatformContext,
+    intervals: &mut IntervalLanes,
+    pending: &PendingBlock,
+    steps: &StepLanes,
+) {
+    let (floor_w, quantile_step) = (context.platform.power_resolution_w, context.quantile_step);
+    // A copy, so that the compiler knows that it is not aliased.
+    let mut copy = *intervals;
+    for lane in 0..LANES {
+        let mut interval = copy.get(lane);
+        let residual_w = pending.samples.power_w[lane] - steps.expected_w[lane];
+        interval.observe(residual_w, steps.due[lane], floor_w, quantile_step);
+        copy.set(lane, steps.scored[lane], interval);
+    }
+    *intervals = copy;
+}
+
+/// [`Step`]s of a block.
+struct StepLanes {
+    expected_w: Lanes<f32>,
+    /// Whether there was such a forecast.
+    scored: Lanes<bool>,
+    due: Lanes<bool>,
+    ready: Lanes<bool>,
+    rows: [Lanes<f32>; INPUTS],
+}
+
+impl StepLanes {
+    const NONE: Self = Self {
+        expected_w: [f32::NAN; LANES],
+        scored: [false; LANES],
+        due: [false; LANES],
+        ready: [false; LANES],
+        rows: [[0.0; LANES]; INPUTS],
+    };
+
+    #[inline(always)]
+    fn set(&mut self, lane: usize, mask: bool, step: &Step) {
+        self.expected_w[lane] = step.expected_w;
+        self.scored[lane] = mask & !step.expected_w.is_nan();
+        self.due[lane] = step.due;
+        self.ready[lane] = mask & step.ready;
+        for feature in 0..INPUTS {
+            self.rows[feature][lane] = step.row[feature];
+        }
+    }
+}

@@ -1,0 +1,162 @@
+//! Budgets.
+
+use joulebus_predictor::canonical;
+use joulebus_settings::{Battery, Platform};
+use joulebus_wire::{Budget, ChargeState, budget_flag};
+
+use crate::layout::lanes::{self, Block as _, LANES, Lanes};
+use crate::ledger::battery::{At, BatteryLanes, BatteryState, Charging, Counting, Estimate};
+use crate::ledger::remaining::{Remaining, RemainingLanes};
+use crate::state::columns::BlockRef;
+use crate::tick::context::TickContext;
+use crate::tick::write::flag::flag;
+
+/// The budgets of a block.
+pub(crate) struct Budgets<'a> {
+    block: BlockRef<'a>,
+    remaining: RemainingLanes,
+}
+
+impl<'a> Budgets<'a> {
+    #[inline(always)]
+    pub(crate) fn of(tick: &TickContext, block: BlockRef<'a>) -> Self {
+        let remaining = remaining(tick, &block);
+        Self { block, remaining }
+    }
+
+    /// The budget of the robot in a lane.
+    #[inline(always)]
+    pub(crate) fn get(&self, tick: &TickContext, lane: usize) -> Budget {
+        let (admission, last) = (&self.block.admissions[lane], self.block.lasts.get(lane));
+        let platform = &tick.platforms[usize::from(admission.platform)].platform;
+        let ledger = self.block.ledgers.get(lane);
+        let charge_state = match (admission.accepted, admission.charging) {
+            (false, _) => ChargeState::Unknown,
+            (true, true) => ChargeState::Charging,
+            (true, false) => ChargeState::Discharging,
+        };
+        let stamp_ns = ledger.stamp_ns();
+        let remaining = self.remaining.get(lane);
+        let battery = (self.block.batteries)
+            .filter(|_| remaining.battery)
+            .map(|batteries| batteries.get(lane));
+        let of_battery = |value: fn(&BatteryState) -> f64| {
+            canonical(
+                battery
+                    .as_ref()
+                    .map_or(f32::NAN, |battery| value(battery) as f32),
+            )
+        };
+        Budget {
+            robot: admission.id,
+            flags: flag(stamp_ns.is_some(), budget_flag::LEDGER)
+                | flag(admission.charged, budget_flag::CHARGED)
+                | flag(remaining.battery, budget_flag::BATTERY)
+                | flag(
+                    !remaining.time_to_empty_s.is_nan(),
+                    budget_flag::TIME_TO_EMPTY,
+                )
+                | flag(battery.is_some_and(|it| it.fused), budget_flag::MEASURED)
+                | flag(
+                    battery.is_some_and(|it| it.is_contradicted()),
+                    budget_flag::CONTRADICTED,
+                ),
+            charge_state: charge_state.code(),
+            battery_changes: battery.map_or(0, |battery| battery.changes),
+            drawn_uj: ledger.drawn_uj,
+            drawn_remainder: ledger.drawn_remainder.into(),
+            forecast_uj: ledger.forecast_uj,
+            metered_ns: ledger.metered_ns,
+            unmetered_ns: ledger.unmetered_ns,
+            stamp_ns: stamp_ns.unwrap_or(0),
+            valid_until_ns: stamp_ns
+                .map_or(0, |stamp| stamp.saturating_add(platform.stale_after_ns)),
+            mean_power_w: canonical(last.mean_power_w),
+            left_j: canonical(remaining.left_j),
+            usable_j: canonical(remaining.usable_j),
+            usable_lo_j: canonical(remaining.usable_lo_j),
+            soc: canonical(remaining.soc),
+            soc_lo: canonical(remaining.soc_lo),
+            time_to_empty_s: canonical(remaining.time_to_empty_s),
+            time_to_empty_lo_s: canonical(remaining.time_to_empty_lo_s),
+            time_to_empty_hi_s: canonical(remaining.time_to_empty_hi_s),
+            soc_hi: canonical(remaining.soc_hi),
+            soc_sd: canonical(remaining.soc_sd),
+            sensor_bias: of_battery(|battery| battery.bias),
+            sensor_bias_sd: of_battery(|battery| battery.bias_var.sqrt()),
+            sensor_covariance: of_battery(|battery| battery.covariance),
+        }
+    }
+}
+
+/// Energy left of the robots of a block.
+#[inline(always)]
+fn remaining(tick: &TickContext, block: &BlockRef<'_>) -> RemainingLanes {
+    let mut left = RemainingLanes::UNKNOWN;
+    let Some(batteries) = block.batteries else {
+        return left;
+    };
+    let (mut known, mut platform) = ([false; LANES], [0; LANES]);
+    let mut silent_ns = [0; LANES];
+    for (lane, admission) in block.admissions.iter().enumerate() {
+        known[lane] = admission.accepted;
+        platform[lane] = admission.platform;
+        silent_ns[lane] = tick.silent_ns(admission);
+    }
+    for (number, context) in tick.platforms.iter().enumerate() {
+        let Some(battery) = context.platform.battery else {
+            continue;
+        };
+        let mut mask = known;
+        for lane in 0..LANES {
+            mask[lane] &= usize::from(platform[lane]) == number;
+        }
+        if lanes::any(&mask) {
+            let platform = (&battery, &context.platform);
+            fill(&mut left, platform, (block, batteries), &mask, &silent_ns);
+        }
+    }
+    left
+}
+
+/// A battery as it is now: after the sample of the robot in a lane, and the time for which the next
+/// one is overdue.
+#[inline(always)]
+pub(crate) fn estimate(
+    block: &BlockRef<'_>,
+    robot: &BatteryState,
+    counting: &Counting,
+    lane: usize,
+    overdue_ns: u64,
+) -> Estimate {
+    let mut at = At::of(&block.ledgers.get(lane));
+    at.unmetered_ns = at.unmetered_ns.saturating_add(overdue_ns);
+    // On a charger the anchor is at the last sample. The time since then counts as silence.
+    let charging = Charging {
+        metered: false,
+        unmetered: robot.charging,
+    };
+    let mean_w = block.lasts.mean_power_w[lane];
+    robot.after(counting, at, mean_w.into(), charging)
+}
+
+/// Computes the robots of one platform.
+#[inline(always)]
+fn fill(
+    left: &mut RemainingLanes,
+    (battery, platform): (&Battery, &Platform),
+    (block, batteries): (&BlockRef<'_>, &BatteryLanes),
+    mask: &Lanes<bool>,
+    silent_ns: &Lanes<u64>,
+) {
+    let counting = Counting::of(battery, platform);
+    let mean_w = &block.lasts.mean_power_w;
+    for lane in 0..LANES {
+        let ends_w = block.intervals.get(lane).around(mean_w[lane], 0, true);
+        let robot = batteries.get(lane);
+        let overdue_ns = silent_ns[lane].saturating_sub(platform.period_ns);
+        let estimate = estimate(block, &robot, &counting, lane, overdue_ns);
+        let remaining = Remaining::of(battery, &estimate, mean_w[lane], ends_w, robot.charging);
+        left.set(lane, mask[lane], remaining);
+    }
+}

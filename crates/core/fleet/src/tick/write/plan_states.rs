@@ -1,0 +1,111 @@
+//! Writes the starts of plans.
+
+use joulebus_wire::{PlanState, Quality, plan_state_flag};
+
+use crate::estimate::window::PlanStart;
+use crate::layout::lanes::Block as _;
+use crate::state::columns::BlockRef;
+use crate::tick::context::TickContext;
+use crate::tick::write::flag::flag;
+use crate::tick::write::forecasts::{is_read, quality_now};
+use crate::tick::write::learned::LearnedLanes;
+
+/// The plan states of a block.
+pub(crate) struct PlanStates<'a, 'b> {
+    block: BlockRef<'a>,
+    learned: &'b LearnedLanes,
+}
+
+impl<'a, 'b> PlanStates<'a, 'b> {
+    #[inline(always)]
+    pub(crate) fn of(block: BlockRef<'a>, learned: &'b LearnedLanes) -> Self {
+        Self { block, learned }
+    }
+
+    /// The plan state of the robot in a lane. Windows, intervals and energy states hold no NaN but
+    /// the canonical one: those are not computed with.
+    #[inline(always)]
+    pub(crate) fn get(&self, tick: &TickContext, lane: usize) -> PlanState {
+        let admission = &self.block.admissions[lane];
+        let start = self.block.windows.get(lane).plan_start();
+        let interval = self.block.intervals.get(lane).scale();
+        let energy = self.block.energy.get(lane);
+        let plain = is_read(self.block.lasts.quality(lane).0)
+            & start.power_w.is_finite()
+            & (start.steps == 0);
+        let now = plain & admission.invalid.is_none() & !tick.is_stale(admission);
+        let (quality, quality_detail) = if now {
+            self.block.lasts.quality(lane)
+        } else {
+            self.otherwise(tick, lane, &start)
+        };
+        let (learns, learned) = self.learned.get(&self.block, lane);
+        let [weight_last, weight_network, weight_stack] = learned.weights;
+        let [_, held_weight_stack] = learned.held_weights;
+        let [gain_last, gain_network, gain_mean] = learned.gains;
+        let [lag1_w, lag2_w, lag3_w, lag4_w, lag5_w] = start.lag_w;
+        let [age_steps, interval_steps] = start.reading_age.to_bytes().map(u16::from);
+        let outside = admission.outside_training;
+        PlanState {
+            robot: admission.id,
+            flags: flag(admission.accepted, plan_state_flag::SAMPLE)
+                | flag(start.is_full, plan_state_flag::LAGS)
+                | flag(start.commanded, plan_state_flag::COMMAND)
+                | flag(start.reading_age.is_known(), plan_state_flag::READING_AGE)
+                | flag(learns, plan_state_flag::LEARNED)
+                | flag(outside, plan_state_flag::OUTSIDE_TRAINING),
+            quality,
+            quality_detail,
+            platform: admission.platform,
+            open_steps: start.steps,
+            age_steps,
+            interval_steps,
+            generation: admission.generation,
+            stamp_ns: admission.stamp_ns,
+            v_mps: start.v_mps,
+            omega_radps: start.omega_radps,
+            lag1_w,
+            lag2_w,
+            lag3_w,
+            lag4_w,
+            lag5_w,
+            network_w: learned.network_w,
+            mean_w: learned.mean_w,
+            change_w: learned.change_w,
+            weight_last,
+            weight_network,
+            weight_stack,
+            held_weight_stack,
+            gain_last,
+            gain_network,
+            gain_mean,
+            level_w: learned.level_w,
+            size_due_w: interval.due.size_w,
+            below_due: interval.due.below,
+            above_due: interval.due.above,
+            size_held_w: interval.held.size_w,
+            below_held: interval.held.below,
+            above_held: interval.held.above,
+            energy_j: energy.metered.energy_j,
+            command_j: energy.metered.command_j,
+            time_s: energy.metered.time_s,
+            error_factor: energy.learned.error_factor,
+            command_trust: energy.learned.command_trust,
+        }
+    }
+
+    /// The quality of a robot whose last sample had no reading, or that is overdue or invalid.
+    #[cold]
+    #[inline(never)]
+    fn otherwise(&self, tick: &TickContext, lane: usize, start: &PlanStart) -> (u16, u16) {
+        let (code, detail) = self.block.lasts.quality(lane);
+        quality_now(
+            tick,
+            &self.block.admissions[lane],
+            Quality::decode(code, detail),
+            start.power_w,
+            start.steps,
+        )
+        .encode()
+    }
+}

@@ -1,0 +1,664 @@
+//! Batteries over a day: charged, measured, exchanged, left alone. The stated bounds contain the
+//! truth with the stated frequency, and a sensor's value is believed only if it can be true.
+
+use joulebus_fleet::{Fleet, SavedBattery};
+use joulebus_predictor::{Model, Persistence, ResidualStats};
+use joulebus_settings::{Battery, ChargeReading, FleetSettings, OpenCircuit, Platform};
+use joulebus_testkit_fleets::random::Noise;
+use joulebus_testkit_fleets::{self as world, MS, Source};
+use joulebus_wire::{Alarm, Budget, Sample, budget_flag, sample_flag};
+
+const STEP_NS: u64 = 5_000 * MS;
+const STEP_S: f64 = 5.0;
+const START_NS: u64 = 60_000 * MS;
+const CAPACITY_J: f64 = 36_000.0;
+const POWER_MAX_W: f32 = 40.0;
+const HOUR: u64 = 720;
+
+fn battery() -> Battery {
+    Battery {
+        initial_soc: 0.9,
+        initial_soc_lo: 0.8,
+        charge_efficiency: 0.9,
+        charge_power_w: Some(30.0),
+        ..Battery::new(CAPACITY_J, 0.05)
+    }
+}
+
+fn settings(battery: Battery, robots: u32) -> FleetSettings {
+    let mut settings = world::settings(robots);
+    settings.intake.leave_after_ns = 120_000 * MS;
+    settings.intake.max_jump_ns = u64::MAX;
+    settings.platforms = vec![Platform {
+        name: "sturdy".to_owned(),
+        robots: vec![0..=robots - 1],
+        period_ns: STEP_NS,
+        stale_after_ns: 4 * STEP_NS,
+        hold_max_ns: 4 * STEP_NS,
+        stuck_after_ns: 1_000 * STEP_NS,
+        power_min_w: -POWER_MAX_W,
+        power_max_w: POWER_MAX_W,
+        battery: Some(battery),
+        ..settings.platforms[0].clone()
+    }];
+    settings
+}
+
+fn fleet(battery: Battery, robots: u32) -> Fleet {
+    let residual = ResidualStats {
+        std_w: 0.1,
+        q05_w: -0.15,
+        q95_w: 0.17,
+    };
+    let model = Model::Persistence(Persistence::new(residual).expect("finite and in order"));
+    Fleet::new(settings(battery, robots), vec![model]).expect("the settings are consistent")
+}
+
+/// A draw of a normal distribution.
+fn normal(noise: &mut Noise) -> f64 {
+    let uniform = |noise: &mut Noise| (noise.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
+    (0..12).map(|_| uniform(noise)).sum::<f64>() - 6.0
+}
+
+/// A true battery, and the readings of its robot's instruments.
+#[derive(Debug, Clone, Copy)]
+struct Truth {
+    soc: f64,
+    /// Error of the power monitor, relative, and of the measured state of charge.
+    gain: f64,
+    bias: f64,
+}
+
+impl Truth {
+    fn drawn(noise: &mut Noise, battery: &Battery) -> Self {
+        let sd = (battery.initial_soc - battery.initial_soc_lo) / 2.0;
+        Self {
+            soc: (battery.initial_soc + sd * normal(noise)).clamp(0.0, 1.0),
+            gain: battery.counting_sd * normal(noise),
+            bias: battery.sensor_sd * normal(noise),
+        }
+    }
+
+    /// Draws `power_w` from the battery over a step. Negative power charges it. Returns the
+    /// monitor's reading.
+    fn step(&mut self, power_w: f64, efficiency: f64) -> f32 {
+        let part = if power_w < 0.0 { efficiency } else { 1.0 };
+        self.soc = (self.soc - part * power_w * STEP_S / CAPACITY_J).clamp(0.0, 1.0);
+        (power_w * (1.0 + self.gain)) as f32
+    }
+
+    /// The measured state of charge, in steps of one percent.
+    fn measured(&self) -> f32 {
+        ((100.0 * (self.soc + self.bias)).round() / 100.0).clamp(0.0, 1.0) as f32
+    }
+}
+
+/// A robot alone, its battery, and the time.
+struct Bench {
+    fleet: Fleet,
+    source: Source,
+    truth: Truth,
+    step: u64,
+}
+
+impl Bench {
+    fn new(battery: Battery) -> Self {
+        Self {
+            fleet: fleet(battery, 1),
+            source: Source::new(1, 1),
+            truth: Truth {
+                soc: battery.initial_soc,
+                gain: 0.0,
+                bias: 0.0,
+            },
+            step: 0,
+        }
+    }
+
+    fn now_ns(&self) -> u64 {
+        START_NS + self.step * STEP_NS
+    }
+
+    fn send(&mut self, power_w: f64, change: impl Fn(Sample, &Truth) -> Sample) -> Budget {
+        self.step += 1;
+        let power_w = self.truth.step(power_w, battery().charge_efficiency);
+        let now_ns = self.now_ns();
+        let sample = Sample::new(0, self.step, now_ns)
+            .command(0.1, 0.0)
+            .reading(power_w, now_ns);
+        let sample = change(sample, &self.truth);
+        self.source.send(&mut self.fleet, &[sample], now_ns);
+        self.fleet.tick(now_ns, false);
+        self.budget()
+    }
+
+    fn budget(&self) -> Budget {
+        world::budget(&self.fleet, 0)
+    }
+
+    fn drive(&mut self, steps: u64, change: impl Fn(Sample, &Truth) -> Sample) -> Budget {
+        for _ in 0..steps {
+            self.send(4.0, &change);
+        }
+        self.budget()
+    }
+
+    fn raised(&self, alarm: Alarm) -> bool {
+        world::diagnostic(&self.fleet, 0).alarms().has(alarm)
+    }
+}
+
+fn plain(sample: Sample, _: &Truth) -> Sample {
+    sample
+}
+
+fn with_soc(sample: Sample, truth: &Truth) -> Sample {
+    sample.soc(truth.measured())
+}
+
+fn assert_in_order(budget: &Budget) {
+    let shares = [0.0, budget.soc_lo, budget.soc, budget.soc_hi, 1.0];
+    assert!(shares.is_sorted(), "{budget:?}");
+    assert!(
+        budget.soc_sd >= 0.0 && budget.sensor_bias_sd >= 0.0,
+        "{budget:?}"
+    );
+    let known = budget_flag::BATTERY | budget_flag::LEDGER;
+    assert_eq!(budget.flags & known, known, "{budget:?}");
+}
+
+/// Share of robots and hours whose truth is within the bounds, and the bounds' mean width, for
+/// robots with random errors over a day of driving, charging, silence, an exchanged battery, and a
+/// restarted worker.
+fn day(battery: Battery, robots: u32, measures: bool) -> (f64, f64) {
+    let mut noise = Noise(7);
+    let mut fleet = fleet(battery, robots);
+    let (mut source, mut epoch) = (Source::new(1, 1), 1);
+    let mut truths: Vec<Truth> = (0..robots)
+        .map(|_| Truth::drawn(&mut noise, &battery))
+        .collect();
+    let (mut inside, mut width, mut judged) = (0.0, 0.0, 0.0);
+    let mut samples = Vec::new();
+    for step in 1..=24 * HOUR {
+        let (now_ns, hour) = (START_NS + step * STEP_NS, step / HOUR);
+        samples.clear();
+        for (robot, truth) in truths.iter_mut().enumerate() {
+            // Two hours of driving, one on the charger, each at its own time.
+            let phase = (step + 31 * robot as u64) % (3 * HOUR);
+            let charging = phase >= 2 * HOUR;
+            let load_w = 2.0 + 1.5 * ((step + robot as u64) as f64 * 0.01).sin();
+            let full = truth.soc >= 0.999;
+            let power_w = match (charging, full) {
+                (true, true) => 0.0,
+                (true, false) => -12.0,
+                _ => load_w,
+            };
+            let read_w = truth.step(power_w, battery.charge_efficiency);
+            if measures && hour == 13 && step % HOUR == 0 && robot % 5 == 0 {
+                // Another battery, while the robot is switched off.
+                truth.soc = 0.95;
+            }
+            // Silent for a while: within the fleet, and away from it.
+            let away = hour == 7 && step % HOUR < 12 || hour == 13 && step % HOUR < 60;
+            if away && robot % 5 == 0 {
+                continue;
+            }
+            let mut sample = Sample::new(robot as u32, step, now_ns).reading(read_w, now_ns);
+            if charging {
+                sample = sample.with(sample_flag::CHARGING);
+            }
+            if charging && full {
+                sample = sample.with(sample_flag::FULL);
+            }
+            if measures {
+                sample = sample.soc(truth.measured());
+            }
+            samples.push(sample);
+        }
+        source.send(&mut fleet, &samples, now_ns);
+        fleet.tick(now_ns, false);
+        if step == 10 * HOUR {
+            epoch += 1;
+            fleet = restarted(&fleet, battery, robots);
+            source = Source::new(1, epoch);
+        }
+        // The first measured values after an exchange are doubted for a while.
+        if step % HOUR == HOUR / 2 {
+            for place in 0..fleet.len() {
+                let budget = fleet.budget(place);
+                assert_in_order(&budget);
+                let truth = truths[budget.robot as usize].soc as f32;
+                let holds = budget.soc_lo <= truth && truth <= budget.soc_hi;
+                inside += f64::from(u8::from(holds));
+                width += f64::from(budget.soc_hi - budget.soc_lo);
+                judged += 1.0;
+            }
+        }
+    }
+    (inside / judged, width / judged)
+}
+
+/// A fleet with the state that a worker saves of this one.
+fn restarted(before: &Fleet, battery: Battery, robots: u32) -> Fleet {
+    let mut after = fleet(battery, robots);
+    for place in 0..before.len() {
+        let budget = before.budget(place);
+        let ledger = joulebus_fleet::Ledger::restored(
+            (budget.drawn_uj, budget.drawn_remainder),
+            budget.forecast_uj,
+            budget.metered_ns,
+            budget.unmetered_ns,
+            budget.stamp_ns,
+        );
+        assert!(after.restore(budget.robot, ledger, true, SavedBattery::of(&budget)));
+    }
+    after
+}
+
+#[test]
+fn over_a_day_the_bounds_hold_the_truth_as_often_as_they_say() {
+    let metered = Battery {
+        charge_reading: ChargeReading::Battery,
+        ..battery()
+    };
+    let cases = [
+        ("counted, charge metered", metered, false, 0.30),
+        ("measured, charge metered", metered, true, 0.19),
+        ("counted, charge unknown", battery(), false, 0.45),
+        ("measured, charge unknown", battery(), true, 0.20),
+    ];
+    for (what, battery, measures, widest) in cases {
+        let (inside, width) = day(battery, 200, measures);
+        println!("{what}: {inside:.3} inside, {width:.3} wide");
+        assert!(inside >= 0.95, "{what}: {inside}");
+        assert!(width <= widest, "{what}: {width}");
+    }
+}
+
+#[test]
+fn a_metered_charge_is_counted_with_its_sign_and_efficiency() {
+    for (reading, sign) in [
+        (ChargeReading::Battery, 1.0),
+        (ChargeReading::Charger, -1.0),
+    ] {
+        let mut bench = Bench::new(Battery {
+            charge_reading: reading,
+            initial_soc: 0.5,
+            initial_soc_lo: 0.5,
+            counting_sd: 0.0,
+            ..battery()
+        });
+        let before = bench.drive(100, plain);
+        for _ in 0..200 {
+            bench.send(-10.0, |mut sample, _| {
+                sample.power_w *= sign;
+                sample.with(sample_flag::CHARGING)
+            });
+        }
+        let after = bench.drive(1, plain);
+        // The step between two kinds of readings is half of each.
+        let off = (f64::from(after.soc) - bench.truth.soc).abs();
+        assert!(
+            off < 2.0 * 14.0 * STEP_S / CAPACITY_J,
+            "{reading:?}: {after:?}, {:?}",
+            bench.truth
+        );
+        assert!(after.soc > before.soc + 0.2, "{after:?}");
+        assert_eq!(after.metered_ns + after.unmetered_ns, 300 * STEP_NS);
+        assert_in_order(&after);
+    }
+}
+
+#[test]
+fn a_full_battery_is_as_full_as_the_config_says_and_only_on_the_charger() {
+    let mut bench = Bench::new(Battery {
+        on_full_soc: 0.97,
+        ..battery()
+    });
+    bench.drive(300, plain);
+    let full = bench.send(2.0, |sample, _| {
+        sample.with(sample_flag::CHARGING | sample_flag::FULL)
+    });
+    assert!(
+        (full.soc - 0.97).abs() < 1e-6 && full.soc_lo > 0.94,
+        "{full:?}"
+    );
+    let refused = bench.fleet.drops().total();
+    bench.send(2.0, |sample, _| sample.with(sample_flag::FULL));
+    assert_eq!(bench.fleet.drops().total(), refused + 1);
+}
+
+#[test]
+fn a_measured_state_of_charge_narrows_the_bounds_but_not_below_its_own_error() {
+    let mut counted = Bench::new(battery());
+    let mut measured = Bench::new(battery());
+    let without = counted.drive(2 * HOUR, plain);
+    let with = measured.drive(2 * HOUR, with_soc);
+    let width = |budget: &Budget| f64::from(budget.soc_hi - budget.soc_lo);
+    assert!(
+        width(&with) < 0.8 * width(&without),
+        "{with:?}, {without:?}"
+    );
+    // A prior and a sensor of 5 % each give 3.5 %, however often the sensor reports.
+    assert!(with.soc_sd > 0.03, "{with:?}");
+    assert!(
+        (f64::from(with.soc) - measured.truth.soc).abs() < 0.02,
+        "{with:?}"
+    );
+    assert!(with.flags & budget_flag::MEASURED != 0);
+    assert!(without.flags & budget_flag::MEASURED == 0);
+}
+
+#[test]
+fn the_sensors_error_is_learned_where_the_charger_says_full() {
+    let mut bench = Bench::new(battery());
+    bench.truth.bias = 0.06;
+    bench.drive(HOUR, with_soc);
+    bench.truth.soc = 1.0;
+    bench.send(2.0, |sample, _| {
+        sample.with(sample_flag::CHARGING | sample_flag::FULL)
+    });
+    // Above its upper end a sensor is useless: its error shows below.
+    let after = bench.drive(2 * HOUR, with_soc);
+    assert!(after.sensor_bias > 0.02, "{after:?}");
+    assert!(
+        (f64::from(after.soc) - bench.truth.soc).abs() < 0.04,
+        "{after:?}, {:?}",
+        bench.truth
+    );
+}
+
+#[test]
+fn a_measured_state_of_charge_out_of_range_is_refused_and_counted() {
+    for (soc, reason) in [
+        (f32::NAN, "NotFinite"),
+        (f32::INFINITY, "NotFinite"),
+        (-0.06, "BatteryOutOfRange"),
+        (1.06, "BatteryOutOfRange"),
+        (87.0, "BatteryOutOfRange"),
+    ] {
+        let mut bench = Bench::new(battery());
+        let before = bench.drive(10, with_soc);
+        let shown = bench.send(4.0, |sample, _| sample.soc(soc));
+        let drops: Vec<_> = bench
+            .fleet
+            .drops()
+            .iter()
+            .map(|it| (it.0.name(), it.1))
+            .collect();
+        assert_eq!(drops, [(reason, 1)], "{soc}");
+        assert!(shown.soc <= before.soc, "{soc}");
+        assert_in_order(&shown);
+    }
+    for return_j in [f32::NAN, -1.0, f32::INFINITY, 1e10] {
+        let mut bench = Bench::new(battery());
+        bench.send(4.0, |sample, _| sample.return_energy(return_j));
+        assert_eq!(bench.fleet.drops().total(), 1, "{return_j}");
+    }
+    let mut bench = Bench::new(battery());
+    bench.drive(10, |sample, _| sample.soc(1.04));
+    assert_eq!(
+        bench.fleet.drops().total(),
+        0,
+        "a little more than full is full"
+    );
+}
+
+#[test]
+fn a_stuck_sensor_is_noticed_and_the_count_goes_on() {
+    for stuck in [0.9, 0.6, 1.0] {
+        let mut bench = Bench::new(battery());
+        bench.drive(100, with_soc);
+        bench.drive(5 * HOUR / 2, |sample, _| sample.soc(stuck));
+        let shown = bench.budget();
+        let truth = bench.truth.soc as f32;
+        assert!(truth < 0.1, "the battery is nearly empty: {truth}");
+        assert!(bench.raised(Alarm::SocImplausible), "{stuck}: {shown:?}");
+        assert!(
+            shown.soc_lo <= truth && truth <= shown.soc_hi,
+            "{stuck}: {shown:?}, {truth}"
+        );
+        assert!(bench.raised(Alarm::BatteryLow), "{stuck}: {shown:?}");
+    }
+}
+
+#[test]
+fn a_jumping_sensor_is_not_followed() {
+    for every in [1, 2, 7, 11] {
+        let mut bench = Bench::new(battery());
+        bench.drive(100, with_soc);
+        let jump = std::cell::Cell::new(0u64);
+        bench.drive(HOUR, |sample, truth| {
+            jump.set(jump.get() + 1);
+            let off = [0.0, 0.4, -0.4, 0.2, -0.3][(jump.get() / every % 5) as usize];
+            sample.soc((truth.measured() + off).clamp(0.0, 1.0))
+        });
+        let (shown, truth) = (bench.budget(), bench.truth.soc as f32);
+        assert!(
+            shown.soc_lo <= truth && truth <= shown.soc_hi,
+            "{every}: {shown:?}, {truth}"
+        );
+        assert_eq!(shown.battery_changes, 0, "{every}");
+        let back = bench.drive(200, with_soc);
+        assert!(!bench.raised(Alarm::SocImplausible), "{every}: {back:?}");
+    }
+}
+
+#[test]
+fn a_sensor_that_jumps_up_and_stays_is_doubted_one_that_jumps_down_is_believed_after_a_minute() {
+    let mut bench = Bench::new(battery());
+    bench.drive(HOUR, with_soc);
+    let (before, truth) = (bench.budget(), bench.truth.soc as f32);
+    let shown = bench.drive(100, |sample, _| sample.soc(1.0));
+    assert!(bench.raised(Alarm::SocImplausible));
+    assert!(shown.soc_hi < before.soc_hi, "{shown:?}, {truth}");
+    // The counted charge is lower, and safe to plan with.
+    assert_eq!(shown.flags & budget_flag::CONTRADICTED, 0);
+    let shown = bench.drive(3, |sample, _| sample.soc(0.1));
+    assert!(shown.soc > 0.3, "{shown:?}");
+    assert_ne!(shown.flags & budget_flag::CONTRADICTED, 0);
+    let shown = bench.drive(30, |sample, _| sample.soc(0.1));
+    assert!(shown.soc < 0.15, "{shown:?}");
+    assert_eq!(shown.flags & budget_flag::CONTRADICTED, 0);
+    assert_eq!(shown.battery_changes, 1);
+}
+
+#[test]
+fn an_exchanged_battery_is_noticed_after_a_gap_and_at_once_if_the_robot_says_so() {
+    let mut bench = Bench::new(battery());
+    let before = bench.drive(2 * HOUR, with_soc);
+    assert!(before.soc < 0.2, "{before:?}");
+    bench.step += 60;
+    bench.truth.soc = 0.95;
+    let shown = bench.drive(6, with_soc);
+    assert!(shown.soc > 0.9 && shown.battery_changes == 1, "{shown:?}");
+    // Without a measured value, as full as the first.
+    bench.drive(HOUR, plain);
+    let shown = bench.send(4.0, |sample, _| sample.with(sample_flag::SWAPPED));
+    assert!(
+        (shown.soc - 0.9).abs() < 1e-3 && shown.battery_changes == 2,
+        "{shown:?}"
+    );
+    // In the middle of driving: once it is clear that the value moves with the energy drawn.
+    bench.drive(2 * HOUR, with_soc);
+    bench.truth.soc = 0.95;
+    let shown = bench.drive(60, with_soc);
+    assert_eq!(shown.battery_changes, 3, "{shown:?}");
+    assert!(
+        (shown.soc - bench.truth.soc as f32).abs() < 0.1,
+        "{shown:?}"
+    );
+}
+
+#[test]
+fn a_voltage_gives_the_state_of_charge_where_nothing_else_does() {
+    let volts = [9.0, 10.8, 11.1, 11.4, 12.6];
+    let table = OpenCircuit::new(&volts, 0.1, 0.08).expect("rising");
+    let mut bench = Bench::new(Battery {
+        open_circuit: Some(table),
+        initial_soc: 0.75,
+        initial_soc_lo: 0.45,
+        ..battery()
+    });
+    bench.truth.soc = 0.6;
+    let voltage = |soc: f64| {
+        let part = 4.0 * soc;
+        let from = (part as usize).min(3);
+        volts[from] + (part - from as f64) * (volts[from + 1] - volts[from])
+    };
+    let shown = bench.drive(200, |sample, truth| {
+        let current_a = 0.35;
+        sample.battery(
+            (voltage(truth.soc) - 0.1 * current_a) as f32,
+            current_a as f32,
+        )
+    });
+    let truth = bench.truth.soc as f32;
+    assert!((shown.soc - truth).abs() < 0.05, "{shown:?}, {truth}");
+    assert!(
+        shown.soc_sd > 0.04 && shown.flags & budget_flag::MEASURED != 0,
+        "{shown:?}"
+    );
+    // Far outside the table a voltage gives no charge.
+    let before = bench.budget();
+    let shown = bench.drive(10, |sample, _| sample.battery(3.0, 0.3));
+    assert!((shown.soc - before.soc).abs() < 0.01, "{shown:?}");
+}
+
+#[test]
+fn levels_are_raised_below_their_thresholds_and_cleared_a_band_above() {
+    let mut bench = Bench::new(Battery {
+        charge_reading: ChargeReading::Battery,
+        initial_soc: 0.4,
+        initial_soc_lo: 0.4,
+        counting_sd: 0.0,
+        low: 0.3,
+        critical: 0.2,
+        level_band: 0.05,
+        ..battery()
+    });
+    let mut changes = Vec::new();
+    let mut seen = [false; 2];
+    for step in 0..800 {
+        let charging = step >= 400;
+        let shown = bench.send(if charging { -5.0 } else { 5.0 }, |sample, _| {
+            if charging {
+                sample.with(sample_flag::CHARGING)
+            } else {
+                sample
+            }
+        });
+        let now = [Alarm::BatteryLow, Alarm::BatteryCritical].map(|alarm| bench.raised(alarm));
+        if now != seen {
+            changes.push((now, (100.0 * shown.soc).round()));
+            seen = now;
+        }
+        let level = world::diagnostic(&bench.fleet, 0).level();
+        let expected = match now {
+            [_, true] => joulebus_wire::Level::Error,
+            [true, _] => joulebus_wire::Level::Warn,
+            _ => joulebus_wire::Level::Ok,
+        };
+        assert_eq!(level, expected, "step {step}");
+    }
+    let expected = [
+        ([true, false], 30.0),
+        ([true, true], 20.0),
+        ([true, false], 25.0),
+        ([false, false], 35.0),
+    ];
+    assert_eq!(changes, expected);
+}
+
+#[test]
+fn a_robot_cannot_return_when_less_than_it_needs_is_certainly_left() {
+    // By the config: 9 kJ of 36.
+    let mut bench = Bench::new(Battery {
+        return_j: Some(9_000.0),
+        ..battery()
+    });
+    let steps = (0..10_000).find(|_| {
+        bench.send(4.0, plain);
+        bench.raised(Alarm::CannotReturn)
+    });
+    assert!(steps.is_some());
+    let shown = bench.budget();
+    assert!(
+        (f64::from(shown.soc_lo) * CAPACITY_J - 9_000.0).abs() < 25.0,
+        "{shown:?}"
+    );
+    assert!(
+        shown.soc > 0.3,
+        "well before the best estimate does: {shown:?}"
+    );
+    // By the planner, sample by sample: the robot is near its charger after all.
+    bench.send(4.0, |sample, _| sample.return_energy(500.0));
+    assert!(!bench.raised(Alarm::CannotReturn));
+    bench.send(4.0, |sample, _| sample.return_energy(30_000.0));
+    assert!(bench.raised(Alarm::CannotReturn));
+    // Without either there is no statement.
+    let mut bench = Bench::new(battery());
+    bench.drive(3 * HOUR, plain);
+    assert!(bench.raised(Alarm::BatteryCritical) && !bench.raised(Alarm::CannotReturn));
+}
+
+#[test]
+fn levels_of_a_silent_robot_are_raised_as_its_budget_falls() {
+    let mut bench = Bench::new(battery());
+    let before = bench.drive(HOUR / 2, plain);
+    // Spent in 50 s at the greatest power.
+    let needed_j = f64::from(before.soc_lo) * CAPACITY_J - 50.0 * f64::from(POWER_MAX_W);
+    bench.send(4.0, |sample, _| sample.return_energy(needed_j as f32));
+    assert!(!bench.raised(Alarm::CannotReturn));
+    let raised: Vec<bool> = (0..20)
+        .map(|_| {
+            bench.step += 1;
+            bench.fleet.tick(bench.now_ns(), false);
+            let shown = bench.budget();
+            let raised = bench.raised(Alarm::CannotReturn);
+            // The row has f32.
+            let spare_j = f64::from(shown.soc_lo) * CAPACITY_J - needed_j;
+            assert!(
+                raised == (spare_j < 0.0) || spare_j.abs() < 0.1,
+                "{shown:?}"
+            );
+            raised
+        })
+        .collect();
+    assert!(!raised[5] && raised[19], "{raised:?}");
+    // The robot is back, and its consumption in between is unknown.
+    bench.send(4.0, |sample, _| sample.return_energy(needed_j as f32));
+    assert!(bench.raised(Alarm::CannotReturn));
+}
+
+#[test]
+fn a_restarted_worker_continues_and_the_gap_is_charged_at_maximum_power() {
+    let mut bench = Bench::new(battery());
+    bench.truth.bias = 0.03;
+    let before = bench.drive(HOUR, with_soc);
+    bench.fleet = restarted(&bench.fleet, battery(), 1);
+    bench.source = Source::new(1, 2);
+    bench.step += 2;
+    let after = bench.send(4.0, plain);
+    let dark_s = 3.0 * STEP_S;
+    let lowest = f64::from(before.soc_lo) - dark_s * f64::from(POWER_MAX_W) / CAPACITY_J;
+    assert!(
+        (f64::from(after.soc_lo) - lowest).abs() < 1e-4,
+        "{after:?}, {before:?}"
+    );
+    assert!(after.soc_hi <= before.soc_hi + 1e-6 + 0.1, "{after:?}");
+    assert_eq!(after.flags & budget_flag::MEASURED, budget_flag::MEASURED);
+    assert_eq!(after.sensor_bias, before.sensor_bias);
+    // A saved state that no worker can have written is not believed.
+    let mut nonsense = before;
+    nonsense.soc_lo = 0.99;
+    let mut fleet = fleet(battery(), 1);
+    let ledger = bench.fleet.ledger(0).expect("it has one");
+    fleet.restore(0, ledger, false, SavedBattery::of(&nonsense));
+    let mut source = Source::new(1, 3);
+    let sample = Sample::new(0, 1, bench.now_ns() + STEP_NS).reading(4.0, bench.now_ns());
+    source.send(&mut fleet, &[sample], sample.stamp_ns);
+    fleet.tick(sample.stamp_ns, false);
+    let shown = world::budget(&fleet, 0);
+    assert!(shown.soc_lo < 0.01 && shown.soc_hi > 0.99, "{shown:?}");
+}

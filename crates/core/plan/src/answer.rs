@@ -1,0 +1,189 @@
+//! Answers to a planner's question.
+
+use std::fmt;
+
+use joulebus_wire::InvalidReason;
+use serde::Serialize;
+
+/// An amount of energy with its interval, J.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Range {
+    /// Expected, J.
+    pub mean_j: f32,
+    /// Lower end at the asked coverage, J.
+    pub lo_j: f32,
+    /// Upper end, J.
+    pub hi_j: f32,
+}
+
+/// Energy left in the battery at the end, J.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Left {
+    /// Best estimate, at least 0.
+    pub mean_j: f32,
+    /// Conservative: the battery's lower bound less the upper end of the plan's energy, at least 0.
+    pub lo_j: f32,
+}
+
+/// The answer to one candidate, path or time at rest.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Answer {
+    /// Time from the first command to the end of the last, s.
+    pub duration_s: f32,
+    /// Energy of the plan. `None` if the robot's state is unknown.
+    pub energy: Option<Range>,
+    /// Energy left at the end, reserve included. `None` if energy or battery is unknown.
+    pub left: Option<Left>,
+    /// Probability of finishing above the reserve, with the battery at its lower bound. `None` if
+    /// the model states no distribution of its errors for this plan.
+    pub probability: Option<f32>,
+    /// Lower bound of the spare energy in the battery, less the upper bound of the energy, J.
+    /// Negative if energy is missing.
+    pub margin_j: Option<f32>,
+    /// Whether the robot makes it.
+    pub verdict: Verdict,
+    /// The first leg at whose end [`Verdict::Yes`] does not hold; `None` with `Yes` and `Unknown`.
+    pub limiting_leg: Option<usize>,
+    /// Reasons that weaken the answer.
+    pub caveats: Caveats,
+}
+
+/// Whether a robot makes a plan with its reserve untouched.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Verdict {
+    /// The upper bound of the energy fits into the lower bound of the spare energy, at the end of
+    /// every leg, and no caveat weakens that.
+    Yes,
+    /// The expected energy fits into the best estimate, but not so surely.
+    Tight,
+    /// The expected energy does not fit.
+    No,
+    /// The answer is unknown.
+    Unknown(Unknown),
+}
+
+/// Why an answer is unknown.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Unknown {
+    /// The newest frame is older than two ticks: the worker is stopped, overloaded or gone.
+    Stale {
+        /// Its age, ns.
+        age_ns: u64,
+    },
+    /// The robot has no forecast.
+    Invalid {
+        /// Why, as JSON by its name.
+        #[serde(serialize_with = "name")]
+        reason: InvalidReason,
+    },
+    /// The robot's lag window is not full yet.
+    Warmup {
+        /// Readings so far.
+        have: u16,
+    },
+    /// Its quality was written by a newer version, or the row contradicts the config.
+    Unreadable,
+    /// No reading has been metered yet, or the state has values that are not finite.
+    NoLevel,
+    /// The platform's config describes no battery.
+    NoBattery,
+    /// The energy in the battery is unknown, or a measured state of charge is below the counted
+    /// one.
+    BatteryUnknown,
+    /// No budget of the robot from the tick of its state, or a later one of the same run, that is
+    /// at most two ticks old.
+    NoBudget,
+}
+
+fn name<S: serde::Serializer>(reason: &InvalidReason, to: S) -> Result<S::Ok, S::Error> {
+    to.serialize_str(reason.name())
+}
+
+/// Reasons that weaken an answer. It is then [`Verdict::Tight`] at best. For steps outside the
+/// training data and beyond the longest horizon the interval includes the platform's minimum and
+/// maximum power.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Caveats {
+    /// Steps whose commands lie outside the training data.
+    pub steps_outside_training: usize,
+    /// The plan is longer than the longest horizon whose errors are known.
+    pub beyond_horizon: bool,
+    /// The robot's sample is overdue, or came without a reading.
+    pub no_reading: bool,
+    /// The robot's newest row lay outside the range that its model was trained on.
+    pub state_outside_training: bool,
+}
+
+impl Caveats {
+    /// Whether there is any.
+    #[must_use]
+    pub const fn any(&self) -> bool {
+        self.steps_outside_training > 0
+            || self.beyond_horizon
+            || self.no_reading
+            || self.state_outside_training
+    }
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Yes => write!(out, "yes"),
+            Self::Tight => write!(out, "tight"),
+            Self::No => write!(out, "no"),
+            Self::Unknown(reason) => write!(out, "unknown: {reason}"),
+        }
+    }
+}
+
+impl fmt::Display for Unknown {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Stale { age_ns } => write!(
+                out,
+                "the worker's newest frame is {:.2} s old; does it run?",
+                *age_ns as f64 * 1e-9
+            ),
+            Self::Invalid { reason } => {
+                write!(out, "the robot has no forecast ({})", reason.name())
+            }
+            Self::Warmup { have } => write!(out, "{have} of 5 readings so far"),
+            Self::Unreadable => {
+                write!(out, "the robot's state does not fit this version or config")
+            }
+            Self::NoLevel => write!(out, "no power of the robot has been metered yet"),
+            Self::NoBattery => write!(out, "its platform has no `[battery]` in the config"),
+            Self::BatteryUnknown => write!(
+                out,
+                "the energy in its battery is unknown, or less is measured than was counted"
+            ),
+            Self::NoBudget => write!(out, "there is no current budget of the robot"),
+        }
+    }
+}
+
+impl fmt::Display for Caveats {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut parts = Vec::new();
+        if self.steps_outside_training > 0 {
+            parts.push(format!(
+                "{} steps outside the model's training data",
+                self.steps_outside_training
+            ));
+        }
+        if self.beyond_horizon {
+            parts.push("longer than the model's errors are known for".to_owned());
+        }
+        if self.no_reading {
+            parts.push("no reading at present".to_owned());
+        }
+        if self.state_outside_training {
+            parts.push("the robot is outside the model's training data".to_owned());
+        }
+        write!(out, "{}", parts.join(", "))
+    }
+}

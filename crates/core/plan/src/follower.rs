@@ -1,0 +1,301 @@
+//! Paths, and the unicycle follower that turns them into commands.
+//!
+//! With d the distance to the next point, e the angle from the heading to its direction, and s the
+//! requested speed, at most the platform's,
+//!
+//! ```text
+//! u = min(s, 0.8/s · d)
+//! v = u cos e
+//! ω = 2/s · e
+//! ```
+//!
+//! each within the platform's limits. A point is reached within 5 cm. The next one is then
+//! followed. The robot therefore slows down before each point, turns while it drives, and drives
+//! backwards if the point is behind it. The gains are those of the Robotarium simulator's position
+//! controllers.
+
+use std::f64::consts::PI;
+
+use serde::{Deserialize, Serialize};
+
+use crate::error::PathError;
+use crate::limits::MAX_STEPS;
+use crate::platform::Platform;
+
+/// Speed per distance, 1/s.
+const GAIN: f64 = 0.8;
+/// Angular velocity per angle, 1/s.
+const TURN_GAIN: f64 = 2.0;
+/// Distance at which a point is reached, m.
+const REACH_M: f64 = 0.05;
+/// Largest coordinate, m.
+const FARTHEST_M: f64 = 1e6;
+/// A leg may take this much longer than at its speed.
+const PATIENCE: f64 = 20.0;
+
+/// A point in the plane.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Point {
+    /// East, m.
+    pub x_m: f64,
+    /// North, m.
+    pub y_m: f64,
+}
+
+impl Point {
+    /// Creates it from its coordinates, m.
+    #[must_use]
+    pub const fn new(x_m: f64, y_m: f64) -> Self {
+        Self { x_m, y_m }
+    }
+}
+
+/// A robot's position and heading.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Pose {
+    /// Position.
+    pub at: Point,
+    /// Heading, rad, counter-clockwise from east.
+    pub heading_rad: f64,
+}
+
+/// A path: from the first point to the last, with a speed towards each.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Path {
+    /// The points; the robot is at the first.
+    pub points: Vec<Point>,
+    /// Speed towards each point, m/s. The first one is not used. Limited by the platform's, so
+    /// infinity means as fast as possible.
+    pub speed_mps: Vec<f64>,
+    /// Heading at the first point, rad; `None`: towards the second.
+    pub heading_rad: Option<f64>,
+}
+
+impl Path {
+    /// With one speed for all legs, m/s.
+    #[must_use]
+    pub fn new(points: &[Point], speed_mps: f64) -> Self {
+        Self {
+            points: points.to_vec(),
+            speed_mps: vec![speed_mps; points.len()],
+            heading_rad: None,
+        }
+    }
+
+    /// Number of legs.
+    #[must_use]
+    pub fn legs(&self) -> usize {
+        self.points.len().saturating_sub(1)
+    }
+
+    fn start(&self) -> Result<Pose, PathError> {
+        self.check()?;
+        let [first, second, ..] = self.points.as_slice() else {
+            return Err(PathError::Points {
+                found: self.points.len(),
+            });
+        };
+        let towards = libm::atan2(second.y_m - first.y_m, second.x_m - first.x_m);
+        Ok(Pose {
+            at: *first,
+            heading_rad: self.heading_rad.unwrap_or(towards),
+        })
+    }
+
+    fn check(&self) -> Result<(), PathError> {
+        if self.points.len() < 2 || self.speed_mps.len() != self.points.len() {
+            return Err(PathError::Points {
+                found: self.points.len().min(self.speed_mps.len()),
+            });
+        }
+        let coordinate = |column, point, found: f64| {
+            if found.abs() <= FARTHEST_M {
+                return Ok(());
+            }
+            Err(PathError::Coordinate {
+                column,
+                point,
+                found,
+                allowed: FARTHEST_M,
+            })
+        };
+        for (place, point) in self.points.iter().enumerate() {
+            coordinate("x_m", place, point.x_m)?;
+            coordinate("y_m", place, point.y_m)?;
+        }
+        coordinate("heading_rad", 0, self.heading_rad.unwrap_or(0.0))?;
+        for (point, speed) in self.speed_mps.iter().enumerate().skip(1) {
+            if !(0.0 < *speed && *speed <= f64::INFINITY) {
+                return Err(PathError::Speed {
+                    point,
+                    found: *speed,
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Commands of a path.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Followed {
+    /// Time that each command is in force, s.
+    pub period_s: f32,
+    /// Linear velocities, m/s.
+    pub v_mps: Vec<f32>,
+    /// Angular velocities, rad/s.
+    pub omega_radps: Vec<f32>,
+    /// Steps up to the end of each leg.
+    pub leg_ends: Vec<usize>,
+    /// Pose before each step, and after the last.
+    pub poses: Vec<Pose>,
+}
+
+/// Drives a unicycle along paths, within a platform's limits and at its rate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Follower {
+    platform: String,
+    period_s: f64,
+    v_max_mps: f32,
+    omega_max_radps: f32,
+    most_steps: usize,
+}
+
+impl Follower {
+    /// A follower for a platform.
+    ///
+    /// # Errors
+    /// [`PathError::Immobile`]: it cannot be commanded to drive and to turn.
+    pub fn new(platform: &Platform) -> Result<Self, PathError> {
+        let settings = &platform.settings;
+        let (v_max_mps, omega_max_radps) = (settings.v_max_mps, settings.omega_max_radps);
+        if !(v_max_mps > 0.0 && omega_max_radps > 0.0) {
+            return Err(PathError::Immobile {
+                platform: settings.name.clone(),
+                v_max_mps,
+                omega_max_radps,
+            });
+        }
+        Ok(Self {
+            platform: settings.name.clone(),
+            period_s: settings.period_ns as f64 * 1e-9,
+            v_max_mps,
+            omega_max_radps,
+            most_steps: MAX_STEPS,
+        })
+    }
+
+    /// With at most this many steps a path, itself at most [`MAX_STEPS`].
+    #[must_use]
+    pub fn within(mut self, most_steps: usize) -> Self {
+        self.most_steps = most_steps.min(MAX_STEPS);
+        self
+    }
+
+    pub(crate) const fn most_steps(&self) -> usize {
+        self.most_steps
+    }
+
+    /// The platform's name.
+    #[must_use]
+    pub fn platform(&self) -> &str {
+        &self.platform
+    }
+
+    /// The commands of a path.
+    ///
+    /// # Errors
+    /// A path with values that are not allowed, or a point that is not reached.
+    pub fn follow(&self, path: &Path) -> Result<Followed, PathError> {
+        let mut followed = Followed {
+            period_s: self.period_s as f32,
+            v_mps: Vec::new(),
+            omega_radps: Vec::new(),
+            leg_ends: Vec::with_capacity(path.legs()),
+            poses: vec![path.start()?],
+        };
+        for point in 1..path.points.len() {
+            self.leg(&mut followed, path, point)?;
+            followed.leg_ends.push(followed.v_mps.len());
+        }
+        // The robot stops, so that a path to its own position has a step.
+        let last = followed.poses[followed.poses.len() - 1];
+        self.push(&mut followed, last, (0.0, 0.0));
+        if let Some(end) = followed.leg_ends.last_mut() {
+            *end += 1;
+        }
+        Ok(followed)
+    }
+
+    /// Drives to a point.
+    fn leg(&self, to: &mut Followed, path: &Path, point: usize) -> Result<(), PathError> {
+        let (goal, speed_mps) = (path.points[point], path.speed_mps[point]);
+        let begun = to.v_mps.len();
+        let speed_mps = speed_mps.min(self.v_max_mps.into());
+        let first_m = distance_m(to.poses[to.poses.len() - 1].at, goal);
+        let turn_s = PI / f64::from(self.omega_max_radps).min(TURN_GAIN);
+        let patience_s = PATIENCE * (first_m / speed_mps + turn_s + 10.0 / GAIN);
+        let most = (patience_s / self.period_s) as usize;
+        loop {
+            let pose = to.poses[to.poses.len() - 1];
+            let away_m = distance_m(pose.at, goal);
+            if away_m <= REACH_M {
+                return Ok(());
+            }
+            if to.v_mps.len() >= self.most_steps {
+                return Err(PathError::TooLong {
+                    point,
+                    distance_m: away_m,
+                    allowed: self.most_steps,
+                });
+            }
+            if to.v_mps.len() - begun >= most {
+                return Err(PathError::NotReached {
+                    point,
+                    distance_m: away_m,
+                    steps: to.v_mps.len() - begun,
+                });
+            }
+            self.push(to, pose, self.command(&pose, goal, speed_mps));
+        }
+    }
+
+    /// The command towards a point: m/s and rad/s, within the limits.
+    #[must_use]
+    pub fn command(&self, pose: &Pose, goal: Point, speed_mps: f64) -> (f32, f32) {
+        let (dx_m, dy_m) = (goal.x_m - pose.at.x_m, goal.y_m - pose.at.y_m);
+        let error_rad = wrap(libm::atan2(dy_m, dx_m) - pose.heading_rad);
+        let along_mps = speed_mps.min(GAIN * distance_m(pose.at, goal));
+        let v_mps = (along_mps * libm::cos(error_rad)) as f32;
+        let omega_radps = (TURN_GAIN * error_rad) as f32;
+        (
+            v_mps.clamp(-self.v_max_mps, self.v_max_mps),
+            omega_radps.clamp(-self.omega_max_radps, self.omega_max_radps),
+        )
+    }
+
+    fn push(&self, to: &mut Followed, pose: Pose, (v_mps, omega_radps): (f32, f32)) {
+        let (v, omega) = (f64::from(v_mps), f64::from(omega_radps));
+        // The middle of the arc.
+        let middle_rad = pose.heading_rad + 0.5 * omega * self.period_s;
+        let along_m = v * self.period_s;
+        to.v_mps.push(v_mps);
+        to.omega_radps.push(omega_radps);
+        to.poses.push(Pose {
+            at: Point {
+                x_m: pose.at.x_m + along_m * libm::cos(middle_rad),
+                y_m: pose.at.y_m + along_m * libm::sin(middle_rad),
+            },
+            heading_rad: wrap(pose.heading_rad + omega * self.period_s),
+        });
+    }
+}
+
+fn distance_m(from: Point, to: Point) -> f64 {
+    libm::hypot(to.x_m - from.x_m, to.y_m - from.y_m)
+}
+
+/// An angle within ±π.
+fn wrap(angle_rad: f64) -> f64 {
+    libm::atan2(libm::sin(angle_rad), libm::cos(angle_rad))
+}

@@ -1,0 +1,402 @@
+//! Questions and replies as payloads in shared memory and in recordings.
+
+use joulebus_wire::{
+    ANSWER_WORDS, AnswerHeader, AnswerRow, InvalidReason, QUERY_CANDIDATES, QUERY_ROBOTS,
+    QUERY_VALUES, QueryHeader, QueryKind, QueryRefusal, ROW_WORDS, SCHEMA_VERSION, answer_flag,
+    answer_parts, query_flag,
+};
+
+use crate::answer::{Answer, Caveats, Left, Range, Unknown, Verdict};
+use crate::error::{QuestionError, Refused};
+use crate::follower::{Path, Point};
+use crate::question::{Plan, Question, Reply, Row};
+
+/// Values of a point of a path.
+const POINT_VALUES: usize = 3;
+
+impl Question {
+    /// Encodes it as a header and values, for the fleet whose name has this hash
+    /// ([`joulebus_wire::fnv1a`]).
+    ///
+    /// # Errors
+    /// More robots, candidates or values than a message holds.
+    pub fn encode(&self, fleet: u64) -> Result<(QueryHeader, Vec<f64>), Refused> {
+        let ids = self.plan.robots();
+        let mut values: Vec<f64> = ids.iter().copied().map(f64::from).collect();
+        let mut header = QueryHeader {
+            schema: SCHEMA_VERSION,
+            fleet,
+            robots: count(ids.len()),
+            coverage: self.coverage,
+            flags: flag(self.power, query_flag::POWER),
+            ..QueryHeader::default()
+        };
+        match &self.plan {
+            Plan::WhatIf {
+                candidates,
+                period_s,
+                v_mps,
+                omega_radps,
+                ..
+            } => {
+                let columns = v_mps.iter().zip(omega_radps);
+                values.extend(columns.flat_map(|(v, omega)| [f64::from(*v), f64::from(*omega)]));
+                let steps = v_mps.len().checked_div(*candidates).unwrap_or(0);
+                header.kind = QueryKind::WhatIf.code();
+                (header.candidates, header.steps) = (count(*candidates), count(steps));
+                header.period_s = *period_s;
+            }
+            Plan::Idle { duration_s, .. } => {
+                header.kind = QueryKind::Idle.code();
+                header.duration_s = *duration_s;
+            }
+            Plan::Follow { path, back_to, .. } => {
+                let points = path.points.iter().zip(&path.speed_mps);
+                values.extend(points.flat_map(|(at, speed_mps)| [at.x_m, at.y_m, *speed_mps]));
+                header.kind = QueryKind::Follow.code();
+                header.steps = count(path.points.len());
+                header.flags |= flag(back_to.is_some(), query_flag::RETURN)
+                    | flag(path.heading_rad.is_some(), query_flag::HEADING);
+                let back_to = back_to.unwrap_or(Point::new(0.0, 0.0));
+                (header.return_x_m, header.return_y_m) = (back_to.x_m, back_to.y_m);
+                header.heading_rad = path.heading_rad.unwrap_or(0.0);
+            }
+        }
+        expected_values(&header, values.len())?;
+        Ok((header, values))
+    }
+
+    /// Decodes an untrusted header and values.
+    ///
+    /// # Errors
+    /// [`Refused`], with the reason. Values that the robots' platforms do not allow are found when
+    /// the question is answered.
+    pub fn decode(header: &QueryHeader, values: &[f64], fleet: u64) -> Result<Self, Refused> {
+        if header.schema != SCHEMA_VERSION {
+            let (found, allowed) = (header.schema, SCHEMA_VERSION);
+            let text = format!("payloads of version {found}: this worker reads {allowed}");
+            return Err(Refused::new(QueryRefusal::Schema, text));
+        }
+        if header.fleet != fleet {
+            let text = format!(
+                "asked of the fleet whose name has hash {:016x}: this one has {fleet:016x}",
+                header.fleet
+            );
+            return Err(Refused::new(QueryRefusal::Fleet, text));
+        }
+        let ids = expected_values(header, values.len())?;
+        let (ids, values) = values.split_at(ids);
+        let robots = ids
+            .iter()
+            .map(|id| robot(*id))
+            .collect::<Result<Vec<u32>, _>>()?;
+        Ok(Self {
+            plan: plan(header, robots, values)?,
+            coverage: header.coverage,
+            power: header.flags & query_flag::POWER != 0,
+        })
+    }
+}
+
+fn plan(header: &QueryHeader, robots: Vec<u32>, values: &[f64]) -> Result<Plan, Refused> {
+    let has = |flag| header.flags & flag != 0;
+    Ok(match kind(header)? {
+        QueryKind::WhatIf => Plan::WhatIf {
+            robot: robots[0],
+            candidates: header.candidates as usize,
+            period_s: header.period_s,
+            v_mps: values.iter().step_by(2).map(|v| *v as f32).collect(),
+            omega_radps: values
+                .iter()
+                .skip(1)
+                .step_by(2)
+                .map(|omega| *omega as f32)
+                .collect(),
+        },
+        QueryKind::Idle => Plan::Idle {
+            robots,
+            duration_s: header.duration_s,
+        },
+        QueryKind::Follow => {
+            let points = values.chunks_exact(POINT_VALUES);
+            Plan::Follow {
+                robots,
+                path: Path {
+                    points: points.clone().map(|at| Point::new(at[0], at[1])).collect(),
+                    speed_mps: points.map(|at| at[2]).collect(),
+                    heading_rad: has(query_flag::HEADING).then_some(header.heading_rad),
+                },
+                back_to: has(query_flag::RETURN)
+                    .then_some(Point::new(header.return_x_m, header.return_y_m)),
+            }
+        }
+    })
+}
+
+fn kind(header: &QueryHeader) -> Result<QueryKind, Refused> {
+    let known = QueryKind::decode(header.kind)
+        .filter(|_| header.flags & !query_flag::ALL == 0 && header.reserved == 0);
+    known.ok_or_else(|| {
+        let (kind, flags, reserved) = (header.kind, header.flags, header.reserved);
+        let text =
+            format!("kind {kind}, flags {flags:#x}, reserved {reserved}: one of them is unknown");
+        Refused::new(QueryRefusal::Kind, text)
+    })
+}
+
+/// Checks counts and length; returns the number of ids among the values.
+fn expected_values(header: &QueryHeader, found: usize) -> Result<usize, Refused> {
+    let kind = kind(header)?;
+    let counts = [header.robots, header.candidates, header.steps].map(|count| count as usize);
+    let [robots, candidates, steps] = counts;
+    let most_robots = if kind == QueryKind::WhatIf {
+        1
+    } else {
+        QUERY_ROBOTS
+    };
+    for (name, found, allowed) in [
+        ("robots", robots, most_robots),
+        ("candidates", candidates, QUERY_CANDIDATES),
+        ("steps or points", steps, QUERY_VALUES),
+        ("values", found, QUERY_VALUES),
+    ] {
+        if found > allowed {
+            let text = format!(
+                "{found} {name}: the worker answers at most {allowed}; ask in your own process instead"
+            );
+            return Err(Refused::new(QueryRefusal::TooLarge, text));
+        }
+    }
+    let values = match kind {
+        QueryKind::WhatIf => 2 * candidates * steps,
+        QueryKind::Idle => 0,
+        QueryKind::Follow => POINT_VALUES * steps,
+    };
+    let expected = robots + values;
+    if robots == 0 || found != expected {
+        let text = format!(
+            "{found} values: {expected} follow from {robots} robots, {candidates} candidates and {steps} \
+             steps or points, and at least one robot is needed"
+        );
+        return Err(Refused::new(QueryRefusal::Length, text));
+    }
+    Ok(robots)
+}
+
+fn robot(id: f64) -> Result<u32, Refused> {
+    let robot = id as u32;
+    if f64::from(robot) == id {
+        return Ok(robot);
+    }
+    let text = format!("{id} is no id of a robot");
+    Err(Refused::new(QueryRefusal::UnknownRobot, text))
+}
+
+const fn flag(is_set: bool, flag: u32) -> u32 {
+    if is_set { flag } else { 0 }
+}
+
+const fn row_flag(is_set: bool, flag: u16) -> u16 {
+    if is_set { flag } else { 0 }
+}
+
+/// A count too large for its field is too large for the worker.
+fn count(found: usize) -> u32 {
+    u32::try_from(found).unwrap_or(u32::MAX)
+}
+
+impl Reply {
+    /// Appends the rows and powers to the words of an answer, and sets their counts. Powers that do
+    /// not fit are left out.
+    pub fn encode(&self, header: &mut AnswerHeader, words: &mut Vec<u64>) {
+        let rows: Vec<AnswerRow> = self.rows.iter().map(Row::encode).collect();
+        header.rows = count(rows.len());
+        words.extend_from_slice(bytemuck::cast_slice(&rows));
+        if rows.len() * ROW_WORDS + self.power_w.len().div_ceil(2) > ANSWER_WORDS {
+            return;
+        }
+        header.powers = count(self.power_w.len());
+        for pair in self.power_w.chunks(2) {
+            let pair = [pair[0], pair.get(1).copied().unwrap_or(0.0)];
+            words.push(bytemuck::cast(pair));
+        }
+    }
+
+    /// Decodes an answer.
+    ///
+    /// # Errors
+    /// [`Refused`]: the worker did not answer, or the answer is of a newer version.
+    pub fn decode(header: &AnswerHeader, words: &[u64]) -> Result<Self, Refused> {
+        if header.schema != SCHEMA_VERSION {
+            let (found, allowed) = (header.schema, SCHEMA_VERSION);
+            let text = format!("an answer of version {found}: this program reads {allowed}");
+            return Err(Refused::new(QueryRefusal::Schema, text));
+        }
+        let (rows, power_w, text) = answer_parts(header, words);
+        if header.refusal != 0 {
+            let reason = QueryRefusal::decode(header.refusal).unwrap_or(QueryRefusal::Kind);
+            return Err(Refused::new(reason, text.to_owned()));
+        }
+        let rows = rows.iter().map(Row::decode).collect::<Option<Vec<Row>>>();
+        let rows = rows.ok_or_else(|| {
+            let text = "an answer with a verdict of a newer version".to_owned();
+            Refused::new(QueryRefusal::Schema, text)
+        })?;
+        Ok(Self {
+            rows,
+            power_w: power_w.to_vec(),
+        })
+    }
+}
+
+impl Refused {
+    /// Appends the text to the words of an answer, and sets reason and length.
+    pub fn encode(&self, header: &mut AnswerHeader, words: &mut Vec<u64>) {
+        let most = 8 * ANSWER_WORDS;
+        let text = self
+            .text
+            .get(..self.text.len().min(most))
+            .unwrap_or_default();
+        header.refusal = self.reason.code();
+        header.text_bytes = count(text.len());
+        let chunks = text.as_bytes().chunks(8);
+        words.extend(chunks.map(|bytes| {
+            let mut word = [0; 8];
+            word[..bytes.len()].copy_from_slice(bytes);
+            u64::from_ne_bytes(word)
+        }));
+    }
+}
+
+impl From<&QuestionError> for Refused {
+    fn from(error: &QuestionError) -> Self {
+        let reason = match error {
+            QuestionError::UnknownRobot { .. } => QueryRefusal::UnknownRobot,
+            QuestionError::Ask(_) => QueryRefusal::Question,
+        };
+        Self::new(reason, error.to_string())
+    }
+}
+
+impl Row {
+    /// The row in an answer's words, and in the memory of other languages.
+    #[must_use]
+    pub fn encode(&self) -> AnswerRow {
+        let Answer {
+            duration_s,
+            energy,
+            left,
+            probability,
+            margin_j,
+            verdict,
+            limiting_leg,
+            caveats,
+        } = self.answer;
+        let (verdict, unknown, unknown_detail, age_ns) = verdict_codes(verdict);
+        let flags = row_flag(energy.is_some(), answer_flag::ENERGY)
+            | row_flag(left.is_some(), answer_flag::LEFT)
+            | row_flag(probability.is_some(), answer_flag::PROBABILITY)
+            | row_flag(margin_j.is_some(), answer_flag::MARGIN)
+            | row_flag(limiting_leg.is_some(), answer_flag::LIMITING_LEG)
+            | row_flag(self.turn_back_s.is_some(), answer_flag::TURN_BACK)
+            | row_flag(caveats.beyond_horizon, answer_flag::BEYOND_HORIZON)
+            | row_flag(caveats.no_reading, answer_flag::NO_READING)
+            | row_flag(
+                caveats.state_outside_training,
+                answer_flag::OUTSIDE_TRAINING,
+            );
+        let nan = f32::NAN;
+        AnswerRow {
+            robot: self.robot,
+            flags,
+            verdict,
+            unknown,
+            unknown_detail,
+            age_ns,
+            duration_s,
+            mean_j: energy.map_or(nan, |energy| energy.mean_j),
+            lo_j: energy.map_or(nan, |energy| energy.lo_j),
+            hi_j: energy.map_or(nan, |energy| energy.hi_j),
+            left_j: left.map_or(nan, |left| left.mean_j),
+            left_lo_j: left.map_or(nan, |left| left.lo_j),
+            probability: probability.unwrap_or(nan),
+            margin_j: margin_j.unwrap_or(nan),
+            turn_back_s: self.turn_back_s.unwrap_or(nan),
+            limiting_leg: limiting_leg.map_or(0, count),
+            outside_training: count(caveats.steps_outside_training),
+        }
+    }
+
+    /// `None` if the verdict is of a newer version.
+    fn decode(row: &AnswerRow) -> Option<Self> {
+        let known = |flag, value: f32| (row.flags & flag != 0).then_some(value);
+        let has = |flag| row.flags & flag != 0;
+        Some(Self {
+            robot: row.robot,
+            turn_back_s: known(answer_flag::TURN_BACK, row.turn_back_s),
+            answer: Answer {
+                duration_s: row.duration_s,
+                energy: has(answer_flag::ENERGY).then_some(Range {
+                    mean_j: row.mean_j,
+                    lo_j: row.lo_j,
+                    hi_j: row.hi_j,
+                }),
+                left: has(answer_flag::LEFT).then_some(Left {
+                    mean_j: row.left_j,
+                    lo_j: row.left_lo_j,
+                }),
+                probability: known(answer_flag::PROBABILITY, row.probability),
+                margin_j: known(answer_flag::MARGIN, row.margin_j),
+                verdict: verdict_of(row)?,
+                limiting_leg: has(answer_flag::LIMITING_LEG).then_some(row.limiting_leg as usize),
+                caveats: Caveats {
+                    steps_outside_training: row.outside_training as usize,
+                    beyond_horizon: has(answer_flag::BEYOND_HORIZON),
+                    no_reading: has(answer_flag::NO_READING),
+                    state_outside_training: has(answer_flag::OUTSIDE_TRAINING),
+                },
+            },
+        })
+    }
+}
+
+/// Verdict, reason, detail and age.
+const fn verdict_codes(verdict: Verdict) -> (u16, u16, u16, u64) {
+    let unknown = match verdict {
+        Verdict::Yes => return (1, 0, 0, 0),
+        Verdict::Tight => return (2, 0, 0, 0),
+        Verdict::No => return (3, 0, 0, 0),
+        Verdict::Unknown(unknown) => unknown,
+    };
+    match unknown {
+        Unknown::Stale { age_ns } => (4, 1, 0, age_ns),
+        Unknown::Invalid { reason } => (4, 2, reason.code(), 0),
+        Unknown::Warmup { have } => (4, 3, have, 0),
+        Unknown::Unreadable => (4, 4, 0, 0),
+        Unknown::NoLevel => (4, 5, 0, 0),
+        Unknown::NoBattery => (4, 6, 0, 0),
+        Unknown::BatteryUnknown => (4, 7, 0, 0),
+        Unknown::NoBudget => (4, 8, 0, 0),
+    }
+}
+
+fn verdict_of(row: &AnswerRow) -> Option<Verdict> {
+    Some(match (row.verdict, row.unknown) {
+        (1, _) => Verdict::Yes,
+        (2, _) => Verdict::Tight,
+        (3, _) => Verdict::No,
+        (4, 1) => Verdict::Unknown(Unknown::Stale { age_ns: row.age_ns }),
+        (4, 2) => Verdict::Unknown(Unknown::Invalid {
+            reason: InvalidReason::decode(row.unknown_detail),
+        }),
+        (4, 3) => Verdict::Unknown(Unknown::Warmup {
+            have: row.unknown_detail,
+        }),
+        (4, 4) => Verdict::Unknown(Unknown::Unreadable),
+        (4, 5) => Verdict::Unknown(Unknown::NoLevel),
+        (4, 6) => Verdict::Unknown(Unknown::NoBattery),
+        (4, 7) => Verdict::Unknown(Unknown::BatteryUnknown),
+        (4, 8) => Verdict::Unknown(Unknown::NoBudget),
+        _ => return None,
+    })
+}

@@ -1,0 +1,142 @@
+//! Answers as `joulebus ask` prints them and `joulebus serve` sends them.
+
+use std::fmt;
+
+use joulebus_settings::FleetSettings;
+use serde::Serialize;
+
+use crate::answer::{Caveats, Left, Range, Verdict};
+use crate::question::Row;
+
+/// Answers about one question, as of one tick.
+#[derive(Debug, Clone, Serialize)]
+pub struct AnswersReport {
+    /// Name of the fleet.
+    pub fleet: String,
+    /// The tick that the answers are computed from.
+    pub tick: u64,
+    /// Its age, s.
+    pub age_s: f64,
+    /// Coverage of the intervals.
+    pub coverage: f32,
+    /// The best first.
+    pub answers: Vec<AnswerReport>,
+}
+
+/// One robot's answer.
+#[derive(Debug, Clone, Serialize)]
+pub struct AnswerReport {
+    robot: u32,
+    platform: String,
+    verdict: &'static str,
+    /// Why it is unknown.
+    reason: Option<String>,
+    duration_s: f32,
+    energy: Option<Range>,
+    /// At the end, reserve included.
+    left: Option<Left>,
+    /// Probability of finishing above the reserve.
+    probability: Option<f32>,
+    margin_j: Option<f32>,
+    /// Index from 0.
+    limiting_leg: Option<usize>,
+    /// Latest time to turn back. Null if it was not requested, or is unknown.
+    turn_back_s: Option<f32>,
+    /// Whether `turn_back_s` was asked for.
+    #[serde(skip)]
+    pub asked_to_return: bool,
+    caveats: Caveats,
+    /// Power of every step, W, if asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub power_w: Option<Vec<f32>>,
+}
+
+impl AnswerReport {
+    /// The answer of one robot of a fleet.
+    #[must_use]
+    pub fn new(settings: &FleetSettings, row: &Row) -> Self {
+        let answer = &row.answer;
+        let platforms = &settings.platforms;
+        let its = platforms
+            .iter()
+            .find(|platform| platform.robots.iter().any(|ids| ids.contains(&row.robot)));
+        let platform = its.map_or_else(String::new, |platform| platform.name.clone());
+        let (verdict, reason) = match answer.verdict {
+            Verdict::Yes => ("yes", None),
+            Verdict::Tight => ("tight", None),
+            Verdict::No => ("no", None),
+            Verdict::Unknown(reason) => ("unknown", Some(reason.to_string())),
+        };
+        Self {
+            robot: row.robot,
+            platform,
+            verdict,
+            reason,
+            duration_s: answer.duration_s,
+            energy: answer.energy,
+            left: answer.left,
+            probability: answer.probability,
+            margin_j: answer.margin_j,
+            limiting_leg: answer.limiting_leg,
+            turn_back_s: row.turn_back_s,
+            asked_to_return: false,
+            caveats: answer.caveats,
+            power_w: None,
+        }
+    }
+
+    fn lines(&self, coverage: f32) -> Vec<String> {
+        let mut lines = Vec::new();
+        let percent = 100.0 * coverage;
+        if let Some(energy) = self.energy {
+            lines.push(format!(
+                "energy  {:.1} J, {:.1} to {:.1} J at {percent} %, in {:.1} s",
+                energy.mean_j, energy.lo_j, energy.hi_j, self.duration_s
+            ));
+        }
+        if let (Some(left), Some(margin_j)) = (self.left, self.margin_j) {
+            lines.push(format!(
+                "left    {:.0} J, at least {:.0} J; {margin_j:.0} J to spare above the reserve",
+                left.mean_j, left.lo_j
+            ));
+        }
+        if let Some(probability) = self.probability {
+            lines.push(format!(
+                "above the reserve with probability {probability:.3}"
+            ));
+        }
+        if let Some(leg) = self.limiting_leg {
+            lines.push(format!("leg {leg} is the first that is not sure (from 0)"));
+        }
+        match (self.asked_to_return, self.turn_back_s) {
+            (true, Some(turn_back_s)) => {
+                lines.push(format!("must turn back within {turn_back_s:.1} s"));
+            }
+            (true, None) => lines.push("no time to turn back can be promised".to_owned()),
+            (false, _) => {}
+        }
+        if self.caveats.any() {
+            lines.push(format!("weakened: {}", self.caveats));
+        }
+        lines
+    }
+}
+
+impl fmt::Display for AnswersReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (place, answer) in self.answers.iter().enumerate() {
+            if place > 0 {
+                writeln!(out)?;
+            }
+            let (robot, platform) = (answer.robot, &answer.platform);
+            write!(out, "robot {robot} ({platform}): {}", answer.verdict)?;
+            if let Some(reason) = &answer.reason {
+                write!(out, ": {reason}")?;
+            }
+            for line in answer.lines(self.coverage) {
+                write!(out, "\n  {line}")?;
+            }
+        }
+        Ok(())
+    }
+}

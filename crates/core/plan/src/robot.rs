@@ -1,0 +1,470 @@
+//! One robot's answers.
+
+use joulebus_energy::{Commands, EnergyModel, EnergyState, LEVELS, Learned, Metered, SHADOWS};
+use joulebus_wire::{
+    Budget, BudgetHeader, PlanState, PlanStateHeader, Quality, budget_flag, plan_state_flag,
+};
+
+use crate::answer::{Answer, Caveats, Left, Range, Unknown, Verdict};
+use crate::candidates::{Candidates, part};
+use crate::error::AskError;
+use crate::estimate::{Estimate, Progress, Rest};
+use crate::limits::{COVERAGE, MAX_STEPS};
+use crate::platform::{Frames, Platform};
+
+/// Ticks after which a frame is stale.
+const STALE_TICKS: u64 = 2;
+
+/// A robot in one frame: a checked copy of its rows, for questions in any thread.
+///
+/// It answers for the time of its view, however long it is kept. A [`Verdict::Yes`] does not cover
+/// events since then. Take a new view (`joulebus_planner::Planner::view`) before the next
+/// questions, and after long questions.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Robot<'a> {
+    platform: &'a Platform,
+    id: u32,
+    energy: EnergyState,
+    /// Why its energy is unknown, if it is.
+    unknown: Option<Unknown>,
+    no_reading: bool,
+    outside_training: bool,
+    battery: Result<Battery, Unknown>,
+}
+
+/// The contents of a battery, J.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Battery {
+    left_j: f32,
+    left_lo_j: f32,
+    /// Above the reserve.
+    usable_j: f32,
+    usable_lo_j: f32,
+}
+
+impl<'a> Robot<'a> {
+    pub(crate) fn new(platform: &'a Platform, frames: &Frames<'_>) -> Self {
+        let state = frames.state;
+        let energy = energy_state(state);
+        let unknown = unknown(frames.header, state, &energy, frames.now_ns);
+        Self {
+            platform,
+            id: state.robot,
+            energy,
+            unknown,
+            no_reading: state.open_steps > 0,
+            outside_training: state.flags & plan_state_flag::OUTSIDE_TRAINING != 0,
+            battery: battery(platform, frames),
+        }
+    }
+
+    /// Its id.
+    #[must_use]
+    pub const fn id(&self) -> u32 {
+        self.id
+    }
+
+    /// Its platform.
+    #[must_use]
+    pub const fn platform(&self) -> &'a Platform {
+        self.platform
+    }
+
+    /// Why its energy is unknown, if it is.
+    #[must_use]
+    pub const fn unknown(&self) -> Option<Unknown> {
+        self.unknown
+    }
+
+    /// The state on which its energy forecasts are based.
+    #[must_use]
+    pub const fn energy_state(&self) -> &EnergyState {
+        &self.energy
+    }
+
+    /// The energy of each candidate, and whether the robot makes it; `coverage`: of the intervals,
+    /// 0.5 to 0.999.
+    ///
+    /// # Errors
+    /// A command that is not finite or beyond the platform's limits, or another coverage.
+    pub fn what_if(
+        &self,
+        candidates: &Candidates<'_>,
+        coverage: f32,
+    ) -> Result<Vec<Answer>, AskError> {
+        self.check(candidates, coverage)?;
+        let answer = |commands| self.answer(commands, &[], coverage);
+        Ok(candidates.iter().map(answer).collect())
+    }
+
+    /// Same as [`Robot::what_if`], into memory of the caller. Allocates nothing.
+    ///
+    /// # Errors
+    /// Those of [`Robot::what_if`], or `answers` has another length than there are candidates.
+    pub fn what_if_into(
+        &self,
+        candidates: &Candidates<'_>,
+        coverage: f32,
+        answers: &mut [Answer],
+    ) -> Result<(), AskError> {
+        self.check(candidates, coverage)?;
+        results(answers.len(), candidates.count())?;
+        for (answer, commands) in answers.iter_mut().zip(candidates.iter()) {
+            *answer = self.answer(commands, &[], coverage);
+        }
+        Ok(())
+    }
+
+    /// The power of every step, W, candidate by candidate: `power_w` has `count * steps` elements.
+    /// Its sum times the period is the energy's mean, up to rounding. NaN if the robot's state is
+    /// unknown.
+    ///
+    /// # Errors
+    /// Those of [`Robot::what_if`], or `power_w` has another length.
+    pub fn power_w(
+        &self,
+        candidates: &Candidates<'_>,
+        power_w: &mut [f32],
+    ) -> Result<(), AskError> {
+        self.check(candidates, COVERAGE.0)?;
+        results(power_w.len(), candidates.count() * candidates.steps())?;
+        if self.unknown.is_some() {
+            power_w.fill(f32::NAN);
+            return Ok(());
+        }
+        let traces = power_w.chunks_exact_mut(candidates.steps());
+        for (trace, commands) in traces.zip(candidates.iter()) {
+            self.model().power_w(&self.energy, commands, trace);
+        }
+        Ok(())
+    }
+
+    /// Derivatives of each candidate's energy with respect to its commands: J per m/s and J per
+    /// rad/s, in the order of the commands. NaN if the robot's state is unknown.
+    ///
+    /// # Errors
+    /// Those of [`Robot::power_w`].
+    pub fn gradient(
+        &self,
+        candidates: &Candidates<'_>,
+        by_v: &mut [f32],
+        by_omega: &mut [f32],
+    ) -> Result<(), AskError> {
+        self.check(candidates, COVERAGE.0)?;
+        let (steps, places) = (candidates.steps(), candidates.count() * candidates.steps());
+        results(by_v.len(), places)?;
+        results(by_omega.len(), places)?;
+        if self.unknown.is_some() {
+            by_v.fill(f32::NAN);
+            by_omega.fill(f32::NAN);
+            return Ok(());
+        }
+        let slopes = by_v
+            .chunks_exact_mut(steps)
+            .zip(by_omega.chunks_exact_mut(steps));
+        for ((by_v, by_omega), commands) in slopes.zip(candidates.iter()) {
+            self.model()
+                .gradient(&self.energy, commands, by_v, by_omega);
+        }
+        Ok(())
+    }
+
+    /// The energy of standing still for a time, s.
+    ///
+    /// # Errors
+    /// A duration or coverage that is not allowed.
+    pub fn idle(&self, duration_s: f32, coverage: f32) -> Result<Answer, AskError> {
+        let period_s = self.period_s();
+        let allowed = period_s * MAX_STEPS as f32;
+        if !(duration_s > 0.0 && duration_s <= allowed) {
+            return Err(AskError::Duration {
+                found: duration_s,
+                allowed,
+            });
+        }
+        let steps = (duration_s / period_s).round().max(1.0) as usize;
+        let rest = vec![0.0; steps];
+        let candidates = Candidates::new(1, duration_s / steps as f32, &rest, &rest)?;
+        self.check(&candidates, coverage)?;
+        let commands = candidates.iter().next();
+        // There is one candidate.
+        Ok(commands.map_or(self.nothing(duration_s), |commands| {
+            self.answer(commands, &[], coverage)
+        }))
+    }
+
+    pub(crate) fn period_s(&self) -> f32 {
+        self.platform.settings.period_ns as f32 * 1e-9
+    }
+
+    fn model(&self) -> &'a EnergyModel {
+        &self.platform.energy
+    }
+
+    pub(crate) fn check(&self, candidates: &Candidates<'_>, coverage: f32) -> Result<(), AskError> {
+        if !(COVERAGE.0 <= coverage && coverage <= COVERAGE.1) {
+            return Err(AskError::Coverage { found: coverage });
+        }
+        let settings = &self.platform.settings;
+        candidates.check(
+            &settings.name,
+            (settings.v_max_mps, settings.omega_max_radps),
+        )
+    }
+
+    /// The answer to checked commands; `leg_ends`: the steps after which each leg ends.
+    pub(crate) fn answer(
+        &self,
+        commands: Commands<'_>,
+        leg_ends: &[usize],
+        coverage: f32,
+    ) -> Answer {
+        let duration_s = commands.duration_s();
+        let nothing = self.nothing(duration_s);
+        if self.unknown.is_some() {
+            return nothing;
+        }
+        let mut progress = self.begin(commands.period_s);
+        let limiting_leg = self.follow_legs(&mut progress, commands, leg_ends, coverage);
+        let estimate = self.estimate(&progress, coverage);
+        let Some(energy) = estimate.energy() else {
+            return Answer {
+                verdict: Verdict::Unknown(Unknown::NoLevel),
+                ..nothing
+            };
+        };
+        let answer = Answer {
+            energy: Some(energy),
+            caveats: estimate.caveats,
+            ..nothing
+        };
+        let battery = match self.battery {
+            Ok(battery) => battery,
+            Err(reason) => {
+                return Answer {
+                    verdict: Verdict::Unknown(reason),
+                    ..answer
+                };
+            }
+        };
+        let verdict = match verdict(&battery, &energy, estimate.caveats) {
+            // Intervals need not widen from leg to leg.
+            Verdict::Yes if limiting_leg.is_some() => Verdict::Tight,
+            verdict => verdict,
+        };
+        let last_leg = leg_ends.len().saturating_sub(1);
+        Answer {
+            left: Some(Left {
+                mean_j: (battery.left_j - energy.mean_j).max(0.0),
+                lo_j: (battery.left_lo_j - energy.hi_j).max(0.0),
+            }),
+            probability: estimate.probability_below(battery.usable_lo_j),
+            margin_j: Some(battery.usable_lo_j - energy.hi_j),
+            verdict,
+            limiting_leg: (verdict != Verdict::Yes).then(|| limiting_leg.unwrap_or(last_leg)),
+            ..answer
+        }
+    }
+
+    /// Before the first command of a plan.
+    pub(crate) fn begin(&self, period_s: f32) -> Progress {
+        Progress::new(self.model(), &self.energy, period_s)
+    }
+
+    /// Follows the next commands of a plan.
+    pub(crate) fn follow(&self, progress: &mut Progress, next: Commands<'_>) {
+        progress.add(self.model(), next);
+    }
+
+    /// Sums over a path after the first `begins` steps of a plan, for any robot of the platform.
+    pub(crate) fn rest(&self, way: Commands<'_>, begins: usize) -> Rest {
+        Rest::new(self.model(), way, begins)
+    }
+
+    /// Whether the verdict on a plan, as far as it has been followed, is [`Verdict::Yes`].
+    pub(crate) fn makes(&self, progress: &Progress, coverage: f32) -> bool {
+        let (None, Ok(battery)) = (self.unknown, self.battery) else {
+            return false;
+        };
+        let estimate = self.estimate(progress, coverage);
+        let energy = estimate.energy();
+        energy.is_some_and(|energy| verdict(&battery, &energy, estimate.caveats) == Verdict::Yes)
+    }
+
+    /// Follows all commands; returns the first leg but the last at whose end the verdict is not
+    /// [`Verdict::Yes`].
+    fn follow_legs(
+        &self,
+        progress: &mut Progress,
+        commands: Commands<'_>,
+        leg_ends: &[usize],
+        coverage: f32,
+    ) -> Option<usize> {
+        let (_, before_last) = leg_ends.split_last().unwrap_or((&0, &[]));
+        let (mut done, mut limiting_leg) = (0, None);
+        for (leg, end) in before_last.iter().enumerate() {
+            self.follow(progress, part(commands, done, *end));
+            done = done.max(*end);
+            if limiting_leg.is_none() && !self.makes(progress, coverage) {
+                limiting_leg = Some(leg);
+            }
+        }
+        self.follow(progress, part(commands, done, commands.steps()));
+        limiting_leg
+    }
+
+    /// The energy of the followed part, widened where the model's errors do not cover it.
+    fn estimate(&self, progress: &Progress, coverage: f32) -> Estimate {
+        let settings = &self.platform.settings;
+        let possible_w = [settings.power_min_w, settings.power_max_w];
+        let mut estimate = progress.estimate(self.model(), &self.energy, possible_w, coverage);
+        estimate.caveats = Caveats {
+            steps_outside_training: estimate.caveats.steps_outside_training,
+            beyond_horizon: estimate.caveats.beyond_horizon,
+            ..self.caveats()
+        };
+        estimate
+    }
+
+    /// The caveats of its answers to every plan.
+    fn caveats(&self) -> Caveats {
+        Caveats {
+            no_reading: self.no_reading,
+            state_outside_training: self.outside_training,
+            ..Caveats::default()
+        }
+    }
+
+    fn nothing(&self, duration_s: f32) -> Answer {
+        Answer {
+            duration_s,
+            energy: None,
+            left: None,
+            probability: None,
+            margin_j: None,
+            verdict: Verdict::Unknown(self.unknown.unwrap_or(Unknown::NoLevel)),
+            limiting_leg: None,
+            caveats: self.caveats(),
+        }
+    }
+}
+
+fn verdict(battery: &Battery, energy: &Range, caveats: Caveats) -> Verdict {
+    if energy.hi_j <= battery.usable_lo_j && !caveats.any() {
+        Verdict::Yes
+    } else if energy.mean_j <= battery.usable_j {
+        Verdict::Tight
+    } else {
+        Verdict::No
+    }
+}
+
+fn results(found: usize, allowed: usize) -> Result<(), AskError> {
+    if found == allowed {
+        Ok(())
+    } else {
+        Err(AskError::Results { found, allowed })
+    }
+}
+
+fn energy_state(state: &PlanState) -> EnergyState {
+    const _: () = assert!(LEVELS == 4 && SHADOWS == 3);
+    EnergyState {
+        metered: Metered {
+            energy_j: state.energy_j,
+            command_j: state.command_j,
+            time_s: state.time_s,
+            v_mps: state.v_mps,
+            omega_radps: state.omega_radps,
+            ..EnergyState::new(0).metered
+        },
+        learned: Learned {
+            error_factor: state.error_factor,
+            command_trust: state.command_trust,
+            ..Learned::new()
+        },
+    }
+}
+
+/// Whether a frame is stale, with its age.
+pub(crate) fn stale(header: &PlanStateHeader, now_ns: u64) -> Option<Unknown> {
+    let age_ns = now_ns.saturating_sub(header.sent_ns);
+    (age_ns > header.period_ns.saturating_mul(STALE_TICKS)).then_some(Unknown::Stale { age_ns })
+}
+
+/// Why a robot's energy is unknown, if it is.
+fn unknown(
+    header: &PlanStateHeader,
+    state: &PlanState,
+    energy: &EnergyState,
+    now_ns: u64,
+) -> Option<Unknown> {
+    if let Some(stale) = stale(header, now_ns) {
+        return Some(stale);
+    }
+    match state.quality() {
+        Quality::Invalid(reason) => return Some(Unknown::Invalid { reason }),
+        Quality::Warmup { have } => return Some(Unknown::Warmup { have }),
+        Quality::Fresh | Quality::Held | Quality::OpenLoop { .. } => {}
+        Quality::Unknown => return Some(Unknown::Unreadable),
+    }
+    let has_sample = state.flags & plan_state_flag::SAMPLE != 0;
+    let finite = |values: &[f32]| values.iter().all(|value| value.is_finite());
+    let (metered, learned) = (&energy.metered, &energy.learned);
+    let known = has_sample
+        && metered.time_s.iter().all(|time_s| *time_s > 0.0)
+        && finite(&metered.energy_j)
+        && finite(&metered.command_j)
+        && finite(&metered.time_s)
+        && finite(&learned.error_factor)
+        && (0.0..=1.0).contains(&learned.command_trust);
+    (!known).then_some(Unknown::NoLevel)
+}
+
+/// The contents of the battery by a budget that is as new as the robot's state.
+fn battery(platform: &Platform, frames: &Frames<'_>) -> Result<Battery, Unknown> {
+    let Some(settings) = &platform.settings.battery else {
+        return Err(Unknown::NoBattery);
+    };
+    let (header, state) = (frames.header, frames.state);
+    let budget = frames
+        .budget
+        .filter(|(of, row)| is_current(header, state, of, row));
+    let (of, budget) = budget.ok_or(Unknown::NoBudget)?;
+    let age_ns = frames.now_ns.saturating_sub(of.sent_ns);
+    if age_ns > header.period_ns.saturating_mul(STALE_TICKS) {
+        return Err(Unknown::NoBudget);
+    }
+    // A battery with a measured charge below the counted one may be another battery.
+    let is_known =
+        budget.flags & (budget_flag::BATTERY | budget_flag::CONTRADICTED) == budget_flag::BATTERY;
+    let battery = Battery {
+        left_j: budget.left_j,
+        left_lo_j: (f64::from(budget.soc_lo) * settings.capacity_j) as f32,
+        usable_j: budget.usable_j,
+        usable_lo_j: budget.usable_lo_j,
+    };
+    let all = [
+        battery.left_j,
+        battery.left_lo_j,
+        battery.usable_j,
+        battery.usable_lo_j,
+    ];
+    if is_known && all.iter().all(|joules| joules.is_finite()) {
+        Ok(battery)
+    } else {
+        Err(Unknown::BatteryUnknown)
+    }
+}
+
+/// Whether a budget is of the robot, and of the run of the worker that the state is of, and not of
+/// an earlier tick: one from before the robot left and came back is of its previous stay.
+fn is_current(
+    header: &PlanStateHeader,
+    state: &PlanState,
+    of: &BudgetHeader,
+    budget: &Budget,
+) -> bool {
+    let is_its = budget.robot == state.robot && of.worker_epoch == header.worker_epoch;
+    is_its && of.tick >= header.tick
+}

@@ -1,0 +1,183 @@
+//! The robot-independent part of a path and the paths back from it, for a platform.
+
+use crate::error::{AskError, PathError};
+use crate::estimate::Rest;
+use crate::follower::{Followed, Follower, Path, Point};
+use crate::robot::Robot;
+
+/// Times at which turning back is tried, at most.
+const TURNS: usize = 64;
+
+/// A path as a platform follows it, the path back from its end, and the paths back from the points
+/// where turning back is tried.
+///
+/// Following costs some hundred times as much as computing the energy of the followed steps, and is
+/// the same for all robots of a platform. It is done once, and the energies are computed last, from
+/// rows that are still young.
+#[derive(Debug, Clone)]
+pub(crate) struct Route {
+    follower: Follower,
+    back: Option<Back>,
+    there: Followed,
+    /// The path, with the path back from the end as one more leg.
+    whole: Followed,
+    /// The ways back, as far as they were followed, in the order of [`Route::turns`].
+    homes: Vec<Option<Home>>,
+}
+
+/// The point to return to.
+#[derive(Debug, Clone, Copy)]
+struct Back {
+    dock: Point,
+    speed_mps: f64,
+}
+
+/// A way back from within the path.
+#[derive(Debug, Clone)]
+pub(crate) struct Home {
+    /// Its first command, m/s and rad/s. The command before it is in force until then.
+    pub(crate) v_mps: f32,
+    pub(crate) omega_radps: f32,
+    pub(crate) rest: Rest,
+}
+
+/// Remaining number of paths back that may be followed for the first time before other questions
+/// get their turn.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Ways(pub(crate) usize);
+
+/// More ways back would have to be followed than is allowed at a time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Later;
+
+impl Route {
+    /// Follows the path of a robot's platform, and the path back at the speed of its last leg.
+    /// Together they have at most `most_steps` steps.
+    pub(crate) fn new(
+        robot: &Robot<'_>,
+        path: &Path,
+        back_to: Option<Point>,
+        most_steps: usize,
+    ) -> Result<Self, AskError> {
+        let follower = Follower::new(robot.platform())?.within(most_steps);
+        let there = follower.follow(path)?;
+        let speed_mps = path.speed_mps.last().copied().unwrap_or(0.0);
+        let back = back_to.map(|dock| Back { dock, speed_mps });
+        let whole = match back {
+            Some(back) => {
+                let home = back.home(&follower, &there, there.v_mps.len())?;
+                append(&there, &home)
+            }
+            None => there.clone(),
+        };
+        Ok(Self {
+            follower,
+            back,
+            there,
+            whole,
+            homes: Vec::new(),
+        })
+    }
+
+    /// The commands of path and way back.
+    pub(crate) const fn whole(&self) -> &Followed {
+        &self.whole
+    }
+
+    /// The path of [`Route::whole`], without the other parts.
+    pub(crate) fn into_whole(self) -> Followed {
+        self.whole
+    }
+
+    /// The path alone.
+    pub(crate) const fn there(&self) -> &Followed {
+        &self.there
+    }
+
+    /// Whether there is a way back.
+    pub(crate) const fn returns(&self) -> bool {
+        self.back.is_some()
+    }
+
+    /// The steps after which turning back is tried.
+    pub(crate) fn turns(&self) -> impl Iterator<Item = usize> + use<> {
+        let steps = self.there.v_mps.len();
+        (0..steps).step_by(steps.div_ceil(TURNS).max(1))
+    }
+
+    /// The path back from a turn, by its index in [`Route::turns`], which are taken in order.
+    /// `None` if the robot cannot turn back there.
+    pub(crate) fn home(
+        &mut self,
+        robot: &Robot<'_>,
+        (place, turn): (usize, usize),
+        ways: &mut Ways,
+    ) -> Result<Result<Option<&Home>, Later>, AskError> {
+        if self.homes.len() <= place {
+            let Some(left) = ways.0.checked_sub(1) else {
+                return Ok(Err(Later));
+            };
+            ways.0 = left;
+            let home = self.turned(robot, turn)?;
+            self.homes.push(home);
+        }
+        Ok(Ok(self.homes[place].as_ref()))
+    }
+
+    fn turned(&self, robot: &Robot<'_>, turn: usize) -> Result<Option<Home>, AskError> {
+        let Some(back) = &self.back else {
+            return Ok(None);
+        };
+        match back.home(&self.follower, &self.there, turn) {
+            Ok(home) => Ok(Some(Home {
+                v_mps: home.v_mps[0],
+                omega_radps: home.omega_radps[0],
+                rest: robot.rest(home.commands(), turn),
+            })),
+            Err(
+                AskError::Steps { .. }
+                | AskError::Path(PathError::NotReached { .. } | PathError::TooLong { .. }),
+            ) => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+}
+
+impl Back {
+    /// The way back after the first steps of a path, which may have as many steps as the path
+    /// leaves.
+    fn home(
+        &self,
+        follower: &Follower,
+        there: &Followed,
+        steps: usize,
+    ) -> Result<Followed, AskError> {
+        let pose = there.poses[steps];
+        let home = Path {
+            points: vec![pose.at, self.dock],
+            speed_mps: vec![self.speed_mps; 2],
+            heading_rad: Some(pose.heading_rad),
+        };
+        let home = follower.follow(&home)?;
+        let found = steps + home.v_mps.len();
+        let allowed = follower.most_steps();
+        if found > allowed {
+            return Err(AskError::Steps { found, allowed });
+        }
+        Ok(home)
+    }
+}
+
+/// A path, and the path back from its end as one more leg.
+fn append(there: &Followed, home: &Followed) -> Followed {
+    let steps = there.v_mps.len();
+    let mut leg_ends = there.leg_ends.clone();
+    leg_ends.push(steps + home.v_mps.len());
+    Followed {
+        period_s: there.period_s,
+        v_mps: [&there.v_mps[..], &home.v_mps].concat(),
+        omega_radps: [&there.omega_radps[..], &home.omega_radps].concat(),
+        leg_ends,
+        poses: [&there.poses[..steps], &home.poses].concat(),
+    }
+}

@@ -1,0 +1,226 @@
+//! Trips along paths: their energy, the latest time to turn back, and the choice of a robot.
+
+use joulebus_energy::Commands;
+
+use crate::answer::{Answer, Verdict};
+use crate::candidates::{Candidates, part};
+use crate::error::AskError;
+use crate::estimate::Progress;
+use crate::follower::{Followed, Path, Point};
+use crate::limits::MAX_STEPS;
+use crate::question::{Row, best_first};
+use crate::robot::Robot;
+use crate::route::{Home, Later, Route, Ways};
+
+/// The answer to a path, and back if asked.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Trip {
+    /// The answer for all legs. The path back is the last one.
+    pub answer: Answer,
+    /// With a path back: the time until which the robot can follow the path and still return with
+    /// [`crate::Verdict::Yes`], s. It is the path's duration if the robot can follow all of it.
+    /// `None` if it cannot even turn back now, and without a path back.
+    ///
+    /// Up to 64 evenly spaced times are tried. The result is the last one before the first that
+    /// fails, or from which the path back is not reached or has too many steps.
+    pub turn_back_s: Option<f32>,
+    /// The commands of the whole trip.
+    pub commands: Followed,
+}
+
+/// A robot's answer to a task.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Ranked {
+    /// The robot.
+    pub robot: u32,
+    /// Its answer.
+    pub trip: Trip,
+}
+
+impl Robot<'_> {
+    /// Whether the robot can follow a path and then return to a point, at the speed of the last
+    /// leg.
+    ///
+    /// # Errors
+    /// A path that the platform cannot follow, or a coverage that is not allowed.
+    pub fn can_finish(
+        &self,
+        path: &Path,
+        back_to: Option<Point>,
+        coverage: f32,
+    ) -> Result<Trip, AskError> {
+        self.can_finish_within(path, back_to, coverage, MAX_STEPS)
+    }
+
+    /// Same as [`Robot::can_finish`], for a path and path back of at most `most_steps` steps in
+    /// all, which bounds the time of the computation.
+    ///
+    /// # Errors
+    /// Those of [`Robot::can_finish`], or more steps.
+    pub fn can_finish_within(
+        &self,
+        path: &Path,
+        back_to: Option<Point>,
+        coverage: f32,
+        most_steps: usize,
+    ) -> Result<Trip, AskError> {
+        let mut route = Route::new(self, path, back_to, most_steps)?;
+        let answer = self.on(&route, coverage)?;
+        // There are fewer than that.
+        let mut ways = Ways(usize::MAX);
+        let turned = self.turn_back_s(&mut route, &answer, coverage, &mut ways)?;
+        Ok(Trip {
+            answer,
+            turn_back_s: turned.unwrap_or(None),
+            commands: route.into_whole(),
+        })
+    }
+
+    /// Same as [`Robot::can_finish`], without the time to turn back, whose search costs up to 64
+    /// times as much as the answer: for choosing among many plans.
+    ///
+    /// # Errors
+    /// Those of [`Robot::can_finish`].
+    pub fn finish(
+        &self,
+        path: &Path,
+        back_to: Option<Point>,
+        coverage: f32,
+    ) -> Result<Trip, AskError> {
+        let route = Route::new(self, path, back_to, MAX_STEPS)?;
+        Ok(Trip {
+            answer: self.on(&route, coverage)?,
+            turn_back_s: None,
+            commands: route.into_whole(),
+        })
+    }
+
+    /// The answer to a route of its platform.
+    pub(crate) fn on(&self, route: &Route, coverage: f32) -> Result<Answer, AskError> {
+        let whole = route.whole();
+        let columns = (&whole.v_mps, &whole.omega_radps);
+        let candidates = Candidates::new(1, whole.period_s, columns.0, columns.1)?;
+        self.check(&candidates, coverage)?;
+        Ok(self.answer(whole.commands(), &whole.leg_ends, coverage))
+    }
+
+    /// Latest time at which the robot can turn back on a route. `whole` is its answer to all of it.
+    pub(crate) fn turn_back_s(
+        &self,
+        route: &mut Route,
+        whole: &Answer,
+        coverage: f32,
+        ways: &mut Ways,
+    ) -> Result<Result<Option<f32>, Later>, AskError> {
+        if !route.returns() {
+            return Ok(Ok(None));
+        }
+        let period_s = route.there().period_s;
+        let (mut progress, mut done, mut leg) = (self.begin(period_s), 0, 0);
+        let mut last_s = None;
+        for (place, turn) in route.turns().enumerate() {
+            let there = route.there();
+            while let Some(end) = there.leg_ends.get(leg).filter(|end| **end <= turn) {
+                self.follow(&mut progress, part(there.commands(), done, *end));
+                (done, leg) = (*end, leg + 1);
+                if !self.makes(&progress, coverage) {
+                    return Ok(Ok(last_s));
+                }
+            }
+            self.follow(&mut progress, part(there.commands(), done, turn));
+            done = turn;
+            let home = match route.home(self, (place, turn), ways)? {
+                Ok(Some(home)) => home,
+                Ok(None) => return Ok(Ok(last_s)),
+                Err(later) => return Ok(Err(later)),
+            };
+            if !self.makes(&self.turned(progress, home), coverage) {
+                return Ok(Ok(last_s));
+            }
+            last_s = Some(turn as f32 * period_s);
+        }
+        if whole.verdict == Verdict::Yes {
+            last_s = Some(route.there().v_mps.len() as f32 * period_s);
+        }
+        Ok(Ok(last_s))
+    }
+
+    /// A plan that continues with a path back.
+    fn turned(&self, mut progress: Progress, home: &Home) -> Progress {
+        let first = Commands {
+            period_s: progress.period_s(),
+            v_mps: &[home.v_mps],
+            omega_radps: &[home.omega_radps],
+        };
+        self.follow(&mut progress, first);
+        progress.join(&home.rest);
+        progress
+    }
+}
+
+impl Followed {
+    /// The followed steps as commands of a plan.
+    #[must_use]
+    pub fn commands(&self) -> Commands<'_> {
+        Commands {
+            period_s: self.period_s,
+            v_mps: &self.v_mps,
+            omega_radps: &self.omega_radps,
+        }
+    }
+}
+
+/// The answers of several robots to one task, the best first: by verdict (yes, tight, no, unknown),
+/// then by the expected energy, then by id.
+///
+/// # Errors
+/// As [`Robot::can_finish`].
+pub fn rank(
+    robots: &[Robot<'_>],
+    path: &Path,
+    back_to: Option<Point>,
+    coverage: f32,
+) -> Result<Vec<Ranked>, AskError> {
+    let ranked = robots.iter().map(|robot| {
+        let trip = robot.can_finish(path, back_to, coverage)?;
+        Ok(Ranked {
+            robot: robot.id(),
+            trip,
+        })
+    });
+    let mut ranked = ranked.collect::<Result<Vec<Ranked>, AskError>>()?;
+    sort(&mut ranked);
+    Ok(ranked)
+}
+
+/// Same as [`rank`], with a path of its own for each robot, which begins at the robot. Without
+/// times to turn back ([`Robot::finish`]).
+///
+/// # Errors
+/// Those of [`Robot::can_finish`].
+pub fn rank_each(
+    robots: &[(Robot<'_>, Path)],
+    back_to: Option<Point>,
+    coverage: f32,
+) -> Result<Vec<Ranked>, AskError> {
+    let ranked = robots.iter().map(|(robot, path)| {
+        let trip = robot.finish(path, back_to, coverage)?;
+        Ok(Ranked {
+            robot: robot.id(),
+            trip,
+        })
+    });
+    let mut ranked = ranked.collect::<Result<Vec<Ranked>, AskError>>()?;
+    sort(&mut ranked);
+    Ok(ranked)
+}
+
+/// The best first.
+fn sort(ranked: &mut [Ranked]) {
+    let row = |ranked: &Ranked| Row {
+        robot: ranked.robot,
+        answer: ranked.trip.answer,
+        turn_back_s: ranked.trip.turn_back_s,
+    };
+    ranked.sort_by(|one, other| best_first(&row(one), &row(other)));
+}

@@ -1,0 +1,83 @@
+//! The cost of a question whose paths are followed once for all robots.
+
+use std::time::Instant;
+
+use crate::world::{Rows, fleet};
+use joulebus_plan::{Path, Plan, Point, Question, RobotRows, Work};
+use joulebus_wire::QUERY_STEPS;
+
+fn rows(robot: u32) -> RobotRows {
+    let mut rows = Rows::with_usable(20_000.0);
+    (rows.state.robot, rows.budget.robot) = (robot, robot);
+    RobotRows {
+        header: rows.header,
+        state: rows.state,
+        budget: Some((rows.budget_header, rows.budget)),
+        now_ns: rows.now_ns,
+    }
+}
+
+/// `cargo test --release -p joulebus-plan --test all question_cost -- --ignored --nocapture`
+#[test]
+#[ignore = "prints times"]
+fn what_a_path_and_the_time_to_turn_back_cost() {
+    let fleet = fleet();
+    let (from, end) = (Point::new(0.0, 0.0), Point::new(6.0, 0.0));
+    let path = Path::new(&[from, end], 0.15);
+    println!("6 m at 0.15 m/s, 30 Hz, until when each robot can turn back; best of 20");
+    println!("robots  each by itself ms  as a question ms  longest step ms  from new rows ms");
+    for robots in [1, 4, 20, 64] {
+        let ids: Vec<u32> = (0..robots).collect();
+        let mut best_ms = [f64::INFINITY; 4];
+        for _ in 0..20 {
+            let begun = Instant::now();
+            for id in &ids {
+                let rows = rows(*id);
+                let robot = fleet.robot(&rows.frames()).unwrap();
+                assert!(
+                    robot
+                        .can_finish(&path, Some(end), 0.9)
+                        .unwrap()
+                        .turn_back_s
+                        .is_some()
+                );
+            }
+            let alone_ms = begun.elapsed().as_secs_f64() * 1e3;
+            let plan = Plan::Follow {
+                robots: ids.clone(),
+                path: path.clone(),
+                back_to: Some(end),
+            };
+            let question = Question {
+                plan,
+                coverage: 0.9,
+                power: false,
+            };
+            let find = |robot| Some(rows(robot));
+            let begun = Instant::now();
+            let mut work = Work::begin(question, find, QUERY_STEPS).unwrap();
+            let mut longest_ms: f64 = 0.0;
+            loop {
+                let step = Instant::now();
+                let is_done = work.step(&fleet).unwrap();
+                longest_ms = longest_ms.max(step.elapsed().as_secs_f64() * 1e3);
+                if is_done {
+                    break;
+                }
+            }
+            let whole_ms = begun.elapsed().as_secs_f64() * 1e3;
+            let begun = Instant::now();
+            let mut work = work.renew(find).unwrap();
+            assert!(work.rest(&fleet).unwrap());
+            let renewed_ms = begun.elapsed().as_secs_f64() * 1e3;
+            for (best, found) in best_ms
+                .iter_mut()
+                .zip([alone_ms, whole_ms, longest_ms, renewed_ms])
+            {
+                *best = best.min(found);
+            }
+        }
+        let [alone, whole, longest, renewed] = best_ms;
+        println!("{robots:>6} {alone:>18.2} {whole:>17.2} {longest:>16.3} {renewed:>17.3}");
+    }
+}

@@ -1,0 +1,263 @@
+//! Questions and replies survive their payloads, and invalid ones are refused.
+
+use crate::world::{Rows, fleet};
+use joulebus_plan::{
+    Path, Plan, Point, Question, QuestionError, Refused, Reply, RobotRows, Unknown, Verdict, Work,
+    rank,
+};
+use joulebus_wire::{
+    AnswerHeader, QUERY_STEPS, QueryHeader, QueryRefusal, SCHEMA_VERSION, plan_state_flag,
+};
+use proptest::prelude::*;
+
+const FLEET: u64 = 5;
+
+fn rows(rows: &Rows, robot: u32) -> RobotRows {
+    let mut state = rows.state;
+    state.robot = robot;
+    let mut budget = rows.budget;
+    budget.robot = robot;
+    RobotRows {
+        header: rows.header,
+        state,
+        budget: rows.has_budget.then_some((rows.budget_header, budget)),
+        now_ns: rows.now_ns,
+    }
+}
+
+fn path() -> Path {
+    Path::new(
+        &[
+            Point::new(0.0, 0.0),
+            Point::new(1.0, 0.0),
+            Point::new(1.0, -0.5),
+        ],
+        0.15,
+    )
+}
+
+fn questions() -> Vec<Question> {
+    let commands = Plan::WhatIf {
+        robot: 7,
+        candidates: 3,
+        period_s: 0.1,
+        v_mps: (0..30).map(|at| at as f32 * 0.005).collect(),
+        omega_radps: (0..30).map(|at| at as f32 * -0.01).collect(),
+    };
+    let idle = Plan::Idle {
+        robots: vec![7, 3],
+        duration_s: 20.0,
+    };
+    let follow = |robots: &[u32], heading_rad, back_to| Plan::Follow {
+        robots: robots.to_vec(),
+        path: Path {
+            heading_rad,
+            ..path()
+        },
+        back_to,
+    };
+    let plans = [
+        commands,
+        idle,
+        follow(&[7], Some(0.5), None),
+        follow(&[9, 7, 3], None, Some(Point::new(0.1, -0.0))),
+    ];
+    let question = |plan| Question {
+        plan,
+        coverage: 0.9,
+        power: true,
+    };
+    plans.into_iter().map(question).collect()
+}
+
+#[test]
+fn questions_and_replies_survive_their_payloads() {
+    let (fleet, mut robots) = (fleet(), Rows::with_usable(5_000.0));
+    robots.state.flags |= plan_state_flag::OUTSIDE_TRAINING;
+    for question in questions() {
+        let (header, values) = question.encode(FLEET).unwrap();
+        assert_eq!(
+            Question::decode(&header, &values, FLEET).as_ref(),
+            Ok(&question)
+        );
+        let find = |robot| Some(rows(&robots, robot));
+        let reply = question.clone().answer(&fleet, find, QUERY_STEPS).unwrap();
+        assert!(!reply.rows.is_empty());
+        let (mut header, mut words) = (AnswerHeader::default(), Vec::new());
+        header.schema = SCHEMA_VERSION;
+        reply.encode(&mut header, &mut words);
+        assert_eq!(Reply::decode(&header, &words), Ok(reply), "{question:?}");
+    }
+}
+
+#[test]
+fn several_robots_are_answered_as_rank_answers() {
+    let (fleet, poor) = (fleet(), Rows::with_usable(20.0));
+    let rich = Rows::with_usable(20_000.0);
+    let of = |robot| rows(if robot == 3 { &rich } else { &poor }, robot);
+    let question = questions().pop().unwrap();
+    let reply = question
+        .answer(&fleet, |robot| Some(of(robot)), QUERY_STEPS)
+        .unwrap();
+    let all = [9, 7, 3].map(of);
+    let robots: Vec<_> = all
+        .iter()
+        .map(|rows| fleet.robot(&rows.frames()).unwrap())
+        .collect();
+    let ranked = rank(&robots, &path(), Some(Point::new(0.1, -0.0)), 0.9).unwrap();
+    assert_eq!(reply.rows[0].robot, 3);
+    for (row, ranked) in reply.rows.iter().zip(&ranked) {
+        assert_eq!((row.robot, row.answer), (ranked.robot, ranked.trip.answer));
+        assert_eq!(row.turn_back_s, ranked.trip.turn_back_s);
+    }
+}
+
+#[test]
+fn a_yes_whose_state_is_stale_when_the_answer_is_sent_is_unknown() {
+    let (fleet, poor) = (fleet(), Rows::with_usable(20.0));
+    let rich = Rows::with_usable(20_000.0);
+    let of = |robot| Some(rows(if robot == 3 { &rich } else { &poor }, robot));
+    let stale_ns = rich.header.sent_ns + 2 * rich.header.period_ns + 1;
+    // Straight ahead: all commands are inside the training data.
+    let end = Point::new(1.0, 0.0);
+    let reply = |sent_ns| {
+        let question = Question {
+            plan: Plan::Follow {
+                robots: vec![9, 7, 3],
+                path: Path::new(&[Point::new(0.0, 0.0), end], 0.15),
+                back_to: Some(end),
+            },
+            coverage: 0.9,
+            power: false,
+        };
+        let mut work = Work::begin(question, of, QUERY_STEPS).unwrap();
+        while !work.step(&fleet).unwrap() {}
+        work.finish_at(sent_ns)
+    };
+    let (fresh, stale) = (reply(stale_ns - 1), reply(stale_ns));
+    let yes = fresh.rows[0];
+    assert_eq!((yes.robot, yes.answer.verdict), (3, Verdict::Yes));
+    assert!(yes.turn_back_s.is_some());
+    // Sorted behind robots with known energy.
+    let row = stale.rows[2];
+    let age_ns = stale_ns - rich.header.sent_ns;
+    assert_eq!(row.robot, 3);
+    assert_eq!(
+        row.answer.verdict,
+        Verdict::Unknown(Unknown::Stale { age_ns })
+    );
+    assert_eq!(
+        (row.answer.energy, row.turn_back_s),
+        (yes.answer.energy, None)
+    );
+    assert_eq!(stale.rows[0].answer, fresh.rows[1].answer);
+}
+
+/// Straight ahead, so that all commands are inside the training data.
+fn straight(robots: &[u32]) -> Question {
+    let end = Point::new(1.0, 0.0);
+    Question {
+        plan: Plan::Follow {
+            robots: robots.to_vec(),
+            path: Path::new(&[Point::new(0.0, 0.0), end], 0.15),
+            back_to: Some(end),
+        },
+        coverage: 0.9,
+        power: false,
+    }
+}
+
+#[test]
+fn a_way_is_followed_once_for_all_robots_of_a_platform_and_each_is_a_step_of_its_own() {
+    let (fleet, rich) = (fleet(), Rows::with_usable(20_000.0));
+    let steps = |robots: &[u32]| {
+        let find = |robot| Some(rows(&rich, robot));
+        let mut work = Work::begin(straight(robots), find, QUERY_STEPS).unwrap();
+        let mut steps = 1;
+        while !work.step(&fleet).unwrap() {
+            steps += 1;
+        }
+        steps
+    };
+    let (one, four) = (steps(&[3]), steps(&[3, 7, 9, 11]));
+    // The path, up to 64 ways back, and the robot.
+    assert!(one > 40 && one <= 66, "{one}");
+    assert_eq!(four, one + 3);
+}
+
+#[test]
+fn rows_taken_again_are_answered_as_if_they_were_the_first_without_following_a_way_again() {
+    let (fleet, robots) = (fleet(), [3, 7, 9]);
+    let (old, mut new) = (Rows::with_usable(20_000.0), Rows::with_usable(200.0));
+    new.header.sent_ns += 1_000_000_000;
+    new.budget_header.sent_ns += 1_000_000_000;
+    new.now_ns += 1_000_000_000;
+    let mut work = Work::begin(
+        straight(&robots),
+        |robot| Some(rows(&old, robot)),
+        QUERY_STEPS,
+    );
+    let work = work.as_mut().unwrap();
+    while !work.step(&fleet).unwrap() {}
+    assert!(!work.is_stale(old.now_ns) && work.is_stale(new.now_ns));
+    let find = |robot| Some(rows(&new, robot));
+    let mut work = std::mem::take(work).renew(find).unwrap();
+    assert!(!work.is_stale(new.now_ns));
+    assert!(work.rest(&fleet).unwrap(), "nothing is left to be followed");
+    let expected = straight(&robots).answer(&fleet, find, QUERY_STEPS).unwrap();
+    assert_eq!(work.finish_at(new.now_ns), expected);
+    assert_ne!(expected.rows[0].answer.left, None);
+}
+
+#[test]
+fn robots_that_are_not_there_and_paths_that_take_too_long_are_refused() {
+    let (fleet, robots) = (fleet(), Rows::with_usable(5_000.0));
+    let question = questions().pop().unwrap();
+    let nobody = question.clone().answer(&fleet, |_| None, QUERY_STEPS);
+    assert_eq!(nobody, Err(QuestionError::UnknownRobot { robot: 9 }));
+    let short = question.answer(&fleet, |robot| Some(rows(&robots, robot)), 20);
+    let refused = Refused::from(&short.unwrap_err());
+    assert_eq!(refused.reason, QueryRefusal::Question);
+    let (mut header, mut words) = (AnswerHeader::default(), Vec::new());
+    header.schema = SCHEMA_VERSION;
+    refused.encode(&mut header, &mut words);
+    assert_eq!(Reply::decode(&header, &words), Err(refused));
+}
+
+proptest! {
+    #[test]
+    fn headers_and_values_with_arbitrary_bits_never_panic(
+        header: [u8; size_of::<QueryHeader>()],
+        values: Vec<f64>,
+        known: bool,
+    ) {
+        let mut header: QueryHeader = bytemuck::pod_read_unaligned(&header);
+        if known {
+            (header.schema, header.fleet) = (SCHEMA_VERSION, FLEET);
+            header.kind = 1 + header.kind % 3;
+            header.flags &= 7;
+            header.reserved = 0;
+            header.robots %= 3;
+            header.candidates %= 3;
+            header.steps %= 4;
+        }
+        let decoded = Question::decode(&header, &values, FLEET);
+        if let Ok(question) = decoded {
+            let (fleet, robots) = (fleet(), Rows::with_usable(5_000.0));
+            let _ = question.answer(&fleet, |robot| Some(rows(&robots, robot)), 50);
+        }
+    }
+
+    #[test]
+    fn answers_with_arbitrary_bits_never_panic(
+        header: [u8; size_of::<AnswerHeader>()],
+        words: Vec<u64>,
+    ) {
+        let mut header: AnswerHeader = bytemuck::pod_read_unaligned(&header);
+        header.schema = SCHEMA_VERSION;
+        for refusal in [header.refusal, 0] {
+            header.refusal = refusal;
+            let _ = Reply::decode(&header, &words);
+        }
+    }
+}

@@ -1,0 +1,711 @@
+//! Answers are right if everything is known, and never yes if something is not.
+
+use crate::world::{PERIOD_NS, Rows, fleet, model, platform};
+use joulebus_energy::{Commands, EnergyModel, HORIZONS_S};
+use joulebus_plan::{
+    Answer, AskError, Candidates, Differs, Fleet, Frames, Path, Platform, Point, Robot, Unknown,
+    Verdict, rank, rank_each,
+};
+use joulebus_wire::{Budget, InvalidReason, PlanState, Quality, budget_flag, plan_state_flag};
+use proptest::prelude::*;
+
+const STEP_S: f32 = 1.0 / 30.0;
+
+/// Straight on at a speed.
+fn straight(robot: &Robot<'_>, v_mps: f32, steps: usize) -> Answer {
+    let (v, omega) = (vec![v_mps; steps], vec![0.0; steps]);
+    let candidates = Candidates::new(1, STEP_S, &v, &omega).expect("one candidate");
+    robot.what_if(&candidates, 0.9).expect("allowed")[0]
+}
+
+#[test]
+fn yes_tight_and_no_follow_from_what_the_battery_can_spare() {
+    let fleet = fleet();
+    // 10 s at 0.1 m/s: 3.6 W as metered at rest, and a sixth more for driving: 42 J ± 10 %.
+    let answers: Vec<Answer> = [400.0, 45.0, 30.0]
+        .map(|usable_j| straight(&Rows::with_usable(usable_j).robot(&fleet), 0.1, 300))
+        .to_vec();
+    let verdicts: Vec<Verdict> = answers.iter().map(|answer| answer.verdict).collect();
+    assert_eq!(verdicts, [Verdict::Yes, Verdict::Tight, Verdict::No]);
+    for (answer, usable_j) in answers.iter().zip([400.0f32, 45.0, 30.0]) {
+        let energy = answer.energy.expect("known");
+        assert!((energy.mean_j - 42.0).abs() < 0.5, "{answer:?}");
+        assert!(
+            (energy.lo_j / energy.mean_j - 0.9).abs() < 0.02,
+            "{answer:?}"
+        );
+        assert!(
+            (energy.hi_j / energy.mean_j - 1.1).abs() < 0.02,
+            "{answer:?}"
+        );
+        let margin_j = answer.margin_j.expect("known");
+        assert!(
+            (margin_j - (0.9 * usable_j - energy.hi_j)).abs() < 0.01,
+            "{answer:?}"
+        );
+        let left = answer.left.expect("known");
+        assert!((left.mean_j - (3_600.0 + usable_j - energy.mean_j)).abs() < 0.1);
+        assert!((left.lo_j - (3_600.0 + 0.9 * usable_j - energy.hi_j)).abs() < 0.1);
+        assert_eq!(
+            answer.limiting_leg.is_none(),
+            answer.verdict == Verdict::Yes
+        );
+    }
+    let probability = |answer: &Answer| answer.probability.expect("known");
+    assert!(probability(&answers[0]) > 0.99 && probability(&answers[2]) < 0.01);
+    assert!(probability(&answers[1]) > 0.05 && probability(&answers[1]) < 0.95);
+}
+
+#[test]
+fn whatever_is_unknown_is_said_and_never_yes() {
+    let fleet = fleet();
+    let fine = Rows::with_usable(20_000.0);
+    assert_eq!(
+        straight(&fine.robot(&fleet), 0.1, 300).verdict,
+        Verdict::Yes
+    );
+    type Spoil = fn(&mut Rows);
+    let cases: [(Spoil, Unknown); 14] = [
+        (
+            |rows| rows.now_ns += 3 * PERIOD_NS,
+            Unknown::Stale {
+                age_ns: 1_000_000 + 3 * PERIOD_NS,
+            },
+        ),
+        (
+            |rows| {
+                let code = Quality::Invalid(InvalidReason::Stale).encode();
+                (rows.state.quality, rows.state.quality_detail) = code;
+            },
+            Unknown::Invalid {
+                reason: InvalidReason::Stale,
+            },
+        ),
+        (
+            |rows| {
+                let code = Quality::Warmup { have: 3 }.encode();
+                (rows.state.quality, rows.state.quality_detail) = code;
+            },
+            Unknown::Warmup { have: 3 },
+        ),
+        (|rows| rows.state.quality = 999, Unknown::Unreadable),
+        (|rows| rows.state.flags = 0, Unknown::NoLevel),
+        (|rows| rows.state.time_s = [0.0; 4], Unknown::NoLevel),
+        (|rows| rows.has_budget = false, Unknown::NoBudget),
+        (
+            |rows| rows.budget_header.worker_epoch = 4,
+            Unknown::NoBudget,
+        ),
+        (
+            |rows| rows.budget_header.sent_ns -= 3 * PERIOD_NS,
+            Unknown::NoBudget,
+        ),
+        (|rows| rows.budget_header.tick -= 1, Unknown::NoBudget),
+        (|rows| rows.budget.robot = 8, Unknown::NoBudget),
+        (
+            |rows| rows.budget.flags &= !budget_flag::BATTERY,
+            Unknown::BatteryUnknown,
+        ),
+        (
+            |rows| rows.budget.usable_lo_j = f32::NAN,
+            Unknown::BatteryUnknown,
+        ),
+        (
+            |rows| rows.budget.flags |= budget_flag::CONTRADICTED,
+            Unknown::BatteryUnknown,
+        ),
+    ];
+    for (spoil, reason) in cases {
+        let mut rows = fine;
+        spoil(&mut rows);
+        let answer = straight(&rows.robot(&fleet), 0.1, 300);
+        assert_eq!(answer.verdict, Verdict::Unknown(reason), "{answer:?}");
+        let battery = matches!(reason, Unknown::NoBudget | Unknown::BatteryUnknown);
+        assert_eq!(answer.energy.is_some(), battery, "{answer:?}");
+        assert_eq!((answer.left, answer.margin_j), (None, None), "{answer:?}");
+        assert!(!reason.to_string().is_empty());
+    }
+    let spoilt = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY];
+    for (place, value) in (0..16).flat_map(|place| spoilt.map(|value| (place, value))) {
+        let mut rows = fine;
+        let state = &mut rows.state;
+        let (energy, command) = (&mut state.energy_j, &mut state.command_j);
+        let all = energy.iter_mut().chain(command).chain(&mut state.time_s);
+        let all = all.chain(&mut state.error_factor);
+        let trust = std::slice::from_mut(&mut state.command_trust);
+        let mut all = all.chain(trust);
+        *all.nth(place).expect("16 numbers") = value;
+        let answer = straight(&rows.robot(&fleet), 0.1, 300);
+        assert_eq!(
+            answer.verdict,
+            Verdict::Unknown(Unknown::NoLevel),
+            "{place}"
+        );
+    }
+    let mut settings = platform().settings;
+    settings.battery = None;
+    let without = Fleet::of(vec![Platform::new(settings, model(), 1)], 1);
+    let answer = straight(&fine.robot(&without), 0.1, 300);
+    assert_eq!(answer.verdict, Verdict::Unknown(Unknown::NoBattery));
+    assert!(answer.energy.is_some());
+}
+
+#[test]
+fn what_weakens_an_answer_widens_it_to_what_the_platform_can_draw_and_is_never_yes() {
+    let fleet = fleet();
+    let rows = Rows::with_usable(30_000.0);
+    let robot = rows.robot(&fleet);
+    // The platform allows 0.25 m/s, the training data end at 0.2.
+    let outside = straight(&robot, 0.25, 300);
+    assert_eq!(outside.caveats.steps_outside_training, 300);
+    let hi_j = outside.energy.expect("known").hi_j;
+    assert!(
+        hi_j >= 20.0 * 10.0,
+        "20 W are possible for 10 s: {outside:?}"
+    );
+    assert_eq!(outside.verdict, Verdict::Tight);
+    assert!(outside.energy.expect("known").lo_j >= 0.0, "{outside:?}");
+    // A jump that no recording has, in one step of many.
+    let careful = fleet_with(EnergyModel {
+        combined: Some([0.4, 1.0, 100.0, 4.0, 100.0]),
+        ..model()
+    });
+    let careful = rows.robot(&careful);
+    let gentle = straight(&careful, 0.12, 300);
+    assert_eq!(
+        (gentle.verdict, gentle.caveats.any()),
+        (Verdict::Yes, false)
+    );
+    let sudden = straight(&careful, 0.15, 300);
+    assert_eq!(sudden.caveats.steps_outside_training, 1);
+    assert_eq!(sudden.verdict, Verdict::Tight);
+    let widened_j = sudden.energy.expect("known").hi_j - gentle.energy.expect("known").hi_j;
+    assert!(widened_j > 0.9 * 16.0 * STEP_S, "{widened_j} J");
+    // 400 s: errors are known up to 300.
+    let long = straight(&robot, 0.1, 12_000);
+    assert!(
+        long.caveats.beyond_horizon && long.verdict == Verdict::Tight,
+        "{long:?}"
+    );
+    let energy = long.energy.expect("known");
+    assert!(energy.hi_j > energy.mean_j + 100.0 * 15.0, "{long:?}");
+    assert!(energy.lo_j < energy.mean_j - 100.0 * 3.0, "{long:?}");
+    let mut open = rows;
+    open.state.open_steps = 2;
+    let answer = straight(&open.robot(&fleet), 0.1, 300);
+    assert!(
+        answer.caveats.no_reading && answer.verdict == Verdict::Tight,
+        "{answer:?}"
+    );
+    // As the worker marks a robot whose newest row is extrapolated.
+    let mut extrapolated = rows;
+    extrapolated.state.flags |= plan_state_flag::OUTSIDE_TRAINING;
+    let answer = straight(&extrapolated.robot(&fleet), 0.1, 300);
+    assert!(answer.caveats.state_outside_training, "{answer:?}");
+    assert_eq!(answer.verdict, Verdict::Tight);
+    // A model file without an energy model.
+    let untrained = EnergyModel::untrained(3.0);
+    let bare = Fleet::of(vec![Platform::new(platform().settings, untrained, 1)], 1);
+    let answer = straight(&rows.robot(&bare), 0.1, 300);
+    assert_eq!((answer.verdict, answer.probability), (Verdict::Tight, None));
+    assert!(answer.energy.expect("known").hi_j >= 199.0, "{answer:?}");
+}
+
+#[test]
+fn a_plan_as_long_as_the_longest_calibrated_horizon_can_be_a_yes() {
+    let rows = Rows::with_usable(30_000.0);
+    for (calibrated, horizon_s) in (1..).zip(HORIZONS_S) {
+        let energy = EnergyModel {
+            calibrated,
+            ..model()
+        };
+        let fleet = fleet_with(energy);
+        let robot = rows.robot(&fleet);
+        let steps = (30.0 * horizon_s) as usize;
+        // Thirty steps of 1/30 s add up to a little more than a second.
+        for answer in [
+            straight(&robot, 0.1, steps),
+            robot.idle(horizon_s, 0.9).expect("allowed"),
+        ] {
+            assert!((answer.duration_s / horizon_s - 1.0).abs() < 1e-5);
+            let energy = answer.energy.expect("known");
+            assert!(energy.hi_j < 1.2 * energy.mean_j, "{answer:?}");
+            assert_eq!(answer.verdict, Verdict::Yes, "{answer:?}");
+            assert!(answer.probability.is_some(), "{answer:?}");
+        }
+        let longer = robot.idle(1.02 * horizon_s, 0.9).expect("allowed");
+        assert!(longer.caveats.beyond_horizon, "{longer:?}");
+        assert_eq!(longer.verdict, Verdict::Tight, "{longer:?}");
+    }
+}
+
+#[test]
+fn wrong_questions_are_refused_with_the_value() {
+    let fleet = fleet();
+    let robot = Rows::with_usable(1_000.0).robot(&fleet);
+    let four = [0.1f32; 4];
+    assert!(matches!(
+        Candidates::new(0, 0.1, &four, &four),
+        Err(AskError::Empty { .. })
+    ));
+    assert!(matches!(
+        Candidates::new(1, 0.1, &[], &[]),
+        Err(AskError::Empty { .. })
+    ));
+    assert!(matches!(
+        Candidates::new(8, 0.1, &four, &four),
+        Err(AskError::Empty { .. })
+    ));
+    let error = Candidates::new(3, 0.1, &four, &four).expect_err("4 is no multiple of 3");
+    assert!(
+        matches!(
+            error,
+            AskError::Shape {
+                found: 4,
+                allowed: 3,
+                ..
+            }
+        ),
+        "{error}"
+    );
+    let error = Candidates::new(2, 0.1, &four, &four[..3]).expect_err("another length");
+    assert!(
+        matches!(
+            error,
+            AskError::Shape {
+                column: "omega_radps",
+                found: 3,
+                ..
+            }
+        ),
+        "{error}"
+    );
+    for period_s in [0.0, -0.1, f32::NAN, f32::INFINITY, 61.0] {
+        let error = Candidates::new(1, period_s, &four, &four).expect_err("no period");
+        assert!(matches!(error, AskError::Period { .. }), "{error}");
+    }
+    for value in [f32::NAN, f32::INFINITY, -9.0] {
+        let mut omega = four;
+        omega[3] = value;
+        let candidates = Candidates::new(2, 0.1, &four, &omega).expect("the shape is right");
+        let error = robot.what_if(&candidates, 0.9).expect_err("no command");
+        let is_expected = matches!(
+            error,
+            AskError::Command {
+                column: "omega_radps",
+                candidate: 1,
+                step: 1,
+                ..
+            }
+        );
+        assert!(is_expected, "{error}");
+    }
+    let candidates = Candidates::new(2, 0.1, &four, &four).expect("the shape is right");
+    for coverage in [0.0, 0.4, 1.0, f32::NAN] {
+        let error = robot
+            .what_if(&candidates, coverage)
+            .expect_err("no coverage");
+        assert!(matches!(error, AskError::Coverage { .. }), "{error}");
+    }
+    let error = robot
+        .power_w(&candidates, &mut [0.0; 3])
+        .expect_err("too short");
+    assert_eq!(
+        error,
+        AskError::Results {
+            found: 3,
+            allowed: 4
+        }
+    );
+    for duration_s in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+        let error = robot.idle(duration_s, 0.9).expect_err("no duration");
+        assert!(matches!(error, AskError::Duration { .. }), "{error}");
+    }
+}
+
+/// Commands within the platform's limits.
+fn commands(candidates: usize, steps: usize, seed: u32) -> (Vec<f32>, Vec<f32>) {
+    let mut state = u64::from(seed) | 1;
+    let mut draw = |most: f32| {
+        state = state
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        most * ((state >> 40) as f32 / (1 << 23) as f32 - 1.0)
+    };
+    let count = candidates * steps;
+    let v = (0..count).map(|_| draw(0.2)).collect();
+    (v, (0..count).map(|_| draw(2.0)).collect())
+}
+
+fn bits(answers: &[Answer]) -> String {
+    // Debug prints floats so that they parse to the same bits.
+    format!("{answers:?}")
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 32, ..ProptestConfig::default() })]
+
+    #[test]
+    fn the_same_question_gives_the_same_bits_in_any_thread_batch_and_order(seed: u32) {
+        const CANDIDATES: usize = 12;
+        let fleet = fleet();
+        let robot = Rows::with_usable(60.0).robot(&fleet);
+        let (v, omega) = commands(CANDIDATES, 40, seed);
+        let candidates = Candidates::new(CANDIDATES, STEP_S, &v, &omega).expect("allowed");
+        let expected = robot.what_if(&candidates, 0.9).expect("allowed");
+        let again = std::thread::scope(|scope| {
+            let each = v.chunks(40).zip(omega.chunks(40)).map(|(v, omega)| {
+                scope.spawn(move || {
+                    let candidates = Candidates::new(1, STEP_S, v, omega).expect("allowed");
+                    robot.what_if(&candidates, 0.9).expect("allowed")[0]
+                })
+            });
+            let threads: Vec<_> = each.collect();
+            threads.into_iter().map(|thread| thread.join().expect("it answers")).collect::<Vec<_>>()
+        });
+        prop_assert_eq!(bits(&expected), bits(&again));
+    }
+
+    #[test]
+    fn traces_add_up_to_the_energy_and_gradients_are_its_differences(seed: u32, steps in 1usize..30) {
+        let fleet = fleet();
+        let robot = Rows::with_usable(60.0).robot(&fleet);
+        let (v, omega) = commands(2, steps, seed);
+        let ask = |v: &[f32], omega: &[f32]| -> f64 {
+            let plan = Commands { period_s: STEP_S, v_mps: v, omega_radps: omega };
+            robot.platform().energy.forecast(robot.energy_state(), plan).energy_j.into()
+        };
+        let candidates = Candidates::new(2, STEP_S, &v, &omega).expect("allowed");
+        let answers = robot.what_if(&candidates, 0.9).expect("allowed");
+        let mut power_w = vec![0.0; 2 * steps];
+        robot.power_w(&candidates, &mut power_w).expect("allowed");
+        for (answer, trace) in answers.iter().zip(power_w.chunks(steps)) {
+            let sum: f64 = trace.iter().map(|w| f64::from(*w) * f64::from(STEP_S)).sum();
+            let mean_j = f64::from(answer.energy.expect("known").mean_j);
+            prop_assert!((sum - mean_j).abs() <= 1e-5 * mean_j, "{} {}", sum, mean_j);
+        }
+        let (mut by_v, mut by_omega) = (vec![0.0; 2 * steps], vec![0.0; 2 * steps]);
+        robot.gradient(&candidates, &mut by_v, &mut by_omega).expect("allowed");
+        const H: f32 = 1e-3;
+        for step in 0..steps {
+            let moved = |values: &[f32], by: f32| {
+                let mut moved = values[..steps].to_vec();
+                moved[step] += by;
+                moved
+            };
+            // Corners of |v| and |dv/dt| have no derivative.
+            let is_smooth = |values: &[f32]| {
+                let near = |a: f32, b: f32| (a - b).abs() < 4.0 * H;
+                let before = step.checked_sub(1).map_or(0.0, |before| values[before]);
+                let after = values[..steps].get(step + 1).copied();
+                !near(values[step], 0.0) && !near(values[step], before)
+                    && after.is_none_or(|after| !near(values[step], after))
+            };
+            if is_smooth(&v) {
+                let slope = ask(&moved(&v, H), &omega[..steps]) - ask(&moved(&v, -H), &omega[..steps]);
+                let slope = slope / (2.0 * f64::from(H));
+                let found = f64::from(by_v[step]);
+                prop_assert!((slope - found).abs() < 0.02 + 0.02 * slope.abs(), "{} {}", slope, found);
+            }
+            if is_smooth(&omega) {
+                let slope = ask(&v[..steps], &moved(&omega, H)) - ask(&v[..steps], &moved(&omega, -H));
+                let slope = slope / (2.0 * f64::from(H));
+                let found = f64::from(by_omega[step]);
+                prop_assert!((slope - found).abs() < 0.02 + 0.02 * slope.abs(), "{} {}", slope, found);
+            }
+        }
+    }
+
+    /// Whatever shared memory contains: no panic, and a yes only with finite numbers that support
+    /// it.
+    #[test]
+    fn arbitrary_rows_never_panic_and_never_say_yes_without_a_reason(
+        state in prop::array::uniform32(any::<u8>()),
+        more in prop::collection::vec(any::<u8>(), size_of::<PlanState>() - 32),
+        budget in prop::collection::vec(any::<u8>(), size_of::<Budget>()),
+        keep in any::<u64>(),
+    ) {
+        let fleet = fleet();
+        let fine = Rows::with_usable(20_000.0);
+        let bytes: Vec<u8> = state.iter().chain(&more).copied().collect();
+        let mut rows = fine;
+        // Each word is kept or spoilt.
+        let mix = |fine: &[u8], spoilt: &[u8], seed: u64| -> Vec<u8> {
+            let word = |at: usize| seed.rotate_left(at as u32 * 7) & 7 == 0;
+            (0..fine.len()).map(|at| if word(at / 4) { spoilt[at] } else { fine[at] }).collect()
+        };
+        let row = mix(bytemuck::bytes_of(&fine.state), &bytes, keep);
+        rows.state = bytemuck::pod_read_unaligned::<PlanState>(&row);
+        let row = mix(bytemuck::bytes_of(&fine.budget), &budget, keep.rotate_left(31));
+        rows.budget = bytemuck::pod_read_unaligned::<Budget>(&row);
+        let frames = Frames {
+            header: &rows.header,
+            state: &rows.state,
+            budget: Some((&rows.budget_header, &rows.budget)),
+            now_ns: rows.now_ns,
+        };
+        let Some(robot) = fleet.robot(&frames) else {
+            return Ok(());
+        };
+        let answer = straight(&robot, 0.1, 300);
+        if answer.verdict == Verdict::Yes {
+            let energy = answer.energy.expect("a yes knows the energy");
+            prop_assert!(energy.lo_j <= energy.mean_j && energy.mean_j <= energy.hi_j);
+            prop_assert!(energy.hi_j.is_finite() && energy.hi_j <= rows.budget.usable_lo_j);
+            prop_assert!(!answer.caveats.any() && answer.margin_j.is_some_and(|j| j >= 0.0));
+        }
+        let path = Path::new(&[Point::new(0.0, 0.0), Point::new(0.5, 0.2)], 0.2);
+        let trip = robot.can_finish(&path, Some(Point::new(0.0, 0.0)), 0.9);
+        prop_assert!(trip.is_ok());
+    }
+
+    /// Turning back at the stated time still is a yes, and a fuller battery never shortens it.
+    #[test]
+    fn turning_back_in_time_is_safe(usable_j in 20.0f64..400.0, x_m in 0.5f64..4.0, y_m in -2.0f64..2.0) {
+        let fleet = fleet();
+        let path = Path::new(&[Point::new(0.0, 0.0), Point::new(x_m, 0.0), Point::new(x_m, y_m)], 0.15);
+        let dock = Point::new(0.0, 0.0);
+        let trip_of = |usable_j: f64| {
+            let robot = Rows::with_usable(usable_j).robot(&fleet);
+            robot.can_finish(&path, Some(dock), 0.9).expect("allowed")
+        };
+        let (trip, fuller) = (trip_of(usable_j), trip_of(1.5 * usable_j));
+        prop_assert!(fuller.turn_back_s >= trip.turn_back_s);
+        let whole = trip.answer.verdict == Verdict::Yes;
+        prop_assert!(trip.answer.limiting_leg.is_none() == whole);
+        let Some(turn_back_s) = trip.turn_back_s else {
+            return Ok(());
+        };
+        let robot = Rows::with_usable(usable_j).robot(&fleet);
+        let there = robot.can_finish(&path, None, 0.9).expect("allowed").commands;
+        let turn = ((turn_back_s / there.period_s).round() as usize).min(there.v_mps.len());
+        let pose = there.poses[turn];
+        let home = Path {
+            heading_rad: Some(pose.heading_rad),
+            ..Path::new(&[pose.at, dock], 0.15)
+        };
+        let home = robot.can_finish(&home, None, 0.9).expect("allowed").commands;
+        let v = [&there.v_mps[..turn], &home.v_mps].concat();
+        let omega = [&there.omega_radps[..turn], &home.omega_radps].concat();
+        let candidates = Candidates::new(1, there.period_s, &v, &omega).expect("allowed");
+        let answer = robot.what_if(&candidates, 0.9).expect("allowed")[0];
+        prop_assert_eq!(answer.verdict, Verdict::Yes);
+        if whole {
+            let duration_s = there.v_mps.len() as f32 * there.period_s;
+            prop_assert!((turn_back_s - duration_s).abs() < 1e-3);
+        }
+    }
+}
+
+/// The test platform with other energies.
+fn fleet_with(energy: EnergyModel) -> Fleet {
+    Fleet::of(vec![Platform::new(platform().settings, energy, 1)], 1)
+}
+
+#[test]
+fn a_trip_that_fits_is_answered_though_the_way_back_from_its_middle_does_not() {
+    let fleet = fleet_with(EnergyModel {
+        omega_radps: [-20.0, 20.0],
+        ..model()
+    });
+    let robot = Rows::with_usable(30_000.0).robot(&fleet);
+    let dock = Point::new(0.0, 0.0);
+    let points = [dock, Point::new(2.0, 0.0), Point::new(0.1, 0.0), dock];
+    // The last leg, and so the path back, is slow: from the middle it takes more than three
+    // minutes.
+    let path = Path {
+        speed_mps: vec![0.2, 0.2, 0.2, 0.01],
+        ..Path::new(&points, 0.2)
+    };
+    for (most_steps, seconds) in [(2_000, 60.0), (4_000, 120.0)] {
+        let trip = robot.can_finish_within(&path, Some(dock), 0.9, most_steps);
+        let trip = trip.expect("the whole trip fits");
+        assert!(trip.answer.duration_s < 60.0, "{:?}", trip.answer);
+        assert_eq!(trip.answer.verdict, Verdict::Yes);
+        // 1 cm in a second.
+        let turn_back_s = trip.turn_back_s.expect("at once, it can");
+        let most_s = 0.01 * seconds / 0.15;
+        assert!(turn_back_s > 0.0 && turn_back_s < most_s, "{turn_back_s}");
+    }
+    // Not even the whole trip fits.
+    let error = robot.can_finish_within(&path, Some(dock), 0.9, 300);
+    assert!(error.is_err(), "{error:?}");
+}
+
+#[test]
+fn a_yes_holds_at_the_end_of_every_leg() {
+    let mut energy = model();
+    // Within the first second the robot may draw twenty times as much.
+    energy.errors[0] = energy.errors[0].map(|error| 200.0 * error);
+    let fleet = fleet_with(energy);
+    let robot = Rows::with_usable(60.0).robot(&fleet);
+    let points = [0.0, 0.15, 1.5].map(|x_m| Point::new(x_m, 0.0));
+    let trip = robot.can_finish(&Path::new(&points, 0.2), None, 0.9);
+    let trip = trip.expect("allowed");
+    let (v, omega) = (&trip.commands.v_mps, &trip.commands.omega_radps);
+    let at_once = Candidates::new(1, trip.commands.period_s, v, omega).expect("allowed");
+    let at_once = robot.what_if(&at_once, 0.9).expect("allowed")[0];
+    assert_eq!(at_once.verdict, Verdict::Yes, "{at_once:?}");
+    assert_eq!(trip.answer.energy, at_once.energy);
+    assert_eq!(trip.answer.verdict, Verdict::Tight, "{:?}", trip.answer);
+    assert_eq!(trip.answer.limiting_leg, Some(0));
+}
+
+#[test]
+fn the_limiting_leg_is_the_first_that_is_not_sure() {
+    let fleet = fleet();
+    let robot = Rows::with_usable(150.0).robot(&fleet);
+    // Some 10 s a metre, 4 W: each leg costs about 45 J, 50 at most; 135 J can be spared for sure.
+    let points: Vec<Point> = (0..6)
+        .map(|place| Point::new(f64::from(place), 0.0))
+        .collect();
+    let trip = robot
+        .can_finish(&Path::new(&points, 0.1), None, 0.9)
+        .expect("allowed");
+    assert_eq!(trip.commands.leg_ends.len(), 5);
+    let leg = trip.answer.limiting_leg.expect("it is too far");
+    let ends = &trip.commands.leg_ends;
+    let up_to = |leg: usize| {
+        let (v, omega) = (
+            &trip.commands.v_mps[..ends[leg]],
+            &trip.commands.omega_radps[..ends[leg]],
+        );
+        let candidates = Candidates::new(1, trip.commands.period_s, v, omega).expect("allowed");
+        robot.what_if(&candidates, 0.9).expect("allowed")[0].verdict
+    };
+    assert!(leg > 0 && leg < 4, "{leg}");
+    assert_eq!(up_to(leg - 1), Verdict::Yes);
+    assert_ne!(up_to(leg), Verdict::Yes);
+}
+
+#[test]
+fn robots_are_ranked_by_verdict_then_energy() {
+    let fleet = fleet();
+    let robot = |id: u32, usable_j: f64, share: f32| {
+        let mut rows = Rows::with_usable(usable_j);
+        (rows.state.robot, rows.budget.robot) = (id, id);
+        rows.state.energy_j = rows.state.energy_j.map(|joules| share * joules);
+        rows
+    };
+    let mut silent = robot(4, 10_000.0, 1.0);
+    silent.now_ns += 10 * PERIOD_NS;
+    // Cheap but empty; dear; cheap; unknown; in between.
+    let rows = [
+        robot(1, 20.0, 0.7),
+        robot(2, 10_000.0, 1.3),
+        robot(3, 10_000.0, 0.9),
+        silent,
+        robot(5, 10_000.0, 1.0),
+    ];
+    let robots: Vec<Robot<'_>> = rows.iter().map(|rows| rows.robot(&fleet)).collect();
+    let path = Path::new(&[Point::new(0.0, 0.0), Point::new(1.0, 0.0)], 0.1);
+    let ranked = rank(&robots, &path, None, 0.9).expect("allowed");
+    let order: Vec<u32> = ranked.iter().map(|ranked| ranked.robot).collect();
+    assert_eq!(order, [3, 5, 2, 1, 4]);
+    assert!(rank(&[], &path, None, 0.9).expect("allowed").is_empty());
+}
+
+#[test]
+fn robots_in_different_places_are_ranked_by_their_own_ways_with_the_answers_of_can_finish() {
+    let fleet = fleet();
+    let robot = |id: u32, usable_j: f64| {
+        let mut rows = Rows::with_usable(usable_j);
+        (rows.state.robot, rows.budget.robot) = (id, id);
+        rows
+    };
+    let (goal, dock) = (Point::new(1.0, 0.0), Point::new(1.0, 1.0));
+    let rows = [robot(1, 10_000.0), robot(2, 10_000.0), robot(3, 5.0)];
+    // The first is far, the second near, the third next to the goal without energy.
+    let asked: Vec<(Robot<'_>, Path)> = rows
+        .iter()
+        .zip([-3.0, 0.5, 0.9])
+        .map(|(rows, x_m)| {
+            (
+                rows.robot(&fleet),
+                Path::new(&[Point::new(x_m, 0.0), goal], 0.1),
+            )
+        })
+        .collect();
+    let ranked = rank_each(&asked, Some(dock), 0.9).expect("allowed");
+    let order: Vec<u32> = ranked.iter().map(|ranked| ranked.robot).collect();
+    assert_eq!(order, [2, 1, 3]);
+    for ranked in &ranked {
+        let (robot, path) = &asked[ranked.robot as usize - 1];
+        let whole = robot.can_finish(path, Some(dock), 0.9).expect("allowed");
+        assert_eq!(ranked.trip.answer, whole.answer);
+        assert_eq!(ranked.trip.commands, whole.commands);
+        assert_eq!(ranked.trip.turn_back_s, None);
+    }
+}
+
+#[test]
+fn standing_still_costs_the_level_times_the_time() {
+    let fleet = fleet();
+    let robot = Rows::with_usable(10_000.0).robot(&fleet);
+    for duration_s in [0.01f32, 1.0, 60.0, 300.0] {
+        let answer = robot.idle(duration_s, 0.9).expect("allowed");
+        let mean_j = answer.energy.expect("known").mean_j;
+        assert!(
+            (answer.duration_s / duration_s - 1.0).abs() < 1e-3,
+            "{answer:?}"
+        );
+        assert!(
+            (mean_j / (3.6 * duration_s) - 1.0).abs() < 0.01,
+            "{answer:?}"
+        );
+        assert_eq!(answer.verdict, Verdict::Yes);
+    }
+}
+
+#[test]
+fn a_frame_of_another_config_or_model_is_refused_with_both_hashes() {
+    let platforms = |count: u64| {
+        (0..count).map(|place| Platform::new(platform().settings, model(), 100 + place))
+    };
+    for count in [1, 2, 20] {
+        let fleet = Fleet::of(platforms(count).collect(), 7);
+        let mut header = Rows::with_usable(1.0).header;
+        header.settings_hash = 7;
+        header.models = std::array::from_fn(|place| {
+            let place = place as u64;
+            if place < count { 100 + place } else { 0 }
+        });
+        header.model_hash = if count == 1 {
+            100
+        } else {
+            joulebus_wire::combine_hashes(100..100 + count)
+        };
+        assert_eq!(fleet.check(&header), Ok(()));
+        let mut other = header;
+        other.settings_hash = 8;
+        let expected = Differs::Settings {
+            found: 8,
+            expected: 7,
+        };
+        assert_eq!(fleet.check(&other), Err(expected));
+        let mut other = header;
+        other.models[0] = 5;
+        let error = fleet.check(&other).expect_err("another model");
+        assert!(error.to_string().contains("gternal"), "{error}");
+        // A model beyond those that are listed.
+        let mut other = header;
+        other.model_hash ^= 1;
+        assert!(matches!(fleet.check(&other), Err(Differs::Model { .. })));
+    }
+}
+
+#[test]
+fn a_row_of_no_robot_of_its_platform_is_none() {
+    let fleet = fleet();
+    let mut rows = Rows::with_usable(1.0);
+    for (robot, platform) in [(100, 0), (7, 1), (7, u16::MAX)] {
+        (rows.state.robot, rows.state.platform) = (robot, platform);
+        let frames = Frames {
+            header: &rows.header,
+            state: &rows.state,
+            budget: None,
+            now_ns: rows.now_ns,
+        };
+        assert!(fleet.robot(&frames).is_none(), "{robot} {platform}");
+    }
+}

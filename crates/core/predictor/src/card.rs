@@ -1,0 +1,186 @@
+//! Model card: origin and scores of a network.
+
+use joulebus_energy::EnergyModel;
+
+use crate::error::ModelError;
+use crate::features::{FeatureSet, Features};
+use crate::linear::Linear;
+
+/// Residuals of a model on held-out data.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ResidualStats {
+    /// Standard deviation of reading minus forecast, W, not negative.
+    pub std_w: f32,
+    /// 5 % quantile of reading minus forecast, W.
+    pub q05_w: f32,
+    /// 95 % quantile of reading minus forecast, W, at least `q05_w`.
+    pub q95_w: f32,
+}
+
+impl ResidualStats {
+    /// Refuses values that are not finite or inconsistent.
+    ///
+    /// # Errors
+    /// [`ModelError::Field`] with the value, the found and the allowed one.
+    pub fn check(&self) -> Result<(), ModelError> {
+        let std_fine = self.std_w >= 0.0 && self.std_w.is_finite();
+        if !std_fine {
+            return Err(ModelError::field(
+                "residual_std_w",
+                &self.std_w,
+                "finite and >= 0",
+            ));
+        }
+        let ordered = self.q05_w.is_finite() && self.q95_w.is_finite() && self.q05_w <= self.q95_w;
+        if !ordered {
+            let found = format!("{} to {}", self.q05_w, self.q95_w);
+            return Err(ModelError::field(
+                "residual_q05_w to residual_q95_w",
+                &found,
+                "ascending",
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// Minimum and maximum of each feature in the training data, in SI units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrainingRange {
+    /// The features that the model reads; the entries of the others are meaningless.
+    pub feature_set: FeatureSet,
+    /// Minimum of each feature.
+    pub min: Features,
+    /// Maximum of each feature.
+    pub max: Features,
+}
+
+impl TrainingRange {
+    /// The value that a rollout feeds back for a forecast, W: the nearest power that the training
+    /// data had as newest reading. The network is not trained on others, and its errors there would
+    /// amplify. NaN stays NaN.
+    #[inline(always)]
+    #[must_use]
+    pub fn fed_back_w(&self, forecast_w: f32) -> f32 {
+        const NEWEST: usize = FeatureSet::PowerOnly.first();
+        let (min_w, max_w) = (self.min[NEWEST], self.max[NEWEST]);
+        let above = if forecast_w < min_w {
+            min_w
+        } else {
+            forecast_w
+        };
+        if above > max_w { max_w } else { above }
+    }
+
+    /// The range of the features read, over some rows.
+    #[must_use]
+    pub fn of<'a>(feature_set: FeatureSet, rows: impl Iterator<Item = &'a Features>) -> Self {
+        let mut range = Self {
+            feature_set,
+            min: Features::default(),
+            max: Features::default(),
+        };
+        range.min[feature_set.range()].fill(f32::INFINITY);
+        range.max[feature_set.range()].fill(f32::NEG_INFINITY);
+        for row in rows {
+            for feature in feature_set.range() {
+                range.min[feature] = range.min[feature].min(row[feature]);
+                range.max[feature] = range.max[feature].max(row[feature]);
+            }
+        }
+        range
+    }
+
+    /// Index of the first feature read that is outside the range, or is NaN. `None` if all are
+    /// inside. `margin` widens each side by that share of the range's width.
+    pub fn outside(&self, row: &Features, margin: f32) -> Option<usize> {
+        self.feature_set.range().find(|&index| {
+            let slack = margin * (self.max[index] - self.min[index]);
+            let inside =
+                self.min[index] - slack <= row[index] && row[index] <= self.max[index] + slack;
+            !inside
+        })
+    }
+}
+
+/// Scores on held-out data, of the network and of persistence.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Scores {
+    /// Number of forecasts scored.
+    pub rows: u64,
+    /// Coefficient of determination of the network.
+    pub network_r2: f32,
+    /// Mean absolute error of the network, W.
+    pub network_mae_w: f32,
+    /// Coefficient of determination of persistence.
+    pub persistence_r2: f32,
+    /// Mean absolute error of persistence, W.
+    pub persistence_mae_w: f32,
+}
+
+/// Identifies the rows that a network was trained on: hashes of blocks of consecutive readings,
+/// computed and compared by `joulebus_dataset::trained_rows`.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct TrainedRows {
+    /// Rows that weights were fitted to or that chose among them, in early stopping.
+    pub rows: u64,
+    /// Blocks of equal numbers of rows.
+    pub blocks: Vec<TrainedBlocks>,
+}
+
+/// Hashes of blocks of the same number of rows.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TrainedBlocks {
+    /// Rows of each, at least 1.
+    pub rows: u32,
+    /// One hash for each, ascending.
+    pub hashes: Vec<u64>,
+}
+
+/// Origin and scores of a network.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ModelCard {
+    /// Display name.
+    pub name: String,
+    /// `simulation` or a description of the recordings.
+    pub source: String,
+    /// Description of the training data.
+    pub training_data: String,
+    /// SHA-256 of the training rows, hexadecimal.
+    pub training_data_sha256: String,
+    /// The training rows, to be recognised; `None` if unknown: imported models and older files.
+    pub trained_rows: Option<TrainedRows>,
+    /// Seed of initial weights, batches and dropout.
+    pub seed: u64,
+    /// Training range of the features.
+    pub training_range: TrainingRange,
+    /// Residuals on held-out data.
+    pub residual: ResidualStats,
+    /// Scores on held-out data.
+    pub scores: Scores,
+    /// The linear baseline fitted to the same rows, if there is one.
+    pub linear: Option<Linear>,
+    /// The energy of longer plans, fitted to the same recordings; `None` for imported models and
+    /// older files.
+    pub energy: Option<EnergyModel>,
+}
+
+impl ModelCard {
+    /// A card with only the training range set.
+    #[must_use]
+    pub fn new(training_range: TrainingRange) -> Self {
+        Self {
+            name: String::new(),
+            source: String::new(),
+            training_data: String::new(),
+            training_data_sha256: String::new(),
+            trained_rows: None,
+            seed: 0,
+            training_range,
+            residual: ResidualStats::default(),
+            scores: Scores::default(),
+            linear: None,
+            energy: None,
+        }
+    }
+}

@@ -1,0 +1,432 @@
+//! The ROS 2 messages with power and motion data, decoded from CDR, and the published messages,
+//! encoded.
+//!
+//! The `cdr-encoding` crate, which RustDDS and ros2-client use, reads the bytes. The definition of
+//! a type in a file is compared with the built-in one: a message with other fields is refused
+//! instead of misread.
+#![forbid(unsafe_code)]
+
+mod told;
+
+use cdr_encoding::from_bytes;
+use serde::{Deserialize, Serialize};
+
+pub use told::{DiagnosticArray, DiagnosticStatus, Float64, KeyValue, encode};
+
+/// Time since 1970.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Time {
+    /// s.
+    pub sec: i32,
+    /// ns.
+    pub nanosec: u32,
+}
+
+impl Time {
+    /// Unix ns; `None` for 0, an unset stamp, and before 1970.
+    #[must_use]
+    pub fn unix_ns(self) -> Option<u64> {
+        let sec = u64::try_from(self.sec).ok()?;
+        let ns = sec * 1_000_000_000 + u64::from(self.nanosec);
+        (ns > 0).then_some(ns)
+    }
+}
+
+/// `std_msgs/Header`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Header {
+    /// Measurement time.
+    pub stamp: Time,
+    /// Its frame of reference.
+    pub frame_id: String,
+}
+
+/// `geometry_msgs/Vector3` and `geometry_msgs/Point`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "three coordinates")]
+pub struct Vector3 {
+    pub x: f64,
+    pub y: f64,
+    pub z: f64,
+}
+
+/// `geometry_msgs/Quaternion`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "four coordinates")]
+pub struct Quaternion {
+    pub x: f64,
+    pub y: f64,
+    pub z: f64,
+    pub w: f64,
+}
+
+impl Quaternion {
+    /// Yaw, rad; NaN if it is not a rotation.
+    #[must_use]
+    pub fn yaw_rad(&self) -> f64 {
+        let norm = self.x * self.x + self.y * self.y + self.z * self.z + self.w * self.w;
+        if norm.is_nan() || norm <= 1e-12 {
+            return f64::NAN;
+        }
+        let sine = 2.0 * (self.w * self.z + self.x * self.y) / norm;
+        let cosine = 1.0 - 2.0 * (self.y * self.y + self.z * self.z) / norm;
+        sine.atan2(cosine)
+    }
+}
+
+/// `geometry_msgs/Pose`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Pose {
+    /// m.
+    pub position: Vector3,
+    /// A unit quaternion.
+    pub orientation: Quaternion,
+}
+
+/// `geometry_msgs/Twist`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Twist {
+    /// m/s.
+    pub linear: Vector3,
+    /// rad/s.
+    pub angular: Vector3,
+}
+
+/// `geometry_msgs/TwistStamped`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "named as in the definition")]
+pub struct TwistStamped {
+    pub header: Header,
+    pub twist: Twist,
+}
+
+/// Six by six, row by row.
+pub type Covariance = [[f64; 6]; 6];
+
+/// `geometry_msgs/PoseWithCovariance`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "named as in the definition")]
+pub struct PoseWithCovariance {
+    pub pose: Pose,
+    pub covariance: Covariance,
+}
+
+/// `geometry_msgs/TwistWithCovariance`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "named as in the definition")]
+pub struct TwistWithCovariance {
+    pub twist: Twist,
+    pub covariance: Covariance,
+}
+
+/// `nav_msgs/Odometry`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "named as in the definition")]
+pub struct Odometry {
+    pub header: Header,
+    pub child_frame_id: String,
+    pub pose: PoseWithCovariance,
+    pub twist: TwistWithCovariance,
+}
+
+/// `sensor_msgs/BatteryState`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BatteryState {
+    /// Measurement time.
+    pub header: Header,
+    /// Voltage, V.
+    pub voltage: f32,
+    /// Temperature, °C.
+    pub temperature: f32,
+    /// Current, A; negative while discharging, by definition.
+    pub current: f32,
+    /// Charge, Ah.
+    pub charge: f32,
+    /// Capacity, Ah.
+    pub capacity: f32,
+    /// Design capacity, Ah.
+    pub design_capacity: f32,
+    /// State of charge, 0 to 1.
+    pub percentage: f32,
+    /// 1 charging, 2 discharging, 3 not charging, 4 full.
+    pub power_supply_status: u8,
+    /// See the definition.
+    pub power_supply_health: u8,
+    /// See the definition.
+    pub power_supply_technology: u8,
+    /// Whether there is a battery.
+    pub present: bool,
+    /// Cell voltages, V.
+    pub cell_voltage: Vec<f32>,
+    /// Cell temperatures, °C.
+    pub cell_temperature: Vec<f32>,
+    /// Location in the robot.
+    pub location: String,
+    /// Serial number.
+    pub serial_number: String,
+}
+
+/// A supported message type.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RosType {
+    /// [`BatteryState`].
+    BatteryState,
+    /// [`Twist`].
+    Twist,
+    /// [`TwistStamped`].
+    TwistStamped,
+    /// [`Odometry`].
+    Odometry,
+}
+
+/// A decoded message.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(untagged)]
+#[expect(missing_docs, reason = "named as their types")]
+pub enum Message {
+    BatteryState(Box<BatteryState>),
+    Twist(Twist),
+    TwistStamped(TwistStamped),
+    Odometry(Box<Odometry>),
+}
+
+/// Errors of decoding a channel or a message.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RosError {
+    /// An unsupported type.
+    #[error(
+        "type {found:?}; supported are sensor_msgs/msg/BatteryState, geometry_msgs/msg/Twist, \
+         geometry_msgs/msg/TwistStamped and nav_msgs/msg/Odometry"
+    )]
+    Type {
+        /// Its name.
+        found: String,
+    },
+    /// Another encoding of messages or definitions.
+    #[error("encoding {found:?}; supported is {allowed:?}")]
+    Encoding {
+        /// The encoding found.
+        found: String,
+        /// The supported encoding.
+        allowed: &'static str,
+    },
+    /// The definition in the file has other fields.
+    #[error("its definition has {found:?} where {expected:?} is expected")]
+    Definition {
+        /// The field in the file.
+        found: String,
+        /// The expected field.
+        expected: &'static str,
+    },
+    /// The bytes are not plain CDR.
+    #[error("begins with {found:02x?}; plain CDR begins with 00 00 or 00 01")]
+    Encapsulation {
+        /// The first bytes, at most four.
+        found: Vec<u8>,
+    },
+    /// The bytes do not match the definition.
+    #[error("{0}")]
+    Bytes(String),
+}
+
+impl RosType {
+    /// The type of a channel's messages.
+    ///
+    /// # Errors
+    /// [`RosError`]: another type, another encoding, or a definition with other fields.
+    pub fn of(
+        message_encoding: &str,
+        type_name: &str,
+        schema_encoding: &str,
+        definition: &[u8],
+    ) -> Result<Self, RosError> {
+        let kind = Self::named(type_name).ok_or_else(|| RosError::Type {
+            found: type_name.to_owned(),
+        })?;
+        if message_encoding != "cdr" {
+            return Err(RosError::Encoding {
+                found: message_encoding.to_owned(),
+                allowed: "cdr",
+            });
+        }
+        // Recorders that found no definition leave it empty; the length of every message must still
+        // match.
+        if definition.is_empty() {
+            return Ok(kind);
+        }
+        if schema_encoding != "ros2msg" {
+            return Err(RosError::Encoding {
+                found: schema_encoding.to_owned(),
+                allowed: "ros2msg",
+            });
+        }
+        check_definition(&String::from_utf8_lossy(definition), kind)?;
+        Ok(kind)
+    }
+
+    /// The type of this name, with `msg/` (ROS 2) or without.
+    fn named(type_name: &str) -> Option<Self> {
+        Some(match type_name.replacen("/msg/", "/", 1).as_str() {
+            "sensor_msgs/BatteryState" => Self::BatteryState,
+            "geometry_msgs/Twist" => Self::Twist,
+            "geometry_msgs/TwistStamped" => Self::TwistStamped,
+            "nav_msgs/Odometry" => Self::Odometry,
+            _ => return None,
+        })
+    }
+
+    /// Decodes a message.
+    ///
+    /// # Errors
+    /// [`RosError`].
+    pub fn decode(self, data: &[u8]) -> Result<Message, RosError> {
+        Ok(match self {
+            Self::BatteryState => Message::BatteryState(Box::new(decode(data)?)),
+            Self::Twist => Message::Twist(decode(data)?),
+            Self::TwistStamped => Message::TwistStamped(decode(data)?),
+            Self::Odometry => Message::Odometry(Box::new(decode(data)?)),
+        })
+    }
+
+    /// Fields of the type and of nested types, `type name` each, as far as they determine the
+    /// layout.
+    const fn definition(self) -> &'static [(&'static str, &'static [&'static str])] {
+        const HEADER: (&str, &[&str]) = ("Header", &["Time stamp", "string frame_id"]);
+        const VECTOR: (&str, &[&str]) = ("Vector3", &["float64 x", "float64 y", "float64 z"]);
+        const TWIST: (&str, &[&str]) = ("Twist", &["Vector3 linear", "Vector3 angular"]);
+        match self {
+            Self::BatteryState => &[
+                (
+                    "BatteryState",
+                    &[
+                        "Header header",
+                        "float32 voltage",
+                        "float32 temperature",
+                        "float32 current",
+                        "float32 charge",
+                        "float32 capacity",
+                        "float32 design_capacity",
+                        "float32 percentage",
+                        "uint8 power_supply_status",
+                        "uint8 power_supply_health",
+                        "uint8 power_supply_technology",
+                        "bool present",
+                        "float32[] cell_voltage",
+                        "float32[] cell_temperature",
+                        "string location",
+                        "string serial_number",
+                    ],
+                ),
+                HEADER,
+            ],
+            Self::Twist => &[TWIST, VECTOR],
+            Self::TwistStamped => &[
+                ("TwistStamped", &["Header header", "Twist twist"]),
+                HEADER,
+                TWIST,
+                VECTOR,
+            ],
+            Self::Odometry => &[
+                (
+                    "Odometry",
+                    &[
+                        "Header header",
+                        "string child_frame_id",
+                        "PoseWithCovariance pose",
+                        "TwistWithCovariance twist",
+                    ],
+                ),
+                HEADER,
+                (
+                    "PoseWithCovariance",
+                    &["Pose pose", "float64[36] covariance"],
+                ),
+                ("Pose", &["Point position", "Quaternion orientation"]),
+                ("Point", &["float64 x", "float64 y", "float64 z"]),
+                (
+                    "Quaternion",
+                    &["float64 x", "float64 y", "float64 z", "float64 w"],
+                ),
+                (
+                    "TwistWithCovariance",
+                    &["Twist twist", "float64[36] covariance"],
+                ),
+                TWIST,
+                VECTOR,
+            ],
+        }
+    }
+}
+
+/// Compares the definition in a file with the built-in one.
+fn check_definition(text: &str, kind: RosType) -> Result<(), RosError> {
+    let mut sections: Vec<(String, Vec<String>)> = Vec::new();
+    let expected = kind.definition();
+    sections.push((expected[0].0.to_owned(), Vec::new()));
+    for line in text.lines() {
+        let line = line.split('#').next().unwrap_or_default().trim();
+        if let Some(name) = line.strip_prefix("MSG:") {
+            sections.push((last_part(name.trim()).to_owned(), Vec::new()));
+        } else if !line.is_empty() && !line.starts_with("===") && !is_constant(line) {
+            let mut words = line.split_whitespace();
+            let (kind, name) = (words.next(), words.next());
+            let field = format!(
+                "{} {}",
+                last_part(kind.unwrap_or_default()),
+                name.unwrap_or_default()
+            );
+            if let Some((_, fields)) = sections.last_mut() {
+                fields.push(field);
+            }
+        }
+    }
+    for (name, fields) in expected {
+        // Files may omit the definitions of types that they have elsewhere.
+        let Some((_, found)) = sections.iter().find(|(section, _)| section == name) else {
+            continue;
+        };
+        for at in 0..fields.len().max(found.len()) {
+            let expected = fields.get(at).copied().unwrap_or("the end");
+            let found = found.get(at).map_or("the end", String::as_str);
+            if found != expected {
+                let found = found.to_owned();
+                return Err(RosError::Definition { found, expected });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// A constant: `uint8 UNKNOWN=0`, or with spaces about the equals sign.
+fn is_constant(line: &str) -> bool {
+    line.contains('=')
+}
+
+fn last_part(name: &str) -> &str {
+    name.rsplit('/').next().unwrap_or(name)
+}
+
+/// Four bytes of encapsulation header, then the fields.
+fn decode<'a, T: Deserialize<'a>>(data: &'a [u8]) -> Result<T, RosError> {
+    let Some((head, body)) = data.split_at_checked(4) else {
+        let found = data.to_vec();
+        return Err(RosError::Encapsulation { found });
+    };
+    let decoded = match head[..2] {
+        [0, 0] => from_bytes::<T, byteorder::BigEndian>(body),
+        [0, 1] => from_bytes::<T, byteorder::LittleEndian>(body),
+        _ => {
+            let found = head.to_vec();
+            return Err(RosError::Encapsulation { found });
+        }
+    };
+    let (message, read) = decoded.map_err(|error| RosError::Bytes(error.to_string()))?;
+    // Writers may pad to a multiple of four.
+    match body.len() - read {
+        0..=3 => Ok(message),
+        left => Err(RosError::Bytes(format!(
+            "{left} bytes follow the last field"
+        ))),
+    }
+}

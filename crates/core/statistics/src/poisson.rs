@@ -1,0 +1,169 @@
+//! Bounds of a rate from a count.
+
+/// Upper bound of a Poisson distribution's mean, given a count of at most `count`, at `confidence`
+/// (0 to 1, exclusive): the exact one-sided bound (Garwood 1936). For no event at 95 % it is 3.0.
+#[must_use]
+pub fn upper_mean(count: u64, confidence: f64) -> f64 {
+    let rarest = 1.0 - confidence;
+    let above = 10.0 + 4.0 * count as f64 - 2.0 * libm::log(rarest);
+    // P(at most `count`) falls with the mean.
+    bisect(0.0, above, |mean| at_most(count, mean) > rarest)
+}
+
+/// Probability of at most `count` events if `mean` are expected.
+#[must_use]
+pub fn at_most(count: u64, mean: f64) -> f64 {
+    // In logarithms, so that large means do not underflow term by term.
+    let (mut log_term, mut sum) = (-mean, libm::exp(-mean));
+    for number in 1..=count {
+        log_term += libm::log(mean / number as f64);
+        sum += libm::exp(log_term);
+    }
+    sum.min(1.0)
+}
+
+/// Variance of counts over their mean, at least 1, for exposures of different lengths: 1 if events
+/// are independent and equally frequent everywhere, more if they come in groups or some of the
+/// exposed have more than others. 1 without events, and for fewer than two counts.
+#[must_use]
+pub fn dispersion(counts: &[u64], exposures: &[f64]) -> f64 {
+    let total = counts.iter().sum::<u64>() as f64;
+    let exposed: f64 = exposures.iter().sum();
+    let number = counts.len() as f64;
+    if counts.len() < 2 || total == 0.0 || exposed.is_nan() || exposed <= 0.0 {
+        return 1.0;
+    }
+    let squares = counts.iter().zip(exposures).map(|(count, exposure)| {
+        let off = *count as f64 - total * exposure / exposed;
+        off * off
+    });
+    (squares.sum::<f64>() / total * number / (number - 1.0)).max(1.0)
+}
+
+/// Upper bound of a rate from the counts of several exposures. Where they scatter more than
+/// independent events do, as many fewer independent ones are taken to have been seen, each worth
+/// as many more. Infinite without exposure.
+#[must_use]
+pub fn upper_rate(counts: &[u64], exposures: &[f64], confidence: f64) -> f64 {
+    let exposed: f64 = exposures.iter().sum();
+    if exposed.is_nan() || exposed <= 0.0 {
+        return f64::INFINITY;
+    }
+    let each = dispersion(counts, exposures);
+    let independent = libm::ceil(counts.iter().sum::<u64>() as f64 / each) as u64;
+    each * upper_mean(independent, confidence) / exposed
+}
+
+/// Upper bound of the probability to continue after each step. `steps` is the total number of steps
+/// in `runs` runs up to their first stop. It is the exact upper bound at `confidence` of a
+/// geometric distribution's parameter. 1 without runs.
+#[must_use]
+pub fn upper_decay(steps: u64, runs: u64, confidence: f64) -> f64 {
+    if runs == 0 {
+        return 1.0;
+    }
+    let rarest = 1.0 - confidence;
+    bisect(0.0, 1.0, |goes_on| few_steps(steps, runs, goes_on) > rarest)
+}
+
+/// Probability of at most `steps` before the stop number `runs`: of the negative binomial
+/// distribution.
+fn few_steps(steps: u64, runs: u64, goes_on: f64) -> f64 {
+    let mut log_term = runs as f64 * libm::log1p(-goes_on);
+    let mut sum = libm::exp(log_term);
+    for step in 1..=steps {
+        let step = step as f64;
+        log_term += libm::log(goes_on * (runs as f64 + step - 1.0) / step);
+        sum += libm::exp(log_term);
+    }
+    sum.min(1.0)
+}
+
+/// The point where `holds`, true below and false above, changes.
+fn bisect(mut low: f64, mut high: f64, holds: impl Fn(f64) -> bool) -> f64 {
+    for _ in 0..200 {
+        let middle = 0.5 * (low + high);
+        if holds(middle) {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    high
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::noise::Noise;
+
+    #[test]
+    fn the_bounds_are_those_of_the_tables() {
+        // Garwood, "Fiducial limits for the Poisson distribution", one-sided 95 % and 99 %.
+        for (count, confidence, bound) in [
+            (0, 0.95, 2.9957),
+            (1, 0.95, 4.7439),
+            (5, 0.95, 10.513),
+            (20, 0.95, 29.062),
+            (0, 0.99, 4.6052),
+            (10, 0.99, 20.145),
+        ] {
+            let found = upper_mean(count, confidence);
+            assert!((found - bound).abs() < 1e-3 * bound, "{count}: {found}");
+            // The count is as rare at the bound as stated.
+            assert!((at_most(count, found) - (1.0 - confidence)).abs() < 1e-9);
+        }
+        // No step in ten runs: (1 − q)¹⁰ = 5 %.
+        let decay = upper_decay(0, 10, 0.95);
+        assert!((decay - (1.0 - 0.05_f64.powf(0.1))).abs() < 1e-9, "{decay}");
+        assert_eq!(upper_decay(3, 0, 0.95), 1.0);
+        assert_eq!(upper_rate(&[], &[], 0.95), f64::INFINITY);
+    }
+
+    /// Alarms of `units` robots in 0.5 to 1.5 h each: `rate` draws a robot's rate, each event is
+    /// `group`.
+    fn draw(
+        noise: &mut Noise,
+        units: usize,
+        rate: fn(&mut Noise) -> f64,
+        group: u64,
+    ) -> (Vec<u64>, Vec<f64>) {
+        let one = |noise: &mut Noise| {
+            let (hours, rate) = (noise.between(0.5, 1.5), rate(noise));
+            let (mut count, mut at_h) = (0, noise.waiting_s(1.0 / rate));
+            while at_h < hours {
+                count += group;
+                at_h += noise.waiting_s(1.0 / rate);
+            }
+            (count, hours)
+        };
+        (0..units).map(|_| one(noise)).unzip()
+    }
+
+    /// Share of 4,000 draws in which the bound is at least the true rate, and in which the bound
+    /// for independent events would be.
+    fn covered(units: usize, rate: fn(&mut Noise) -> f64, group: u64, mean: f64) -> (f64, f64) {
+        let mut noise = Noise::new(11, 0);
+        let (mut bounds, mut plain) = (0.0, 0.0);
+        for _ in 0..4_000 {
+            let (counts, hours) = draw(&mut noise, units, rate, group);
+            let total: f64 = hours.iter().sum();
+            let is_above = |bound: f64| f64::from(u8::from(bound >= mean));
+            bounds += is_above(upper_rate(&counts, &hours, 0.95)) / 4_000.0;
+            plain += is_above(upper_mean(counts.iter().sum(), 0.95) / total) / 4_000.0;
+        }
+        (bounds, plain)
+    }
+
+    #[test]
+    fn the_stated_bound_holds_in_at_least_its_share_of_draws() {
+        let (bound, _) = covered(30, |_| 0.3, 1, 0.3);
+        assert!(bound >= 0.95, "{bound}");
+        // Robots that differ (rates exponentially distributed), and alarms that come in threes: a
+        // bound for independent events does not hold.
+        let (bound, plain) = covered(60, |noise| noise.waiting_s(1.0), 1, 1.0);
+        assert!(bound >= 0.94 && plain < 0.90, "{bound} {plain}");
+        let (bound, plain) = covered(60, |_| 0.3, 3, 0.9);
+        assert!(bound >= 0.94 && plain < 0.88, "{bound} {plain}");
+    }
+}

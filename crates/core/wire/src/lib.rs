@@ -1,0 +1,54 @@
+//! Layout of shared memory: fixed-size payloads, codes, flags and service names.
+//!
+//! Everything here is read by other processes and other languages: `#[repr(C)]`, no implicit
+//! padding and no Rust enums or bools, of which another process could write an invalid one (checked
+//! at compile time: each is a [`Payload`]), SI units, `u64` nanoseconds for time. An unknown value
+//! is NaN *and* has its flag cleared; it is never 0 or −1. Codes are decoded with
+//! [`Quality::decode`] and the other `decode` functions, which accept every bit pattern.
+//!
+//! ```
+//! use joulebus_wire::{Sample, sample_flag};
+//! let sample = Sample::new(7, 0, 1_000_000).command(0.1, 0.0).reading(3.65, 1_000_000);
+//! assert!(sample.flags & sample_flag::POWER != 0);
+//! ```
+#![forbid(unsafe_code)]
+
+mod budget;
+mod channel;
+mod description;
+mod diagnostic;
+mod forecast;
+mod hash;
+mod journal;
+mod layout;
+mod plan_state;
+mod query;
+mod reason;
+mod sample;
+mod service;
+mod state;
+
+pub use budget::{Budget, BudgetHeader, ChargeState, budget_flag};
+pub use channel::{
+    Budgets, Channel, Diagnostics, Flow, Forecasts, FrameHeader, FrameRows, Place, PlanStates,
+    Queries, Samples, State, Ticks,
+};
+pub use description::{Constant, Constants, constants, layouts};
+pub use diagnostic::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, Level, diagnostic_flag};
+pub use forecast::{Forecast, ForecastHeader, Quality, forecast_flag};
+pub use hash::{combine_hashes, fnv1a};
+pub use journal::{TakenFrame, TickHeader, tick_flag};
+pub use layout::{FieldLayout, FieldRole, FieldType, Payload, Row, StructLayout, declare};
+pub use plan_state::{LISTED_MODELS, PlanState, PlanStateHeader, plan_state_flag};
+pub use query::{
+    ANSWER_WORDS, AnswerHeader, AnswerRow, QUERY_CANDIDATES, QUERY_ROBOTS, QUERY_STEPS,
+    QUERY_VALUES, QueriesHeader, QueryCounts, QueryHeader, QueryKind, QueryRecord, QueryRefusal,
+    RECORD_WORDS, ROW_WORDS, Record, answer_flag, answer_parts, push_record, query_flag, records,
+};
+pub use reason::{DropCounts, DropReason, InvalidReason, Refusal};
+pub use sample::{Freshness, Sample, SampleHeader, sample_flag};
+pub use service::{Service, WakeEvent, service_name};
+pub use state::StateHeader;
+
+/// Version of every payload in this crate. A frame with another version is refused and counted.
+pub const SCHEMA_VERSION: u32 = 4;

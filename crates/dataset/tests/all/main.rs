@@ -1,7 +1,0 @@
-//! The tests of datasets: trials, rows, and what is made of them.
-#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
-
-mod datasets;
-mod rows;
-mod trained_rows;
-mod trial;

@@ -1,0 +1,339 @@
+//! Feeds a board from a fleet's shared memory, as a planner.
+
+use std::fmt;
+use std::ops::DerefMut;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use joulebus_bus::{Bus, FrameBuf, SampleReader, clock};
+use joulebus_config::Config;
+use joulebus_connect::{ConnectError, join};
+use joulebus_consumer::{
+    self as consumer, Budgets, Diagnostics, End, Planner, Queries, ReadError, WorkerState,
+};
+
+use crate::board::{Board, Link};
+
+/// Timeout of one wait.
+const PATIENCE: Duration = Duration::from_millis(100);
+/// Timeout for the diagnostics and budgets of a tick, which follow its forecasts.
+const FOLLOW_NS: u64 = 5_000_000;
+const FOLLOW_EVERY: Duration = Duration::from_micros(200);
+
+/// Why a planner cannot read a fleet.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// The domain cannot be joined.
+    #[error(transparent)]
+    Connect(#[from] ConnectError),
+    /// A port cannot be opened.
+    #[error(transparent)]
+    Port(#[from] joulebus_bus::OpenError),
+}
+
+/// Why the thread of a [`Feed`] does not read, or no longer.
+#[derive(Debug, thiserror::Error)]
+pub enum FeedError {
+    /// The fleet cannot be joined.
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    /// Reading fails permanently.
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    /// There is no thread for it.
+    #[error("cannot start a thread: {0}")]
+    Thread(std::io::Error),
+    /// The thread ended before it had joined.
+    #[error("the planner ended before it joined the fleet")]
+    Ended,
+    /// A defect.
+    #[error("the planner's thread panicked")]
+    Panicked,
+}
+
+/// A planner with all its readers. Belongs to the thread that opened it.
+pub struct Reading {
+    diagnostics: consumer::Feed<Diagnostics>,
+    budgets: consumer::Feed<Budgets>,
+    /// None if there are too many readers.
+    queries: Option<consumer::Feed<Queries>>,
+    tap: Option<Tap>,
+    polls: bool,
+    planner: Planner,
+}
+
+impl Reading {
+    /// Joins the fleet of `config`; no worker needs to run. With `taps` it also reads the frames of
+    /// the sources.
+    ///
+    /// # Errors
+    /// The domain cannot be joined.
+    pub fn open(config: &Config, name: &str, taps: bool) -> Result<Self, OpenError> {
+        let mut reading = Self::of(Planner::with_config(config, name)?)?;
+        if taps {
+            reading.tap = Some(Tap::open(config)?);
+        }
+        Ok(reading)
+    }
+
+    /// Same as [`Reading::open`], for boards that are read only `every` so often. Ticks do not wake
+    /// it, as in [`Planner::polling`]. No frame of forecasts is skipped. They count as readable
+    /// when they are sent, because the worker does not cause the time until the next reading.
+    ///
+    /// # Errors
+    /// The domain cannot be joined.
+    pub fn polling(config: &Config, name: &str, every: Duration) -> Result<Self, OpenError> {
+        let reading = Self::of(Planner::polling(config, name, every)?)?;
+        Ok(Self {
+            polls: true,
+            ..reading
+        })
+    }
+
+    fn of(planner: Planner) -> Result<Self, OpenError> {
+        Ok(Self {
+            diagnostics: planner.diagnostics()?,
+            budgets: planner.budgets()?,
+            queries: planner.queries().ok(),
+            tap: None,
+            polls: false,
+            planner,
+        })
+    }
+
+    /// Waits at most 100 ms for a frame and adds all available data to the board, which is borrowed
+    /// only after the wait. Returns true if there were forecasts.
+    ///
+    /// # Errors
+    /// Reading fails permanently.
+    pub fn turn<B>(&mut self, borrow: impl FnMut() -> B) -> Result<bool, ReadError>
+    where
+        B: DerefMut<Target = Board>,
+    {
+        self.turn_within(PATIENCE, borrow)
+    }
+
+    /// Same as [`Reading::turn`], with another maximum wait.
+    ///
+    /// # Errors
+    /// Reading fails permanently.
+    pub fn turn_within<B>(
+        &mut self,
+        longest: Duration,
+        mut borrow: impl FnMut() -> B,
+    ) -> Result<bool, ReadError>
+    where
+        B: DerefMut<Target = Board>,
+    {
+        let (polls, mut tick) = (self.polls, None);
+        let waited = self.planner.wait_each(longest, |header, robots| {
+            // Before the wait for the board, which may be locked for drawing.
+            let readable_ns = if polls {
+                header.sent_ns
+            } else {
+                clock::monotonic_ns()
+            };
+            borrow().forecasts(header, robots, readable_ns);
+            tick = Some((header.worker_epoch, header.tick));
+        });
+        let now_ns = clock::monotonic_ns();
+        let waited = waited.map(drop);
+        let mut board = borrow();
+        match waited {
+            Ok(()) => {}
+            Err(ReadError::Receive(error)) => board.note(format!("forecasts: {error}"), now_ns),
+            Err(error) => return Err(error),
+        }
+        board.set_link(link(self.planner.worker()), now_ns);
+        if let Some(tap) = &mut self.tap {
+            tap.read(&mut board);
+        }
+        if let Some(Ok(Some(frame))) = self.queries.as_mut().map(consumer::Feed::latest) {
+            board.queries = Some(frame.header().counts);
+        }
+        drop(board);
+        if let Some(tick) = tick {
+            self.follow(tick, &mut borrow)?;
+        }
+        Ok(tick.is_some())
+    }
+
+    /// The planner, for further feeds of the same fleet.
+    #[must_use]
+    pub const fn planner(&self) -> &Planner {
+        &self.planner
+    }
+
+    /// Reads the diagnostics and budgets of `tick`, or the available ones if these do not arrive.
+    fn follow<B>(
+        &mut self,
+        tick: (u64, u64),
+        borrow: &mut impl FnMut() -> B,
+    ) -> Result<(), ReadError>
+    where
+        B: DerefMut<Target = Board>,
+    {
+        let give_up_ns = clock::monotonic_ns() + FOLLOW_NS;
+        loop {
+            let now_ns = clock::monotonic_ns();
+            let diagnostics = self.diagnostics.latest()?;
+            let budgets = self.budgets.latest()?;
+            let diagnosed = diagnostics
+                .as_ref()
+                .is_some_and(|frame| (frame.header().worker_epoch, frame.header().tick) >= tick);
+            let budgeted = budgets
+                .as_ref()
+                .is_some_and(|frame| (frame.header().worker_epoch, frame.header().tick) >= tick);
+            if (diagnosed && budgeted) || now_ns >= give_up_ns {
+                let mut board = borrow();
+                if let Some(diagnostics) = diagnostics {
+                    board.diagnostics(diagnostics.robots(), now_ns);
+                }
+                if let Some(budgets) = budgets {
+                    board.budgets(budgets.robots());
+                }
+                return Ok(());
+            }
+            std::thread::sleep(FOLLOW_EVERY);
+        }
+    }
+}
+
+impl fmt::Debug for Reading {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_struct("Reading")
+            .field("planner", &self.planner)
+            .finish_non_exhaustive()
+    }
+}
+
+const fn link(worker: WorkerState) -> Link {
+    match worker {
+        WorkerState::Waiting => Link::Waiting,
+        WorkerState::Alive => Link::Live,
+        WorkerState::Stale { .. } => Link::Stale,
+        WorkerState::Gone(End::Ended) => Link::Ended,
+        // Gone, or a state of a later version: not reliable.
+        _ => Link::Gone,
+    }
+}
+
+/// Reads the sources' frames to know what a killed source had sent.
+struct Tap {
+    reader: SampleReader,
+    frame: FrameBuf,
+    // Dropped after the port.
+    _bus: Bus,
+}
+
+impl Tap {
+    fn open(config: &Config) -> Result<Self, OpenError> {
+        let limits = config.limits();
+        let bus = join(config, "tap")?;
+        Ok(Self {
+            reader: bus.sample_reader(&limits)?,
+            frame: FrameBuf::new(limits.capacity),
+            _bus: bus,
+        })
+    }
+
+    fn read(&mut self, board: &mut Board) {
+        // A failure shows as samples that are not accounted for.
+        while let Ok(true) = self.reader.take(&mut self.frame) {
+            let header = self.frame.header();
+            let here = self.frame.samples().len() + self.frame.truncated();
+            let samples = header.samples_before.saturating_add(here as u64);
+            board.source_sent(header.source_epoch, samples);
+        }
+    }
+}
+
+/// A thread that keeps a board up to date.
+#[derive(Debug)]
+pub struct Feed {
+    board: Arc<Mutex<Board>>,
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<Result<(), FeedError>>>,
+}
+
+impl Feed {
+    /// Starts the thread and waits until it has joined the fleet.
+    ///
+    /// # Errors
+    /// It cannot join.
+    pub fn start(config: &Config, name: &'static str, taps: bool) -> Result<Self, FeedError> {
+        let board = Arc::new(Mutex::new(Board::new(clock::monotonic_ns())));
+        let stop = Arc::new(AtomicBool::new(false));
+        let (ready, started) = std::sync::mpsc::sync_channel(1);
+        let (shared, stopped, config) = (Arc::clone(&board), Arc::clone(&stop), config.clone());
+        let thread = std::thread::Builder::new()
+            .name("joulebus-feed".to_owned())
+            .spawn(move || {
+                let mut reading = Reading::open(&config, name, taps)?;
+                // The receiver lives until the thread has joined.
+                let _ = ready.send(());
+                while !stopped.load(Ordering::Relaxed) {
+                    reading.turn(|| lock(&shared))?;
+                }
+                Ok(())
+            })
+            .map_err(FeedError::Thread)?;
+        let mut feed = Self {
+            board,
+            stop,
+            thread: Some(thread),
+        };
+        match started.recv() {
+            Ok(()) => Ok(feed),
+            Err(_) => {
+                feed.join()?;
+                Err(FeedError::Ended)
+            }
+        }
+    }
+
+    /// The current board.
+    pub fn board(&self) -> MutexGuard<'_, Board> {
+        lock(&self.board)
+    }
+
+    /// True if the thread still reads.
+    #[must_use]
+    pub fn is_reading(&self) -> bool {
+        self.thread
+            .as_ref()
+            .is_some_and(|thread| !thread.is_finished())
+    }
+
+    /// Leaves the fleet and returns the last board.
+    ///
+    /// # Errors
+    /// The error that ended the thread.
+    pub fn finish(mut self) -> Result<Board, FeedError> {
+        self.join()?;
+        Ok(self.board().clone())
+    }
+
+    fn join(&mut self) -> Result<(), FeedError> {
+        self.stop.store(true, Ordering::Relaxed);
+        match self.thread.take().map(JoinHandle::join) {
+            None => Ok(()),
+            Some(Ok(result)) => result,
+            Some(Err(_)) => Err(FeedError::Panicked),
+        }
+    }
+}
+
+impl Drop for Feed {
+    fn drop(&mut self) {
+        // `finish` returns the error.
+        let _ = self.join();
+    }
+}
+
+fn lock(board: &Mutex<Board>) -> MutexGuard<'_, Board> {
+    // A panic elsewhere leaves the board consistent.
+    board.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,23 @@
+//! A planner's data of a fleet, joined by robot: the source of every view.
+//!
+//! [`Reading`] is a planner like any other: it adds its frames to a [`Board`]. [`Feed`] does so in
+//! a thread. [`FrameRecord`] and [`RobotRecord`] are a board as JSON.
+#![forbid(unsafe_code)]
+
+mod alarm;
+mod board;
+mod feed;
+mod record;
+mod scores;
+mod search;
+mod sort;
+mod stages;
+
+pub use alarm::AlarmRecord;
+pub use board::{Board, Link, Newest, Point, Raised, Row, WorkerRun};
+pub use feed::{Feed, FeedError, OpenError, Reading};
+pub use record::{FrameRecord, LearnedRecord, RobotRecord, quality_name};
+pub use scores::Scores;
+pub use search::{Platforms, Search};
+pub use sort::{Sort, SortKey};
+pub use stages::{Counted, Latency, Stages, UPPER_S};

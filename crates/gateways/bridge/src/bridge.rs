@@ -1,0 +1,469 @@
+//! `joulebus bridge`: starts the threads of a bridge, waits for the stop, and reports.
+
+use std::fmt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use crate::arguments::BridgeArguments;
+use anyhow::{Context as _, anyhow};
+use joulebus_bus::yield_to_the_worker;
+use joulebus_config::Config;
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::{Output, say};
+use joulebus_program::stop::Stop;
+use serde::Serialize;
+use serde_json::json;
+
+use crate::config::{MqttSettings, Ros2Settings, RosWrite, Settings};
+use crate::mapping::account::UnmappedRecord;
+use crate::mapping::outgoing::What;
+use crate::mapping::ros::incoming::RosRoute;
+use crate::mapping::ros::names::ros_type;
+use crate::mqtt::{MAX_WAITING, Mqtt, MqttSink, Outlet, Start, read_alarms};
+use crate::outbound::{self, Sink};
+use crate::publishing::{self, PublishedRecord};
+use crate::ros2::{Counts, Ros2};
+use crate::shared::Shared;
+
+/// Interval between checks for a stop.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
+/// Nice value of the threads that serve connections, so that the worker and its sources run first.
+const NICE: u8 = 5;
+
+/// The report of a bridge that has ended.
+#[derive(Debug, Serialize)]
+struct BridgeReport {
+    fleet: String,
+    bridge: String,
+    robots: usize,
+    /// Messages received.
+    messages: u64,
+    /// Observations that the mapping made of them.
+    observations: u64,
+    published: PublishedRecord,
+    /// Messages written.
+    written: u64,
+    /// Messages and alarm changes that could not be written.
+    not_written: u64,
+    /// Messages and values that could not be mapped.
+    unmapped: Vec<UnmappedRecord>,
+}
+
+impl BridgeReport {
+    /// The exit code: whether everything that was received or due was passed on. `unmapped` is the
+    /// number of messages that should have been mapped but could not be.
+    fn outcome(&self, unmapped: u64) -> Outcome {
+        Outcome::unless_lost(
+            self.not_written > 0 || self.published.frames_failed > 0 || unmapped > 0,
+        )
+    }
+}
+
+/// The report of `--check`.
+#[derive(Debug, Serialize)]
+struct CheckReport {
+    fleet: String,
+    bridge: String,
+    robots: usize,
+    broker: Option<String>,
+    /// Topics that are read from the broker.
+    reads: Vec<String>,
+    /// Number of topics that are written to the broker.
+    writes: usize,
+    ros2: Option<RosCheckReport>,
+}
+
+/// The part of the `--check` report about ROS 2. Topics are shown with their types.
+#[derive(Debug, Serialize)]
+struct RosCheckReport {
+    domain_id: u16,
+    networks: Vec<String>,
+    reads: Vec<String>,
+    writes: Vec<String>,
+}
+
+pub(crate) fn run(args: &BridgeArguments, output: Output) -> anyhow::Result<Outcome> {
+    let stop = Stop::on_signals()?;
+    let config = args.config.load()?;
+    let settings = Settings::load(&args.file, &config)?;
+    if args.check {
+        output.report(&checked(&config, &settings))?;
+        return Ok(Outcome::Done);
+    }
+    let mut bridge = Bridge::start(&config, &settings)?;
+    while !stop.is_asked() && !bridge.is_over() {
+        thread::sleep(POLL_INTERVAL);
+    }
+    let report = bridge.finish(&config, &settings)?;
+    output.report(&report)?;
+    Ok(report.outcome(bridge.shared.account().lost()))
+}
+
+fn checked(config: &Config, settings: &Settings) -> CheckReport {
+    let mqtt = settings.mqtt.as_ref();
+    let routes = mqtt.map_or(&[][..], |mqtt| &mqtt.routes);
+    CheckReport {
+        fleet: config.fleet().to_owned(),
+        bridge: settings.name.clone(),
+        robots: settings.robots.len(),
+        broker: mqtt.map(|mqtt| format!("{}:{}", mqtt.host, mqtt.port)),
+        reads: routes.iter().map(|route| route.name.clone()).collect(),
+        writes: mqtt.map_or(0, |mqtt| mqtt.writes.len()),
+        ros2: settings.ros2.as_ref().map(ros_checked),
+    }
+}
+
+fn ros_checked(ros2: &Ros2Settings) -> RosCheckReport {
+    let read = |route: &RosRoute| format!("{} ({})", route.name, ros_type(route.kind));
+    let write = |write: &RosWrite| format!("{} ({})", write.name, write.what.type_name());
+    RosCheckReport {
+        domain_id: ros2.domain_id,
+        networks: ros2.networks.iter().map(ToString::to_string).collect(),
+        reads: ros2.routes.iter().map(read).collect(),
+        writes: ros2.writes.iter().map(write).collect(),
+    }
+}
+
+type Thread<T> = JoinHandle<anyhow::Result<T>>;
+
+/// The running threads.
+struct Bridge {
+    shared: Arc<Shared>,
+    /// Number of lost alarm changes.
+    lost: Arc<AtomicU64>,
+    publishing: Option<Thread<PublishedRecord>>,
+    others: Vec<Thread<()>>,
+    connections: Vec<Thread<()>>,
+    outlet: Option<Arc<Outlet>>,
+    ros2: Arc<Counts>,
+}
+
+impl Bridge {
+    fn start(config: &Config, settings: &Settings) -> anyhow::Result<Self> {
+        let mut bridge = Self {
+            shared: Arc::new(Shared::new(settings.intake(config))),
+            lost: Arc::default(),
+            publishing: None,
+            others: Vec::new(),
+            connections: Vec::new(),
+            outlet: None,
+            ros2: Arc::default(),
+        };
+        bridge.start_publishing(config, settings)?;
+        let mut sides: Vec<Box<dyn Sink>> = Vec::new();
+        if let Some(ros2) = &settings.ros2 {
+            bridge.start_ros2(config, settings, ros2, &mut sides)?;
+        }
+        let mqtt = settings.mqtt.as_ref();
+        let connection = mqtt.map(|mqtt| bridge.prepare_mqtt(config, settings, mqtt));
+        if let (Some(mqtt), Some(connection)) = (mqtt, &connection) {
+            bridge.start_mqtt_sink(config, settings, (mqtt, connection), &mut sides)?;
+        }
+        bridge.start_outbound(config, settings, sides)?;
+        if let Some(connection) = connection {
+            let thread = spawn("joulebus-mqtt", move || {
+                yield_to_the_worker(NICE);
+                connection.run().map_err(Into::into)
+            })?;
+            bridge.connections.push(thread);
+        }
+        let (fleet, robots) = (config.fleet(), settings.robots.len());
+        say(&format!("bridging {robots} robots of fleet {fleet}"));
+        Ok(bridge)
+    }
+
+    fn start_publishing(&mut self, config: &Config, settings: &Settings) -> anyhow::Result<()> {
+        if !settings.is_source() {
+            return Ok(());
+        }
+        let (ready, joined) = sync_channel(1);
+        let (config, shared) = (config.clone(), Arc::clone(&self.shared));
+        let (name, robots) = (settings.name.clone(), settings.robots.clone());
+        let thread = spawn("joulebus-publish", move || {
+            publishing::run(&config, &name, &robots, &shared, || {
+                // The caller waits for this.
+                let _ = ready.send(());
+            })
+        })?;
+        if joined.recv().is_err() {
+            join(thread)?;
+        } else {
+            self.publishing = Some(thread);
+        }
+        Ok(())
+    }
+
+    fn start_ros2(
+        &mut self,
+        config: &Config,
+        settings: &Settings,
+        ros2: &Ros2Settings,
+        sides: &mut Vec<Box<dyn Sink>>,
+    ) -> anyhow::Result<()> {
+        let (ready, opened) = sync_channel(1);
+        let (fleet, name) = (config.fleet().to_owned(), settings.name.clone());
+        let (ros2, robots) = (ros2.clone(), settings.robots.clone());
+        let (shared, counts) = (Arc::clone(&self.shared), Arc::clone(&self.ros2));
+        let thread = spawn("joulebus-ros2", move || {
+            yield_to_the_worker(NICE);
+            let of = (fleet.as_str(), name.as_str());
+            let (connection, sink) = Ros2::open(&ros2, of, &robots, &shared, &counts)?;
+            // The caller waits for this.
+            let _ = ready.send(sink);
+            connection.run().map_err(Into::into)
+        })?;
+        let Ok(sink) = opened.recv() else {
+            return join(thread);
+        };
+        self.connections.push(thread);
+        if sink.has_topics() {
+            sides.push(Box::new(sink));
+        }
+        Ok(())
+    }
+
+    fn prepare_mqtt(&mut self, config: &Config, settings: &Settings, mqtt: &MqttSettings) -> Mqtt {
+        let offline = json!({"fleet": config.fleet(), "bridge": settings.name, "state": "offline"});
+        let offline = offline.to_string().into_bytes();
+        let connection = Mqtt::new(mqtt, &settings.robots, &offline, &self.shared);
+        self.outlet = Some(connection.outlet());
+        connection
+    }
+
+    fn start_mqtt_sink(
+        &mut self,
+        config: &Config,
+        settings: &Settings,
+        (mqtt, connection): (&MqttSettings, &Mqtt),
+        sides: &mut Vec<Box<dyn Sink>>,
+    ) -> anyhow::Result<()> {
+        if mqtt.writes.is_empty() {
+            return Ok(());
+        }
+        let (changes, changed) = sync_channel(MAX_WAITING);
+        sides.push(Box::new(MqttSink::new(Start {
+            fleet: config.fleet().to_owned(),
+            name: settings.name.clone(),
+            robots: settings.robots.clone(),
+            writes: mqtt.writes.clone(),
+            outlet: connection.outlet(),
+            changes: changed,
+            shared: Arc::clone(&self.shared),
+            lost: Arc::clone(&self.lost),
+            // The second ping notices a broker that does not answer.
+            arrives_within_ns: u64::try_from(3 * mqtt.keep_alive.as_nanos()).unwrap_or(u64::MAX),
+        })));
+        let mut whats = mqtt.writes.iter().map(|write| write.what);
+        if whats.any(|what| what == What::AlarmChanges) {
+            let (config, name) = (config.clone(), settings.name.clone());
+            let (shared, lost) = (Arc::clone(&self.shared), Arc::clone(&self.lost));
+            let thread = spawn("joulebus-alarms", move || {
+                yield_to_the_worker(NICE);
+                read_alarms(&config, &name, &changes, &shared, &lost)
+            })?;
+            self.others.push(thread);
+        }
+        Ok(())
+    }
+
+    fn start_outbound(
+        &mut self,
+        config: &Config,
+        settings: &Settings,
+        mut sides: Vec<Box<dyn Sink>>,
+    ) -> anyhow::Result<()> {
+        if sides.is_empty() {
+            return Ok(());
+        }
+        let (config, name) = (config.clone(), settings.name.clone());
+        let shared = Arc::clone(&self.shared);
+        let every = settings.publish_interval();
+        self.start_joining("joulebus-tell", move |ready| {
+            outbound::run(&config, (&name, every), &shared, &mut sides, || {
+                // The caller waits for this.
+                let _ = ready.send(());
+            })
+        })
+    }
+
+    /// Starts a thread, and waits until it has joined the fleet.
+    fn start_joining(
+        &mut self,
+        name: &str,
+        work: impl FnOnce(SyncSender<()>) -> anyhow::Result<()> + Send + 'static,
+    ) -> anyhow::Result<()> {
+        let (ready, joined) = sync_channel(1);
+        let thread = spawn(name, move || {
+            yield_to_the_worker(NICE);
+            work(ready)
+        })?;
+        if joined.recv().is_err() {
+            return join(thread);
+        }
+        self.others.push(thread);
+        Ok(())
+    }
+
+    /// Whether a thread has ended by itself.
+    fn is_over(&self) -> bool {
+        let publishing = self.publishing.as_ref();
+        let mut others = self.others.iter().chain(&self.connections);
+        publishing.is_some_and(JoinHandle::is_finished) || others.any(JoinHandle::is_finished)
+    }
+
+    /// Ends all threads. The connections end last, after the messages that the other threads have
+    /// handed to them.
+    fn finish(&mut self, config: &Config, settings: &Settings) -> anyhow::Result<BridgeReport> {
+        self.shared.stop();
+        let published = self.publishing.take().map(join);
+        let mut ended: Vec<anyhow::Result<()>> = self.others.drain(..).map(join).collect();
+        self.shared.close();
+        ended.extend(self.connections.drain(..).map(join));
+        ended.into_iter().collect::<anyhow::Result<()>>()?;
+        let outlet = self.outlet.as_ref();
+        Ok(BridgeReport {
+            fleet: config.fleet().to_owned(),
+            bridge: settings.name.clone(),
+            robots: settings.robots.len(),
+            messages: self.shared.messages(),
+            observations: self.shared.intake().observations(),
+            published: published.transpose()?.unwrap_or_default(),
+            written: self.ros2.sent() + outlet.map_or(0, |outlet| outlet.sent()),
+            not_written: self.lost.load(Ordering::Relaxed)
+                + self.ros2.lost()
+                + outlet.map_or(0, |outlet| outlet.lost()),
+            unmapped: self.shared.account().records(),
+        })
+    }
+}
+
+fn spawn<T: Send + 'static>(
+    name: &str,
+    work: impl FnOnce() -> anyhow::Result<T> + Send + 'static,
+) -> anyhow::Result<Thread<T>> {
+    let thread = thread::Builder::new().name(name.to_owned());
+    thread
+        .spawn(work)
+        .with_context(|| format!("cannot start the thread {name}"))
+}
+
+fn join<T>(thread: Thread<T>) -> anyhow::Result<T> {
+    thread
+        .join()
+        .map_err(|_| anyhow!("a thread of the bridge panicked"))?
+}
+
+impl fmt::Display for BridgeReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            fleet,
+            bridge,
+            robots,
+            messages,
+            observations,
+            published,
+            written,
+            not_written,
+            unmapped,
+        } = self;
+        writeln!(
+            out,
+            "bridge {bridge} of fleet {fleet}, {robots} robots: {messages} messages, {observations} observations"
+        )?;
+        let PublishedRecord {
+            frames,
+            samples,
+            frames_unheard,
+            frames_failed,
+        } = published;
+        writeln!(
+            out,
+            "published {samples} samples in {frames} frames, {frames_unheard} without a worker, {frames_failed} not sent"
+        )?;
+        writeln!(out, "wrote {written} messages, {not_written} lost")?;
+        unmapped
+            .iter()
+            .try_for_each(|line| writeln!(out, "not mapped: {line}"))
+    }
+}
+
+impl fmt::Display for CheckReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            fleet,
+            bridge,
+            robots,
+            broker,
+            reads,
+            writes,
+            ros2,
+        } = self;
+        writeln!(out, "bridge {bridge} of fleet {fleet}: {robots} robots")?;
+        if let Some(broker) = broker {
+            writeln!(
+                out,
+                "broker {broker}: reads {}; writes {writes} topics",
+                reads.join(", ")
+            )?;
+        }
+        let Some(ros2) = ros2 else {
+            return Ok(());
+        };
+        let RosCheckReport {
+            domain_id,
+            networks,
+            reads,
+            writes,
+        } = ros2;
+        let networks = if networks.is_empty() {
+            "all networks".to_owned()
+        } else {
+            networks.join(", ")
+        };
+        writeln!(out, "ROS domain {domain_id} on {networks}")?;
+        let mut lines = reads
+            .iter()
+            .map(|topic| ("reads", topic))
+            .chain(writes.iter().map(|topic| ("writes", topic)));
+        lines.try_for_each(|(verb, topic)| writeln!(out, "  {verb} {topic}"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_kind_of_loss_and_none_that_is_not_one_ends_with_code_3() {
+        let unheard = PublishedRecord {
+            frames_unheard: 9,
+            ..PublishedRecord::default()
+        };
+        let failed = PublishedRecord {
+            frames_failed: 1,
+            ..PublishedRecord::default()
+        };
+        for (published, not_written, unmapped, outcome) in [
+            (unheard, 0, 0, Outcome::Done),
+            (failed, 0, 0, Outcome::Incomplete),
+            (unheard, 1, 0, Outcome::Incomplete),
+            (unheard, 0, 1, Outcome::Incomplete),
+        ] {
+            let report = BridgeReport {
+                fleet: String::new(),
+                bridge: String::new(),
+                robots: 0,
+                messages: 0,
+                observations: 0,
+                published,
+                written: 0,
+                not_written,
+                unmapped: Vec::new(),
+            };
+            assert_eq!(report.outcome(unmapped), outcome, "{report:?}");
+        }
+    }
+}

@@ -1,0 +1,416 @@
+//! The bridge's file, checked strictly: robots, topics and units. Every problem is reported with
+//! its line.
+
+mod check;
+mod file;
+mod mqtt;
+mod ros2;
+mod secret;
+
+use std::path::Path;
+use std::time::Duration;
+
+use joulebus_config::Config;
+use joulebus_config::ConfigError;
+use toml::Value;
+
+use crate::config::check::Check;
+use crate::config::file::BridgeFile;
+use crate::mapping::intake::{Holds, Intake};
+use crate::mapping::outgoing::What;
+use crate::mapping::robots::Robots;
+
+pub(crate) use mqtt::{MqttSettings, Write};
+pub(crate) use ros2::{Ros2Settings, RosWrite};
+
+/// Maximum size of the file, bytes.
+const MAX_BYTES: u64 = 4 << 20;
+
+/// The checked settings of a bridge.
+#[derive(Debug, Clone)]
+pub(crate) struct Settings {
+    /// Name of the source and of the planners.
+    pub(crate) name: String,
+    pub(crate) holds: Holds,
+    pub(crate) robots: Robots,
+    pub(crate) mqtt: Option<MqttSettings>,
+    pub(crate) ros2: Option<Ros2Settings>,
+}
+
+impl Settings {
+    /// Reads and checks a bridge's file for the fleet of `config`.
+    ///
+    /// # Errors
+    /// [`ConfigError`] with all problems, if the file cannot be read or is refused.
+    pub(crate) fn load(path: &Path, config: &Config) -> Result<Self, ConfigError> {
+        let text = joulebus_files::read_to_string(path, MAX_BYTES).map_err(|source| {
+            let path = path.to_owned();
+            ConfigError::Read { path, source }
+        })?;
+        let mut check = Check {
+            file: path.display().to_string(),
+            folder: path.parent().unwrap_or(Path::new("")).to_owned(),
+            text: &text,
+            fleet: config.fleet(),
+            problems: Vec::new(),
+        };
+        let settings = check.settings(config);
+        match settings {
+            Some(settings) if check.problems.is_empty() => Ok(settings),
+            _ => Err(ConfigError::Refused(check.problems)),
+        }
+    }
+
+    /// Whether any topic is read.
+    pub(crate) fn is_source(&self) -> bool {
+        let mqtt = self.mqtt.as_ref();
+        let ros2 = self.ros2.as_ref();
+        mqtt.is_some_and(|it| !it.routes.is_empty() || it.vizier.is_some())
+            || ros2.is_some_and(|it| !it.routes.is_empty())
+    }
+
+    /// Interval of the most frequent topic. Alarm changes are read separately.
+    pub(crate) fn publish_interval(&self) -> Duration {
+        let mqtt = self.mqtt.iter().flat_map(|mqtt| &mqtt.writes);
+        let ros2 = self.ros2.iter().flat_map(|ros2| &ros2.writes);
+        let timed = mqtt.filter(|write| write.what != What::AlarmChanges);
+        let every_ns = timed.map(|write| write.every_ns);
+        let least_ns = every_ns.chain(ros2.map(|write| write.every_ns)).min();
+        least_ns.map_or(Duration::MAX, Duration::from_nanos)
+    }
+
+    /// The initial state of all robots, without any observation.
+    pub(crate) fn intake(&self, config: &Config) -> Intake {
+        let platforms = &config.settings().platforms;
+        let robots = self.robots.iter().filter_map(|(id, _)| {
+            let platform = platforms
+                .iter()
+                .find(|it| it.robots.iter().any(|ids| ids.contains(&id)))?;
+            let reading = platform.battery.map(|battery| battery.charge_reading);
+            Some((
+                id,
+                reading.unwrap_or(joulebus_settings::ChargeReading::Load),
+            ))
+        });
+        Intake::new(self.holds, self.reports_charging(), robots)
+    }
+
+    /// Whether MQTT messages report that a robot charges. ROS 2 messages with a battery's power
+    /// always report it, or that it is unknown.
+    fn reports_charging(&self) -> bool {
+        self.mqtt.as_ref().is_some_and(|mqtt| {
+            let vizier = mqtt.vizier.as_ref().map(|vizier| &vizier.fields);
+            let mut fields = mqtt.routes.iter().map(|route| &route.fields).chain(vizier);
+            fields.any(|fields| fields.charging.is_some())
+        })
+    }
+}
+
+impl Check<'_> {
+    fn settings(&mut self, config: &Config) -> Option<Settings> {
+        let file: BridgeFile = match toml::from_str(self.text) {
+            Ok(file) => file,
+            Err(error) => {
+                let at = error.span().map(|span| span.start);
+                let what = format!("cannot be read: {}", error.message().replace('\n', "; "));
+                self.problem(at, "", what, "docs/bridges.md has all keys");
+                return None;
+            }
+        };
+        let section = &file.bridge;
+        let name = section.name.clone();
+        if name.is_empty()
+            || name.len() > 100
+            || name.contains(|letter: char| letter.is_control() || "/+#{}".contains(letter))
+        {
+            let what = format!("is {name:?}");
+            self.problem(
+                None,
+                "bridge.name",
+                what,
+                "Allowed: 1 to 100 bytes without / + # { }",
+            );
+        }
+        let holds = Holds {
+            command_ns: self.nanoseconds("bridge.command_holds_s", section.command_holds_s),
+            expired: section.command_expired.into(),
+            reading_ns: self.nanoseconds("bridge.reading_holds_s", section.reading_holds_s),
+            silent_ns: self.nanoseconds("bridge.silent_after_s", section.silent_after_s),
+        };
+        let robots = self.robots(&file, config);
+        let mqtt = file.mqtt.map(|section| self.mqtt(section, &name, &robots));
+        let ros2 = file.ros2.map(|section| self.ros2(&section, &robots));
+        if mqtt.is_none() && ros2.is_none() {
+            let what = "names nothing to bridge".to_owned();
+            self.problem(None, "", what, "Add [mqtt] or [ros2]");
+        }
+        Some(Settings {
+            name,
+            holds,
+            robots,
+            mqtt: mqtt.flatten(),
+            ros2: ros2.flatten(),
+        })
+    }
+
+    fn robots(&mut self, file: &BridgeFile, config: &Config) -> Robots {
+        let mut robots = Robots::default();
+        for (name, ids) in &file.robots {
+            let text = match ids {
+                Value::Integer(id) => id.to_string(),
+                Value::String(ids) => ids.clone(),
+                other => other.type_str().to_owned(),
+            };
+            if let Err(error) = robots.add(name.get_ref(), &text) {
+                let key = format!("robots.{}", name.get_ref());
+                self.problem(
+                    Some(name.span().start),
+                    &key,
+                    error.to_string(),
+                    "Correct the line",
+                );
+            }
+        }
+        let platforms = &config.settings().platforms;
+        let known = |id: u32| {
+            platforms
+                .iter()
+                .any(|it| it.robots.iter().any(|ids| ids.contains(&id)))
+        };
+        let strangers: Vec<u32> = robots
+            .iter()
+            .map(|(id, _)| id)
+            .filter(|id| !known(*id))
+            .collect();
+        if let Some(first) = strangers.first() {
+            let what = format!(
+                "has {} ids of no platform, the first is {first}",
+                strangers.len()
+            );
+            let remedy = format!(
+                "Name them in `platform.robots` of the config of fleet {}",
+                self.fleet
+            );
+            self.problem(None, "robots", what, &remedy);
+        }
+        let capacity = config.settings().capacity as usize;
+        if robots.len() == 0 || robots.len() > capacity {
+            let what = format!("has {} robots; allowed are 1 to {capacity}", robots.len());
+            self.problem(None, "robots", what, "`fleet.capacity` is the limit");
+        }
+        robots
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    const FLEET: &str = "[fleet]\nname = \"lab\"\ncapacity = 20\n\
+        [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n";
+    const GOOD: &str = "[robots]\n\"agv-{id}\" = \"0-3\"\nlifter = 7\n[mqtt]\nbroker = \"localhost:1883\"\n\
+        [[mqtt.read]]\ntopic = \"fleet/{robot}/power\"\n[mqtt.read.fields]\npower = { at = \"power\", unit = \"mW\" }\n\
+        [[mqtt.write]]\ntopic = \"jb/{robot}\"\nwhat = \"forecast\"\n";
+
+    fn load(text: &str) -> Result<Settings, ConfigError> {
+        let config = Config::parse(FLEET, Path::new(".")).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("bridge.toml");
+        fs::write(&path, text).unwrap();
+        Settings::load(&path, &config)
+    }
+
+    #[test]
+    fn a_good_file_is_taken() {
+        let settings = load(GOOD).unwrap();
+        assert_eq!(
+            (settings.name.as_str(), settings.robots.len()),
+            ("bridge", 5)
+        );
+        assert_eq!(settings.holds.reading_ns, 2_000_000_000);
+        let mqtt = settings.mqtt.unwrap();
+        assert_eq!(
+            (mqtt.host.as_str(), mqtt.port, mqtt.client_id.as_str()),
+            ("localhost", 1883, "joulebus-lab-bridge")
+        );
+        assert_eq!((mqtt.routes.len(), mqtt.writes.len()), (1, 1));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_line() {
+        for (from, to, line, expected) in [
+            ("broker =", "borker =", 5, "unknown field `borker`"),
+            ("\"localhost:1883\"", "\"localhost\"", 5, "host:port"),
+            ("\"localhost:1883\"", "1883", 5, "invalid type"),
+            ("lifter = 7", "lifter = 17", 1, "17"),
+            ("lifter = 7", "lifter = 2", 3, "second name"),
+            ("lifter = 7", "lifter = true", 3, "boolean"),
+            ("\"mW\"", "\"mA\"", 9, "allowed are W, mW, kW"),
+            ("fleet/{robot}/power", "fleet/power", 7, "{robot}"),
+            ("fleet/{robot}/power", "fleet/#/{robot}", 7, "wildcard"),
+            ("fleet/{robot}/power", "jb/{robot}", 11, "reads it too"),
+            ("jb/{robot}", "jb/+/{robot}", 11, "wildcard"),
+            ("jb/{robot}", "jb", 11, "lacks {robot}"),
+            (
+                "power = {",
+                "power_of_current = true\npower = {",
+                9,
+                "voltage",
+            ),
+            ("at = \"power\"", "at = \"/a~2\"", 9, "pointer"),
+            ("\"forecast\"", "\"forecasts\"", 12, "unknown variant"),
+            ("\"forecast\"", "\"forecast\"\nevery_s = nan", 13, "NaN"),
+            ("\"forecast\"", "\"status\"", 11, "not of one robot"),
+            (
+                "\"forecast\"",
+                "\"forecast\"\n[mqtt.write.fields]\nx = { value = \"watt\" }",
+                14,
+                "power_w",
+            ),
+            (
+                "\"forecast\"",
+                "\"forecast\"\n[mqtt.write.fields]\nx = { value = \"soc\", unit = \"W\" }",
+                14,
+                "share, %",
+            ),
+            (
+                "\"forecast\"",
+                "\"forecast\"\n[mqtt.write.fields]\nx = { value = \"soc\" }\n\"/x/y\" = { value = \"soc\" }",
+                14,
+                "within",
+            ),
+            (
+                "[mqtt]",
+                "[bridge]\nreading_holds_s = 0\n[mqtt]",
+                5,
+                "0.01 to 3600",
+            ),
+            ("[mqtt]", "[bridge]\nname = \"a/b\"\n[mqtt]", 5, "a/b"),
+            ("[mqtt]", "[mqtt]\nusername = \"joe\"", 5, "password_file"),
+            ("[mqtt]", "[mqtt]\nkeep_alive_s = 0", 5, "5 to 3600"),
+        ] {
+            let text = GOOD.replacen(from, to, 1);
+            assert_ne!(text, GOOD);
+            let refused = load(&text).expect_err(to);
+            let shown = refused.to_string();
+            assert!(shown.contains(expected), "{to}: {shown}");
+            let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
+            assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
+        }
+    }
+
+    const ROS: &str = "[robots]\n\"r{id}\" = \"0-3\"\nlifter = 7\n[ros2]\ndomain_id = 7\nnetworks = [\"127.0.0.1\"]\n\
+        [[ros2.read]]\ntopic = \"/{fleet}/{robot}/battery\"\ntype = \"sensor_msgs/msg/BatteryState\"\n\
+        [[ros2.write]]\nwhat = \"value\"\nvalue = \"power_w\"\nunit = \"mW\"\n\
+        [[ros2.write]]\nwhat = \"diagnostics\"\n";
+
+    #[test]
+    fn a_good_file_of_ros_2_is_taken() {
+        let settings = load(ROS).unwrap();
+        assert!(settings.is_source());
+        let ros2 = settings.ros2.unwrap();
+        assert_eq!((ros2.domain_id, ros2.networks.len()), (7, 1));
+        assert_eq!(ros2.routes[0].topic.of("r2"), "/lab/r2/battery");
+        assert_eq!(
+            ros2.routes[0].pattern.matches("/lab/x/battery"),
+            Some(Some("x"))
+        );
+        let topics: Vec<String> = ros2.writes.iter().map(|it| it.topic.of("r2")).collect();
+        assert_eq!(topics, ["/r2/joulebus/power_w", "/diagnostics"]);
+        assert_eq!(ros2.writes[0].value.as_ref().unwrap().unit.name, "mW");
+    }
+
+    #[test]
+    fn what_is_wrong_for_ros_2_is_named_with_its_line() {
+        for (from, to, line, expected) in [
+            ("domain_id = 7", "domain_id = 233", 5, "0 to 232"),
+            ("domain_id = 7", "domain = 7", 5, "unknown field"),
+            ("127.0.0.1", "lo", 6, "invalid IPv4 address"),
+            (
+                "/{fleet}/{robot}/battery",
+                "/{robot}/7b",
+                8,
+                "no topic of ROS 2",
+            ),
+            (
+                "/{fleet}/{robot}/battery",
+                "{robot}/b",
+                8,
+                "no topic of ROS 2",
+            ),
+            ("/{fleet}/{robot}/battery", "/battery", 8, "lacks {robot}"),
+            ("/{fleet}/{robot}/battery", "/+/{robot}", 8, "wildcard"),
+            ("lifter = 7", "lif-ter = 7", 8, "/lab/lif-ter/battery"),
+            ("BatteryState", "Batteries", 9, "nav_msgs/msg/Odometry"),
+            (
+                "\"sensor_msgs/msg/BatteryState\"",
+                "\"geometry_msgs/msg/Twist\"\npower_of = \"load\"",
+                9,
+                "no current",
+            ),
+            (
+                "BatteryState\"",
+                "BatteryState\"\npercentage_unit = \"W\"",
+                10,
+                "share, %",
+            ),
+            ("power_w", "watt", 12, "is no value"),
+            ("\"power_w\"", "\"name\"", 12, "is no number"),
+            ("\"mW\"", "\"mA\"", 13, "allowed are W"),
+            ("unit = \"mW\"", "every_s = 0", 13, "0.02 to 3600"),
+            ("\"value\"", "\"forecast\"", 12, "belongs to"),
+            (
+                "unit = \"mW\"",
+                "topic = \"/lab/{robot}/battery\"",
+                4,
+                "both name",
+            ),
+            (
+                "\"diagnostics\"",
+                "\"diagnostics\"\nunit = \"W\"",
+                16,
+                "belongs to",
+            ),
+        ] {
+            let text = ROS.replacen(from, to, 1);
+            assert_ne!(text, ROS, "{from}");
+            let refused = load(&text).expect_err(to);
+            let shown = refused.to_string();
+            assert!(shown.contains(expected), "{to}: {shown}");
+            let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
+            assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
+        }
+        let nothing = load("[robots]\nr = 1\n[ros2]\n").unwrap_err().to_string();
+        assert!(nothing.contains("neither reads nor writes"), "{nothing}");
+    }
+
+    #[test]
+    fn what_a_vizier_is_asked_by_is_not_written() {
+        for topic in ["{robot}/requests", "{robot}/responses/x/1"] {
+            let text = GOOD
+                .replace("[[mqtt.read]]", "[mqtt.vizier]\n[[mqtt.read]]")
+                .replace("jb/{robot}", topic);
+            let refused = load(&text).unwrap_err().to_string();
+            assert!(refused.contains("vizier"), "{refused}");
+        }
+    }
+
+    #[test]
+    fn a_file_without_robots_or_a_bridge_is_refused() {
+        for text in [
+            "",
+            "[robots]\n",
+            "[robots]\na = 1\n",
+            "[robots]\n[mqtt]\nbroker = \"h:1\"\n",
+        ] {
+            assert!(!load(text).unwrap_err().problems().is_empty(), "{text:?}");
+        }
+        let nowhere = Settings::load(
+            Path::new("/nowhere"),
+            &Config::parse(FLEET, Path::new(".")).unwrap(),
+        );
+        assert!(matches!(nowhere, Err(ConfigError::Read { .. })));
+    }
+}

@@ -1,0 +1,183 @@
+//! The account of messages and values that could not be mapped.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+
+use serde::Serialize;
+
+/// Maximum number of names kept for each route and reason, because messages may contain any name.
+const MAX_NAMES: usize = 16;
+/// Maximum number of pairs of route and reason that are counted separately.
+const MAX_KINDS: usize = 1_000;
+/// Maximum length of a kept name, letters.
+const MAX_LETTERS: usize = 80;
+
+/// Why a message, or a value in it, was not mapped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(crate) enum Reason {
+    /// Longer than `max_payload_bytes`, or than 64 KiB in ROS 2.
+    TooLong,
+    /// Not JSON, nested too deeply, or with numbers beyond a 64-bit float.
+    NotJson,
+    /// Not the CDR of its type.
+    NotCdr,
+    /// Not encoded in plain CDR.
+    WrongEncoding,
+    /// A participant with an incompatible quality of service.
+    IncompatibleQos,
+    /// A name that `[robots]` does not have.
+    UnknownRobot,
+    /// No value that the mapping names.
+    Nothing,
+    /// A value, or a topic, of another type than expected.
+    WrongType,
+    /// NaN, infinite or beyond what 32 bits hold.
+    NotFinite,
+    /// A share beyond 0 to 1, or a code that the message's definition does not have.
+    OutOfRange,
+    /// Retained by the broker, so of unknown age.
+    Retained,
+    /// An answer without a request of this bridge.
+    NotAsked,
+    /// A request without an answer.
+    NoAnswer,
+    /// An answer that reports a failure or has no body.
+    Refused,
+}
+
+impl Reason {
+    /// The reason's name in reports.
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::TooLong => "too_long",
+            Self::NotJson => "not_json",
+            Self::NotCdr => "not_cdr",
+            Self::WrongEncoding => "wrong_encoding",
+            Self::IncompatibleQos => "incompatible_qos",
+            Self::UnknownRobot => "unknown_robot",
+            Self::Nothing => "nothing_mapped",
+            Self::WrongType => "wrong_type",
+            Self::NotFinite => "not_finite",
+            Self::OutOfRange => "out_of_range",
+            Self::Retained => "retained",
+            Self::NotAsked => "not_asked",
+            Self::NoAnswer => "no_answer",
+            Self::Refused => "refused",
+        }
+    }
+
+    /// Whether a value was lost. Retained messages are skipped on purpose, and robots that are
+    /// switched off do not answer.
+    const fn is_loss(self) -> bool {
+        !matches!(self, Self::Retained | Self::NoAnswer)
+    }
+}
+
+/// Counters by route and reason.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Account {
+    kinds: BTreeMap<(String, Reason), Kind>,
+    lost: u64,
+    /// Pairs and names that were not logged yet.
+    news: Vec<String>,
+}
+
+#[derive(Debug, Clone, Default)]
+struct Kind {
+    count: u64,
+    names: BTreeSet<String>,
+}
+
+/// A line of the account.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(crate) struct UnmappedRecord {
+    /// The topic's pattern.
+    pub(crate) route: String,
+    /// The reason's name.
+    pub(crate) reason: &'static str,
+    /// How often.
+    pub(crate) count: u64,
+    /// The first robots, topics or fields concerned.
+    pub(crate) names: Vec<String>,
+}
+
+impl Account {
+    /// Counts one occurrence. `name` is the robot, topic or field.
+    pub(crate) fn count(&mut self, route: &str, reason: Reason, name: &str) {
+        self.lost += u64::from(reason.is_loss());
+        let is_full = self.kinds.len() >= MAX_KINDS;
+        let key = (route.to_owned(), reason);
+        if is_full && !self.kinds.contains_key(&key) {
+            return;
+        }
+        let kind = self.kinds.entry(key).or_default();
+        kind.count += 1;
+        if kind.names.len() >= MAX_NAMES {
+            return;
+        }
+        let name: String = name.chars().take(MAX_LETTERS).collect();
+        let news = format!("{route}: {}: {name}", reason.name());
+        if kind.names.insert(name) {
+            self.news.push(news);
+        }
+    }
+
+    /// The new entries since the last call, one line for each kept name.
+    pub(crate) fn take_news(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.news)
+    }
+
+    /// Number of messages or values lost.
+    pub(crate) const fn lost(&self) -> u64 {
+        self.lost
+    }
+
+    /// All counters, by route and reason.
+    pub(crate) fn records(&self) -> Vec<UnmappedRecord> {
+        let record = |((route, reason), kind): (&(String, Reason), &Kind)| UnmappedRecord {
+            route: route.clone(),
+            reason: reason.name(),
+            count: kind.count,
+            names: kind.names.iter().cloned().collect(),
+        };
+        self.kinds.iter().map(record).collect()
+    }
+}
+
+impl fmt::Display for UnmappedRecord {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            route,
+            reason,
+            count,
+            names,
+        } = self;
+        write!(out, "{route}: {reason} {count} ({})", names.join(", "))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn everything_is_counted_and_only_the_first_names_are_kept() {
+        let mut account = Account::default();
+        for robot in 0..1_000 {
+            account.count("a/{robot}", Reason::UnknownRobot, &format!("r{robot}"));
+            let news = account.take_news();
+            assert_eq!(news.len(), usize::from(robot < 16), "{robot}");
+        }
+        account.count("a/{robot}", Reason::Retained, &"x".repeat(9_999));
+        let records = account.records();
+        assert_eq!(records.len(), 2);
+        assert_eq!((records[0].count, records[0].names.len()), (1_000, 16));
+        assert_eq!(records[1].names[0].len(), MAX_LETTERS);
+        assert_eq!(account.lost(), 1_000, "what was retained is no loss");
+        for route in 0..2_000 {
+            account.count(&route.to_string(), Reason::NotJson, "");
+        }
+        assert_eq!(account.records().len(), MAX_KINDS);
+        assert_eq!(account.lost(), 3_000);
+    }
+}

@@ -1,0 +1,402 @@
+//! Values in a JSON document: their positions, units and signs.
+
+use serde_json::Value;
+
+use crate::mapping::account::Reason;
+use crate::mapping::observation::{Observation, PowerOf, PowerReading};
+use crate::mapping::units::{Quantity, Unit};
+
+/// The position of a value in a document.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Place {
+    /// JSON pointer (RFC 6901). Empty for the whole document.
+    pub(crate) pointer: String,
+    /// Values that mean "not known".
+    pub(crate) unknown: Vec<Value>,
+}
+
+impl Place {
+    /// Parses a pointer (`/battery/power`) or the name of a member (`power`).
+    pub(crate) fn at(text: &str) -> Self {
+        let pointer = match text {
+            "" => String::new(),
+            text if text.starts_with('/') => text.to_owned(),
+            name => format!("/{}", name.replace('~', "~0")),
+        };
+        Self {
+            pointer,
+            unknown: Vec::new(),
+        }
+    }
+
+    /// Finds the value, unless it is missing, null or means "not known".
+    fn find<'v>(&self, document: &'v Value) -> Option<&'v Value> {
+        let found = document.pointer(&self.pointer)?;
+        let is_unknown = found.is_null() || self.unknown.iter().any(|value| is_equal(value, found));
+        (!is_unknown).then_some(found)
+    }
+}
+
+/// Whether two values are equal. Numbers are compared by value: −1 equals −1.0.
+fn is_equal(one: &Value, other: &Value) -> bool {
+    one == other || one.as_f64().is_some_and(|one| other.as_f64() == Some(one))
+}
+
+/// Position, unit and sign of a number.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Number {
+    pub(crate) place: Place,
+    pub(crate) unit: Unit,
+    /// The other system counts the opposite direction as positive.
+    pub(crate) negate: bool,
+}
+
+impl Number {
+    /// A number at `place` in the SI unit.
+    pub(crate) fn si(quantity: Quantity, place: &str) -> Self {
+        Self {
+            place: Place::at(place),
+            unit: quantity.si(),
+            negate: false,
+        }
+    }
+
+    /// Reads the value in SI.
+    fn read(&self, document: &Value) -> Result<Option<f32>, Reason> {
+        let Some(found) = self.place.find(document) else {
+            return Ok(None);
+        };
+        let number = found.as_f64().ok_or(Reason::WrongType)? * self.unit.size;
+        let number = (if self.negate { -number } else { number }) as f32;
+        if number.is_finite() {
+            Ok(Some(number))
+        } else {
+            Err(Reason::NotFinite)
+        }
+    }
+}
+
+/// The position of a truth value, and the values that mean yes.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Flag {
+    pub(crate) place: Place,
+    /// If given, every other value of its type means no.
+    pub(crate) is: Vec<Value>,
+}
+
+impl Flag {
+    /// A boolean at `place`.
+    pub(crate) fn at(place: &str) -> Self {
+        Self {
+            place: Place::at(place),
+            is: vec![Value::Bool(true)],
+        }
+    }
+
+    fn read(&self, document: &Value) -> Result<Option<bool>, Reason> {
+        let Some(found) = self.place.find(document) else {
+            return Ok(None);
+        };
+        if self.is.iter().any(|value| is_equal(value, found)) {
+            return Ok(Some(true));
+        }
+        let kind = std::mem::discriminant(found);
+        let is_alike = self
+            .is
+            .iter()
+            .any(|value| std::mem::discriminant(value) == kind);
+        if is_alike {
+            Ok(Some(false))
+        } else {
+            Err(Reason::WrongType)
+        }
+    }
+}
+
+/// Which values a document has, and where.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct Fields {
+    pub(crate) v: Option<Number>,
+    /// Velocity across the direction of driving. The speed then counts.
+    pub(crate) vy: Option<Number>,
+    pub(crate) omega: Option<Number>,
+    pub(crate) power: Option<Number>,
+    /// What `power` measures.
+    pub(crate) power_of: PowerOf,
+    /// Without `power`, voltage times current is the battery's power.
+    pub(crate) power_of_current: bool,
+    pub(crate) voltage: Option<Number>,
+    pub(crate) current: Option<Number>,
+    pub(crate) soc: Option<Number>,
+    pub(crate) charging: Option<Flag>,
+    pub(crate) full: Option<Flag>,
+    /// Position of the robot's name, unless the topic has it.
+    pub(crate) robot: Option<Place>,
+}
+
+impl Fields {
+    /// Reads the values of a document. An unusable value is passed to `refused` with its name, and
+    /// the others count.
+    pub(crate) fn read(
+        &self,
+        document: &Value,
+        mut refused: impl FnMut(Reason, &'static str),
+    ) -> Observation {
+        let mut number = |field: &Option<Number>, name| {
+            let read = field
+                .as_ref()
+                .map_or(Ok(None), |field| field.read(document));
+            read.unwrap_or_else(|reason| {
+                refused(reason, name);
+                None
+            })
+        };
+        let mut seen = Observation {
+            v_mps: number(&self.v, "v"),
+            omega_radps: number(&self.omega, "omega"),
+            voltage_v: number(&self.voltage, "voltage"),
+            current_a: number(&self.current, "current"),
+            soc: number(&self.soc, "soc"),
+            ..Observation::default()
+        };
+        if let Some(vy_mps) = number(&self.vy, "vy").filter(|vy_mps| *vy_mps != 0.0) {
+            let speed_mps = seen.v_mps.map(|v_mps| v_mps.hypot(vy_mps));
+            seen.v_mps = speed_mps.filter(|speed_mps| speed_mps.is_finite());
+        }
+        let power_w = number(&self.power, "power");
+        seen.power = power_w.map(|power_w| PowerReading {
+            power_w,
+            of: self.power_of,
+        });
+        if self.power_of_current {
+            seen.power = seen.power.or(product(seen.voltage_v, seen.current_a));
+        }
+        let mut flag = |field: &Option<Flag>, name| {
+            let read = field
+                .as_ref()
+                .map_or(Ok(None), |field| field.read(document));
+            read.unwrap_or_else(|reason| {
+                refused(reason, name);
+                None
+            })
+        };
+        seen.charging = flag(&self.charging, "charging");
+        seen.full = flag(&self.full, "full");
+        seen
+    }
+
+    /// The robot's name in the document: a text or an integer.
+    pub(crate) fn robot(&self, document: &Value) -> Option<String> {
+        match self.robot.as_ref()?.find(document)? {
+            Value::String(name) => Some(name.clone()),
+            Value::Number(number) => Some(number.as_u64()?.to_string()),
+            _ => None,
+        }
+    }
+
+    /// Fields of a vehicle's `state` by VDA 5050 (1.1 to 2.1): battery, and velocity in the
+    /// vehicle's frame.
+    pub(crate) fn vda5050() -> Self {
+        let percent = Unit {
+            name: "%",
+            size: 0.01,
+        };
+        let soc = Number::si(Quantity::Share, "/batteryState/batteryCharge");
+        Self {
+            v: Some(Number::si(Quantity::Speed, "/velocity/vx")),
+            vy: Some(Number::si(Quantity::Speed, "/velocity/vy")),
+            omega: Some(Number::si(Quantity::TurnRate, "/velocity/omega")),
+            soc: Some(Number {
+                unit: percent,
+                ..soc
+            }),
+            voltage: Some(Number::si(
+                Quantity::Voltage,
+                "/batteryState/batteryVoltage",
+            )),
+            charging: Some(Flag::at("/batteryState/charging")),
+            ..Self::default()
+        }
+    }
+}
+
+/// The battery's power, if both factors are numbers.
+pub(crate) fn product(voltage_v: Option<f32>, current_a: Option<f32>) -> Option<PowerReading> {
+    let power_w = voltage_v? * current_a?;
+    power_w.is_finite().then_some(PowerReading {
+        power_w,
+        of: PowerOf::Battery,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use serde_json::json;
+
+    use super::*;
+
+    fn number(place: &str, quantity: Quantity, unit: &str, negate: bool) -> Option<Number> {
+        Some(Number {
+            place: Place::at(place),
+            unit: quantity.unit(unit).unwrap(),
+            negate,
+        })
+    }
+
+    fn fields() -> Fields {
+        Fields {
+            power: number("/battery/power", Quantity::Power, "mW", false),
+            current: number("/battery/current", Quantity::Current, "mA", true),
+            voltage: number("volt", Quantity::Voltage, "V", false),
+            soc: number("/soc", Quantity::Share, "%", false),
+            charging: Some(Flag {
+                is: vec![json!("charging"), json!(1)],
+                ..Flag::at("/state")
+            }),
+            power_of_current: true,
+            ..Fields::default()
+        }
+    }
+
+    fn read(fields: &Fields, document: &Value) -> (Observation, Vec<(Reason, &'static str)>) {
+        let mut refused = Vec::new();
+        let seen = fields.read(document, |reason, name| refused.push((reason, name)));
+        (seen, refused)
+    }
+
+    #[test]
+    fn values_have_units_and_signs() {
+        let document = json!({
+            "battery": {"power": 4600, "current": -383.0}, "volt": 12, "soc": 50.0, "state": "charging",
+        });
+        let (seen, refused) = read(&fields(), &document);
+        assert_eq!(refused, []);
+        assert_eq!(seen.power.unwrap().power_w, 4.6);
+        assert_eq!(
+            (seen.current_a, seen.voltage_v, seen.soc),
+            (Some(0.383), Some(12.0), Some(0.5))
+        );
+        assert_eq!(seen.charging, Some(true));
+        let product = json!({"battery": {"current": -500}, "volt": 12, "state": 0});
+        let (seen, _) = read(&fields(), &product);
+        let power = seen.power.unwrap();
+        assert_eq!((power.power_w, power.of), (6.0, PowerOf::Battery));
+        assert_eq!(seen.charging, Some(false));
+    }
+
+    #[test]
+    fn what_is_missing_null_or_a_sentinel_is_unknown_and_no_error() {
+        let mut fields = fields();
+        for place in [&mut fields.power, &mut fields.voltage]
+            .into_iter()
+            .flatten()
+        {
+            place.place.unknown = vec![json!(-1)];
+        }
+        for document in [
+            json!({}),
+            json!([]),
+            json!(7),
+            json!({"battery": null, "volt": null, "state": null}),
+            json!({"battery": {"power": -1.0}, "volt": -1}),
+        ] {
+            let (seen, refused) = read(&fields, &document);
+            assert!(
+                seen.is_empty() && refused.is_empty(),
+                "{document}: {seen:?} {refused:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_wrong_value_is_named_and_the_others_are_taken() {
+        for (power, expected) in [
+            (json!("4600"), Reason::WrongType),
+            (json!([4600]), Reason::WrongType),
+            (json!({"w": 4}), Reason::WrongType),
+            (json!(true), Reason::WrongType),
+            (json!(1e300), Reason::NotFinite),
+        ] {
+            let document = json!({"battery": {"power": power}, "soc": 50, "state": []});
+            let (seen, refused) = read(&fields(), &document);
+            assert_eq!(
+                refused,
+                [(expected, "power"), (Reason::WrongType, "charging")]
+            );
+            assert_eq!((seen.power, seen.soc), (None, Some(0.5)));
+        }
+        let overflow = json!({"battery": {"current": -1e38}, "volt": 1e38});
+        assert_eq!(
+            read(&fields(), &overflow).0.power,
+            None,
+            "their product is not finite"
+        );
+    }
+
+    #[test]
+    fn a_vehicles_state_by_vda_5050_is_read() {
+        let document = json!({
+            "headerId": 1, "version": "2.0.0", "manufacturer": "KIT", "serialNumber": "0001", "driving": true,
+            "velocity": {"vx": 0.3, "vy": 0.4, "omega": -0.2},
+            "batteryState": {"batteryCharge": 80.0, "batteryVoltage": 24.5, "charging": false, "reach": 1200},
+        });
+        let fields = Fields {
+            robot: Some(Place::at("/serialNumber")),
+            ..Fields::vda5050()
+        };
+        let (seen, refused) = read(&fields, &document);
+        assert_eq!(refused, []);
+        assert_eq!((seen.v_mps, seen.omega_radps), (Some(0.5), Some(-0.2)));
+        assert_eq!(
+            (seen.soc, seen.voltage_v, seen.charging),
+            (Some(0.8), Some(24.5), Some(false))
+        );
+        assert_eq!(seen.power, None, "VDA 5050 has neither power nor current");
+        assert_eq!(fields.robot(&document).as_deref(), Some("0001"));
+        assert_eq!(
+            fields.robot(&json!({"serialNumber": 7})).as_deref(),
+            Some("7")
+        );
+        assert_eq!(fields.robot(&json!({"serialNumber": -7.5})), None);
+        let backwards = json!({"velocity": {"vx": -0.3, "vy": 0.0}});
+        assert_eq!(read(&fields, &backwards).0.v_mps, Some(-0.3));
+    }
+
+    fn any_json() -> impl Strategy<Value = Value> {
+        let leaf = prop_oneof![
+            Just(Value::Null),
+            any::<bool>().prop_map(Value::Bool),
+            any::<f64>().prop_map(|number| json!(number)),
+            any::<i64>().prop_map(|number| json!(number)),
+            "[a-z]{0,6}".prop_map(Value::String),
+        ];
+        leaf.prop_recursive(4, 32, 4, |inner| {
+            let name = prop_oneof![
+                Just("battery"),
+                Just("power"),
+                Just("current"),
+                Just("volt"),
+                Just("soc"),
+                Just("state"),
+            ];
+            let name = name.prop_map(str::to_owned);
+            prop_oneof![
+                prop::collection::vec(inner.clone(), 0..4).prop_map(Value::Array),
+                prop::collection::hash_map(name, inner, 0..4)
+                    .prop_map(|members| Value::Object(members.into_iter().collect())),
+            ]
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn no_document_panics_or_gives_a_number_that_is_not_finite(document in any_json()) {
+            let (seen, _) = read(&fields(), &document);
+            let power_w = seen.power.map(|power| power.power_w);
+            for number in [power_w, seen.voltage_v, seen.current_a, seen.soc].into_iter().flatten() {
+                prop_assert!(number.is_finite());
+            }
+        }
+    }
+}

@@ -1,0 +1,449 @@
+//! The newest observations of each robot, from messages at any rate, and its sample at a given
+//! time.
+//!
+//! Commands and readings arrive in messages of their own, each at its own rate. A sample is made of
+//! the newest ones:
+//! - A reading that was in no sample yet is a new measurement, made when its message arrived,
+//!   because a robot's clock is not this host's. Of several readings between two samples the newest
+//!   counts.
+//! - The same reading again is *held* until `reading_holds_s`. Then the sample has none, and the
+//!   worker bridges the gap.
+//! - A command holds until the next one, at most for `command_holds_s`. Then it is unknown, or 0 if
+//!   the robot stops by itself.
+//! - The charging state holds until it changes. If messages report it, it is unknown until the
+//!   first of them, and so is the meaning of the battery's power. If none do, the robot never
+//!   charges. A battery's power from before a change is dropped.
+//! - A robot without any message for `silent_after_s` is left out of the frame, and the worker
+//!   reports that.
+
+use std::collections::BTreeMap;
+
+use joulebus_publisher::RobotState;
+use joulebus_settings::ChargeReading;
+
+use crate::mapping::observation::{Observation, PowerOf, PowerReading};
+
+/// What a robot does after its command has expired.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) enum Expired {
+    /// Not known.
+    #[default]
+    Unknown,
+    /// Its controller stops it, so the command is 0.
+    Stops,
+}
+
+/// How long an observed value holds, ns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Holds {
+    pub(crate) command_ns: u64,
+    pub(crate) expired: Expired,
+    pub(crate) reading_ns: u64,
+    pub(crate) silent_ns: u64,
+}
+
+/// A value with the monotonic time of its message, ns.
+#[derive(Debug, Clone, Copy)]
+struct Timed<T> {
+    value: T,
+    at_ns: u64,
+}
+
+impl<T: Copy> Timed<T> {
+    /// The value, if it is not older than `holds_ns`.
+    fn within(&self, holds_ns: u64, now_ns: u64) -> Option<T> {
+        (now_ns.saturating_sub(self.at_ns) <= holds_ns).then_some(self.value)
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Robot {
+    charge_reading: ChargeReading,
+    any_ns: Option<u64>,
+    v_mps: Option<Timed<f32>>,
+    omega_radps: Option<Timed<f32>>,
+    power: Option<Timed<PowerReading>>,
+    /// The reading was already part of a sample.
+    sampled: bool,
+    voltage_v: Option<Timed<f32>>,
+    current_a: Option<Timed<f32>>,
+    soc: Option<Timed<f32>>,
+    /// `None` if messages report it and none has come yet.
+    charging: Option<bool>,
+    full: bool,
+}
+
+/// The newest observations of all robots of the mapping.
+#[derive(Debug, Clone)]
+pub(crate) struct Intake {
+    holds: Holds,
+    robots: BTreeMap<u32, Robot>,
+    observations: u64,
+}
+
+impl Intake {
+    /// Creates the intake for these robots, each with what its battery's power means while it
+    /// charges. `reports_charging` states that messages report whether a robot charges.
+    pub(crate) fn new(
+        holds: Holds,
+        reports_charging: bool,
+        robots: impl IntoIterator<Item = (u32, ChargeReading)>,
+    ) -> Self {
+        let robot = |(id, charge_reading)| {
+            let robot = Robot {
+                charge_reading,
+                any_ns: None,
+                v_mps: None,
+                omega_radps: None,
+                power: None,
+                sampled: false,
+                voltage_v: None,
+                current_a: None,
+                soc: None,
+                charging: (!reports_charging).then_some(false),
+                full: false,
+            };
+            (id, robot)
+        };
+        Self {
+            holds,
+            robots: robots.into_iter().map(robot).collect(),
+            observations: 0,
+        }
+    }
+
+    /// Adds an observation of a robot made at `at_ns` (monotonic). A robot that the mapping does
+    /// not have is ignored.
+    pub(crate) fn take(&mut self, robot: u32, seen: &Observation, at_ns: u64) {
+        let Some(known) = self.robots.get_mut(&robot).filter(|_| !seen.is_empty()) else {
+            return;
+        };
+        self.observations += 1;
+        known.any_ns = Some(at_ns);
+        for (value, place) in [
+            (seen.v_mps, &mut known.v_mps),
+            (seen.omega_radps, &mut known.omega_radps),
+            (seen.voltage_v, &mut known.voltage_v),
+            (seen.current_a, &mut known.current_a),
+            (seen.soc, &mut known.soc),
+        ] {
+            set(place, value, at_ns);
+        }
+        let is_of_battery = |timed: Timed<PowerReading>| timed.value.of == PowerOf::Battery;
+        let charging = seen.charging.or(known.charging);
+        if charging != known.charging {
+            known.power = known.power.filter(|timed| !is_of_battery(*timed));
+        }
+        known.charging = charging;
+        known.full = seen.full.unwrap_or(known.full);
+        // A repeated reading is not a new measurement.
+        if seen.power.is_some() && !(seen.repeats && known.power.is_some()) {
+            set(&mut known.power, seen.power, at_ns);
+            known.sampled = false;
+        }
+    }
+
+    /// The state of a robot for the sample of `now_ns` (monotonic). `None` if the robot has been
+    /// silent for too long.
+    pub(crate) fn sample(&mut self, robot: u32, now_ns: u64) -> Option<RobotState> {
+        let (holds, known) = (self.holds, self.robots.get_mut(&robot)?);
+        let any_ns = known.any_ns?;
+        if now_ns.saturating_sub(any_ns) > holds.silent_ns {
+            return None;
+        }
+        let mut state = RobotState::new(robot);
+        state.v_mps = command(known.v_mps, holds, now_ns);
+        state.omega_radps = command(known.omega_radps, holds, now_ns);
+        state.charging = known.charging == Some(true);
+        state.full = state.charging && known.full;
+        let number = |timed: Option<Timed<f32>>| timed?.within(holds.reading_ns, now_ns);
+        state.voltage_v = number(known.voltage_v);
+        state.current_a = number(known.current_a);
+        state.soc = number(known.soc);
+        if let Some(timed) = &mut known.power {
+            // The message may have come after `now_ns` was read. A held reading keeps the time that
+            // its sample had.
+            timed.at_ns = timed.at_ns.min(now_ns);
+        }
+        if let Some(timed) = known.power
+            && let Some(reading) = timed.within(holds.reading_ns, now_ns)
+        {
+            state.power_w = known.power_w(reading, known.charging);
+            state.measured_ns = state.power_w.map(|_| timed.at_ns);
+            state.held = known.sampled && state.power_w.is_some();
+            known.sampled |= state.power_w.is_some();
+        }
+        Some(state)
+    }
+
+    /// The voltage of a robot's battery, unless it is too old.
+    pub(crate) fn voltage_v(&self, robot: u32, now_ns: u64) -> Option<f32> {
+        let timed = self.robots.get(&robot)?.voltage_v?;
+        timed.within(self.holds.reading_ns, now_ns)
+    }
+
+    /// Number of observations taken.
+    pub(crate) const fn observations(&self) -> u64 {
+        self.observations
+    }
+}
+
+impl Robot {
+    /// The power that the platform's config expects. On the charger the battery's power has the
+    /// meaning of `charge_reading`. With `load` the consumption is then unknown.
+    fn power_w(&self, reading: PowerReading, charging: Option<bool>) -> Option<f32> {
+        match (reading.of, charging, self.charge_reading) {
+            (PowerOf::Load, _, _) | (_, Some(false), _) | (_, _, ChargeReading::Battery) => {
+                Some(reading.power_w)
+            }
+            (_, Some(true), ChargeReading::Charger) => Some(-reading.power_w),
+            (_, Some(true), ChargeReading::Load) | (_, None, _) => None,
+        }
+    }
+}
+
+fn set<T: Copy>(place: &mut Option<Timed<T>>, value: Option<T>, at_ns: u64) {
+    if let Some(value) = value {
+        *place = Some(Timed { value, at_ns });
+    }
+}
+
+fn command(timed: Option<Timed<f32>>, holds: Holds, now_ns: u64) -> Option<f32> {
+    let value = timed?.within(holds.command_ns, now_ns);
+    let stopped = (holds.expired == Expired::Stops).then_some(0.0);
+    value.or(stopped)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const HOLDS: Holds = Holds {
+        command_ns: 50,
+        expired: Expired::Unknown,
+        reading_ns: 100,
+        silent_ns: 300,
+    };
+
+    fn intake(holds: Holds, charge_reading: ChargeReading) -> Intake {
+        Intake::new(holds, false, [(7, charge_reading)])
+    }
+
+    fn power(power_w: f32, of: PowerOf) -> Observation {
+        Observation {
+            power: Some(PowerReading { power_w, of }),
+            ..Observation::default()
+        }
+    }
+
+    fn command_of(v_mps: f32) -> Observation {
+        Observation {
+            v_mps: Some(v_mps),
+            omega_radps: Some(-v_mps),
+            ..Observation::default()
+        }
+    }
+
+    #[test]
+    fn readings_are_new_once_then_held_then_missing_and_a_silent_robot_is_left_out() {
+        let mut intake = intake(HOLDS, ChargeReading::Load);
+        assert_eq!(intake.sample(7, 5), None, "no message yet");
+        intake.take(7, &power(3.0, PowerOf::Load), 10);
+        intake.take(7, &power(4.0, PowerOf::Load), 15);
+        for (now_ns, expected) in [
+            (20, Some((Some(4.0), Some(15), false))),
+            (50, Some((Some(4.0), Some(15), true))),
+            (115, Some((Some(4.0), Some(15), true))),
+            (116, Some((None, None, false))),
+            (315, Some((None, None, false))),
+            (316, None),
+        ] {
+            let sample = intake.sample(7, now_ns);
+            let seen = sample.map(|state| (state.power_w, state.measured_ns, state.held));
+            assert_eq!(seen, expected, "at {now_ns}");
+        }
+        intake.take(7, &power(5.0, PowerOf::Load), 400);
+        assert!(!intake.sample(7, 410).unwrap().held, "it is back");
+        intake.take(8, &power(5.0, PowerOf::Load), 400);
+        assert_eq!(
+            (intake.sample(8, 410), intake.observations()),
+            (None, 3),
+            "not in the mapping"
+        );
+    }
+
+    #[test]
+    fn commands_come_at_their_own_rate_and_expire() {
+        for (expired, after) in [(Expired::Unknown, None), (Expired::Stops, Some(0.0))] {
+            let mut intake = intake(Holds { expired, ..HOLDS }, ChargeReading::Load);
+            intake.take(7, &power(3.0, PowerOf::Load), 5);
+            let state = intake.sample(7, 6).unwrap();
+            assert_eq!(
+                (state.v_mps, state.omega_radps),
+                (None, None),
+                "never commanded"
+            );
+            intake.take(7, &command_of(0.5), 10);
+            assert_eq!(intake.sample(7, 60).unwrap().v_mps, Some(0.5));
+            let state = intake.sample(7, 61).unwrap();
+            assert_eq!((state.v_mps, state.omega_radps), (after, after));
+            assert_eq!(state.power_w, Some(3.0), "its reading is not affected");
+        }
+    }
+
+    #[test]
+    fn a_repeated_measurement_keeps_its_time() {
+        let mut intake = intake(HOLDS, ChargeReading::Load);
+        let again = Observation {
+            repeats: true,
+            ..power(3.0, PowerOf::Load)
+        };
+        intake.take(7, &again, 10);
+        assert!(!intake.sample(7, 20).unwrap().held, "the first one");
+        intake.take(7, &again, 90);
+        let state = intake.sample(7, 100).unwrap();
+        assert_eq!((state.held, state.measured_ns), (true, Some(10)));
+        intake.take(7, &again, 150);
+        assert_eq!(
+            intake.sample(7, 160).unwrap().power_w,
+            None,
+            "measured too long ago"
+        );
+    }
+
+    #[test]
+    fn a_batterys_power_on_the_charger_means_what_the_platform_says() {
+        let charging = Observation {
+            charging: Some(true),
+            full: Some(true),
+            ..power(-40.0, PowerOf::Battery)
+        };
+        for (charge_reading, of, expected) in [
+            (ChargeReading::Battery, PowerOf::Battery, Some(-40.0)),
+            (ChargeReading::Charger, PowerOf::Battery, Some(40.0)),
+            (ChargeReading::Load, PowerOf::Battery, None),
+            (ChargeReading::Load, PowerOf::Load, Some(-40.0)),
+        ] {
+            let mut intake = intake(HOLDS, charge_reading);
+            let power = power(-40.0, of).power;
+            intake.take(7, &Observation { power, ..charging }, 10);
+            let state = intake.sample(7, 20).unwrap();
+            assert_eq!(state.power_w, expected, "{charge_reading:?} {of:?}");
+            assert_eq!(state.measured_ns.is_some(), expected.is_some());
+            assert!(state.charging && state.full);
+            let left = Observation {
+                charging: Some(false),
+                ..power_alone(12.0)
+            };
+            intake.take(7, &left, 30);
+            let state = intake.sample(7, 40).unwrap();
+            assert_eq!(
+                (state.power_w, state.charging, state.full),
+                (Some(12.0), false, false)
+            );
+        }
+    }
+
+    #[test]
+    fn a_batterys_power_means_nothing_before_it_is_told_whether_the_robot_charges() {
+        for (charge_reading, of, expected) in [
+            (ChargeReading::Load, PowerOf::Battery, None),
+            (ChargeReading::Charger, PowerOf::Battery, None),
+            (ChargeReading::Battery, PowerOf::Battery, Some(-40.0)),
+            (ChargeReading::Load, PowerOf::Load, Some(-40.0)),
+        ] {
+            let mut intake = Intake::new(HOLDS, true, [(7, charge_reading)]);
+            intake.take(7, &power(-40.0, of), 10);
+            let state = intake.sample(7, 20).unwrap();
+            assert_eq!((state.power_w, state.charging), (expected, false));
+            let told = Observation {
+                charging: Some(false),
+                ..power(12.0, of)
+            };
+            intake.take(7, &told, 30);
+            let state = intake.sample(7, 40).unwrap();
+            assert_eq!((state.power_w, state.held), (Some(12.0), false));
+        }
+    }
+
+    #[test]
+    fn charging_applies_until_it_is_told_otherwise() {
+        let mut intake = intake(HOLDS, ChargeReading::Load);
+        let charging = |charging| Observation {
+            charging: Some(charging),
+            ..Observation::default()
+        };
+        intake.take(7, &charging(true), 30);
+        for at_ns in (100..2_000).step_by(100) {
+            intake.take(7, &power(-40.0, PowerOf::Battery), at_ns);
+            let state = intake.sample(7, at_ns + 10).unwrap();
+            assert_eq!((state.charging, state.power_w), (true, None), "at {at_ns}");
+        }
+        intake.take(7, &charging(false), 2_000);
+        let state = intake.sample(7, 2_010).unwrap();
+        assert_eq!((state.charging, state.power_w), (false, None), "of before");
+        intake.take(7, &power(12.0, PowerOf::Battery), 2_020);
+        let state = intake.sample(7, 2_030).unwrap();
+        assert_eq!((state.power_w, state.held), (Some(12.0), false));
+    }
+
+    #[test]
+    fn a_reading_that_came_after_the_samples_time_keeps_the_time_that_was_told() {
+        let mut intake = intake(HOLDS, ChargeReading::Load);
+        intake.take(7, &power(3.0, PowerOf::Load), 12);
+        for (now_ns, held) in [(10, false), (20, true)] {
+            let state = intake.sample(7, now_ns).unwrap();
+            assert_eq!(
+                (state.measured_ns, state.held),
+                (Some(10), held),
+                "at {now_ns}"
+            );
+        }
+    }
+
+    fn power_alone(power_w: f32) -> Observation {
+        power(power_w, PowerOf::Battery)
+    }
+
+    proptest! {
+        /// Compares with a list of all observations, searched again for each sample.
+        #[test]
+        fn samples_are_of_the_newest_of_each(
+            steps in prop::collection::vec((1u64..40, 0u8..4, -9.0f32..9.0), 1..80),
+        ) {
+            let mut intake = intake(HOLDS, ChargeReading::Load);
+            let mut all: Vec<(u64, Observation)> = Vec::new();
+            let (mut now_ns, mut last_measured) = (0, None);
+            for (pause, what, value) in steps {
+                now_ns += pause;
+                let seen = match what {
+                    0 => power(value, PowerOf::Load),
+                    1 => command_of(value),
+                    2 => Observation { soc: Some(value), ..Observation::default() },
+                    _ => Observation::default(),
+                };
+                intake.take(7, &seen, now_ns);
+                if !seen.is_empty() {
+                    all.push((now_ns, seen));
+                }
+                now_ns += 1;
+                let newest = |of: fn(&Observation) -> bool| all.iter().rev().find(|(_, seen)| of(seen));
+                let state = intake.sample(7, now_ns);
+                let is_known = newest(|_| true).is_some_and(|(at_ns, _)| now_ns - at_ns <= 300);
+                prop_assert_eq!(state.is_some(), is_known);
+                let Some(state) = state else { continue };
+                let reading = newest(|seen| seen.power.is_some()).filter(|(at_ns, _)| now_ns - at_ns <= 100);
+                prop_assert_eq!(state.measured_ns, reading.map(|(at_ns, _)| *at_ns));
+                prop_assert_eq!(state.power_w, reading.and_then(|(_, seen)| seen.power).map(|it| it.power_w));
+                prop_assert_eq!(state.held, reading.is_some() && last_measured == state.measured_ns);
+                last_measured = state.measured_ns.or(last_measured);
+                let command = newest(|seen| seen.v_mps.is_some()).filter(|(at_ns, _)| now_ns - at_ns <= 50);
+                prop_assert_eq!(state.v_mps, command.and_then(|(_, seen)| seen.v_mps));
+                let soc = newest(|seen| seen.soc.is_some()).filter(|(at_ns, _)| now_ns - at_ns <= 100);
+                prop_assert_eq!(state.soc, soc.and_then(|(_, seen)| seen.soc));
+            }
+        }
+    }
+}

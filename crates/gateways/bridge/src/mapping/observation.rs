@@ -1,0 +1,66 @@
+//! The observation of one robot in one message.
+
+/// A power, and what it measures.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct PowerReading {
+    /// W; out of the battery is positive.
+    pub(crate) power_w: f32,
+    /// What the power is of.
+    pub(crate) of: PowerOf,
+}
+
+/// What a power meter measures.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) enum PowerOf {
+    /// The robot's consumption.
+    #[default]
+    Load,
+    /// The battery's discharge, negative while it is charged.
+    Battery,
+}
+
+/// The values of a message in SI. `None` if the message does not have the value. All numbers are
+/// finite.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(crate) struct Observation {
+    /// Linear velocity, m/s.
+    pub(crate) v_mps: Option<f32>,
+    /// Angular velocity, rad/s.
+    pub(crate) omega_radps: Option<f32>,
+    /// Power.
+    pub(crate) power: Option<PowerReading>,
+    /// Battery voltage, V.
+    pub(crate) voltage_v: Option<f32>,
+    /// Battery current, A, positive while discharging.
+    pub(crate) current_a: Option<f32>,
+    /// State of charge, 0 to 1.
+    pub(crate) soc: Option<f32>,
+    /// Whether the robot is on its charger.
+    pub(crate) charging: Option<bool>,
+    /// Whether the charger reports a full battery.
+    pub(crate) full: Option<bool>,
+    /// The message is known to repeat the previous measurement.
+    pub(crate) repeats: bool,
+}
+
+impl Observation {
+    /// Whether it has no value.
+    pub(crate) fn is_empty(&self) -> bool {
+        let Self {
+            v_mps,
+            omega_radps,
+            power,
+            voltage_v,
+            current_a,
+            soc,
+            charging,
+            full,
+            repeats: _,
+        } = self;
+        let numbers = [v_mps, omega_radps, voltage_v, current_a, soc];
+        numbers.iter().all(|number| number.is_none())
+            && power.is_none()
+            && charging.is_none()
+            && full.is_none()
+    }
+}

@@ -1,0 +1,304 @@
+//! JSON documents about robots: a mapping of values to names, units and signs.
+
+use joulebus_board::{Newest, RobotRecord};
+use serde_json::{Map, Value, json};
+
+use crate::mapping::units::{Quantity, Unit};
+
+/// A JSON object.
+pub(crate) type Object = Map<String, Value>;
+
+/// The contents of a topic.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum What {
+    /// The forecast of a robot's next reading.
+    Forecast,
+    /// The energy that a robot has drawn and has left.
+    Budget,
+    /// The raised alarms of a robot.
+    Alarms,
+    /// Every raise and clearance of an alarm, of robots and of the worker.
+    AlarmChanges,
+    /// The state of the bridge and of the worker, and the unmapped messages.
+    Status,
+}
+
+impl What {
+    /// Whether each robot has a topic of its own.
+    pub(crate) const fn is_of_robot(self) -> bool {
+        matches!(self, Self::Forecast | Self::Budget | Self::Alarms)
+    }
+
+    /// Whether the broker retains the newest document for later subscribers by default.
+    pub(crate) const fn is_kept(self) -> bool {
+        matches!(self, Self::Budget | Self::Alarms | Self::Status)
+    }
+
+    /// The values of a document without a mapping of its own.
+    pub(crate) const fn usual(self) -> &'static [&'static str] {
+        match self {
+            Self::Forecast => &[
+                "robot",
+                "name",
+                "quality",
+                "stamp_unix_ns",
+                "target_unix_ns",
+                "reading_w",
+                "reading_age_s",
+                "power_w",
+                "lo_w",
+                "hi_w",
+                "residual_w",
+            ],
+            Self::Budget => &[
+                "robot",
+                "name",
+                "stamp_unix_ns",
+                "drawn_j",
+                "metered_s",
+                "unmetered_s",
+                "mean_power_w",
+                "soc",
+                "soc_lo",
+                "soc_hi",
+                "charging",
+                "usable_j",
+                "usable_lo_j",
+                "time_to_empty_s",
+                "time_to_empty_lo_s",
+                "time_to_empty_hi_s",
+            ],
+            Self::Alarms => &["robot", "name", "level", "alarms"],
+            Self::AlarmChanges | Self::Status => &[],
+        }
+    }
+}
+
+/// All values of a robot, for use in mappings.
+const VALUES: &[(&str, Quantity)] = &[
+    ("robot", Quantity::Plain),
+    ("name", Quantity::Plain),
+    ("quality", Quantity::Plain),
+    ("quality_detail", Quantity::Plain),
+    ("stamp_unix_ns", Quantity::Plain),
+    ("target_unix_ns", Quantity::Plain),
+    ("reading_w", Quantity::Power),
+    ("reading_age_s", Quantity::Time),
+    ("power_w", Quantity::Power),
+    ("lo_w", Quantity::Power),
+    ("hi_w", Quantity::Power),
+    ("residual_w", Quantity::Power),
+    ("bias_w", Quantity::Power),
+    ("level", Quantity::Plain),
+    ("alarms", Quantity::Plain),
+    ("drawn_j", Quantity::Energy),
+    ("metered_s", Quantity::Time),
+    ("unmetered_s", Quantity::Time),
+    ("mean_power_w", Quantity::Power),
+    ("soc", Quantity::Share),
+    ("soc_lo", Quantity::Share),
+    ("soc_hi", Quantity::Share),
+    ("charging", Quantity::Plain),
+    ("usable_j", Quantity::Energy),
+    ("usable_lo_j", Quantity::Energy),
+    ("time_to_empty_s", Quantity::Time),
+    ("time_to_empty_lo_s", Quantity::Time),
+    ("time_to_empty_hi_s", Quantity::Time),
+];
+
+/// The quantity of the value `name`. `None` if there is no such value.
+pub(crate) fn quantity(name: &str) -> Option<Quantity> {
+    let found = VALUES.iter().find(|(value, _)| *value == name);
+    found.map(|(_, quantity)| *quantity)
+}
+
+/// The names of all values.
+pub(crate) fn value_names() -> impl Iterator<Item = &'static str> {
+    VALUES.iter().map(|(name, _)| *name)
+}
+
+/// A value of an outgoing document.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct OutgoingValue {
+    /// Name of the value.
+    pub(crate) value: String,
+    /// Names of the members that lead to the value.
+    pub(crate) path: Vec<String>,
+    pub(crate) unit: Unit,
+    pub(crate) negate: bool,
+}
+
+impl OutgoingValue {
+    /// The value under its own name.
+    pub(crate) fn plain(value: &str) -> Self {
+        Self {
+            value: value.to_owned(),
+            path: vec![value.to_owned()],
+            unit: quantity(value).unwrap_or(Quantity::Plain).si(),
+            negate: false,
+        }
+    }
+
+    fn of(&self, values: &Object) -> Value {
+        let value = values.get(&self.value).unwrap_or(&Value::Null);
+        let is_plain = self.unit.size == 1.0 && !self.negate;
+        match self.number(values) {
+            Some(number) if !is_plain && value.is_number() => json!(number),
+            _ => value.clone(),
+        }
+    }
+
+    /// The value in its unit and with its sign. A boolean is 1 or 0. `None` if it is unknown or no
+    /// number.
+    pub(crate) fn number(&self, values: &Object) -> Option<f64> {
+        let number = match values.get(&self.value)? {
+            Value::Bool(is_true) => f64::from(u8::from(*is_true)),
+            value => value.as_f64()? / self.unit.size,
+        };
+        Some(if self.negate { -number } else { number })
+    }
+}
+
+/// The document with these values. Unknown ones are null.
+pub(crate) fn document(fields: &[OutgoingValue], values: &Object) -> Value {
+    let mut document = Object::new();
+    for field in fields {
+        insert(&mut document, &field.path, field.of(values));
+    }
+    Value::Object(document)
+}
+
+fn insert(object: &mut Object, path: &[String], value: Value) {
+    match path {
+        [] => {}
+        [name] => {
+            object.insert(name.clone(), value);
+        }
+        [name, rest @ ..] => {
+            let inner = object.entry(name.clone()).or_insert_with(|| json!({}));
+            if let Value::Object(inner) = inner {
+                insert(inner, rest, value);
+            }
+        }
+    }
+}
+
+/// All values of a robot. `unix_ns` converts this host's monotonic time to Unix time.
+pub(crate) fn values(
+    robot: u32,
+    name: &str,
+    newest: &Newest,
+    unix_ns: impl Fn(u64) -> u64,
+) -> Object {
+    // A record is a struct with named fields, so it serialises to an object.
+    let record = serde_json::to_value(RobotRecord::of(robot, newest));
+    let mut values = match record {
+        Ok(Value::Object(values)) => values,
+        _ => Object::new(),
+    };
+    for (of, unix) in [
+        ("stamp_ns", "stamp_unix_ns"),
+        ("target_ns", "target_unix_ns"),
+    ] {
+        let stamp_ns = values.remove(of).and_then(|stamp| stamp.as_u64());
+        values.insert(unix.to_owned(), json!(stamp_ns.map(&unix_ns)));
+    }
+    let age_ns = values.remove("reading_age_ns").and_then(|age| age.as_f64());
+    values.insert(
+        "reading_age_s".to_owned(),
+        json!(age_ns.map(|age_ns| age_ns * 1e-9)),
+    );
+    values.insert("name".to_owned(), json!(name));
+    values
+}
+
+#[cfg(test)]
+mod tests {
+    use joulebus_consumer::wire::{
+        Budget, Diagnostic, Forecast, Quality, budget_flag, forecast_flag,
+    };
+
+    use super::*;
+
+    fn newest() -> Newest {
+        let (quality, quality_detail) = Quality::Held.encode();
+        Newest {
+            forecast: Forecast {
+                robot: 7,
+                flags: forecast_flag::POWER | forecast_flag::READING | forecast_flag::SAMPLE,
+                quality,
+                quality_detail,
+                reading_w: 4.5,
+                power_w: 4.75,
+                stamp_ns: 100,
+                target_ns: 130,
+                reading_age_ns: 500_000_000,
+                ..Forecast::default()
+            },
+            diagnostic: Some(Diagnostic {
+                robot: 7,
+                level: 2,
+                alarms: 1 << 2,
+                ..Diagnostic::default()
+            }),
+            budget: Some(Budget {
+                robot: 7,
+                flags: budget_flag::LEDGER | budget_flag::BATTERY,
+                drawn_uj: 7_200_000_000,
+                soc: 0.5,
+                ..Budget::default()
+            }),
+        }
+    }
+
+    #[test]
+    fn every_value_that_a_mapping_may_name_exists_and_usual_ones_are_among_them() {
+        let values = values(7, "r7", &newest(), |at_ns| at_ns + 1_000);
+        for name in value_names() {
+            assert!(values.contains_key(name), "{name}");
+        }
+        for what in [What::Forecast, What::Budget, What::Alarms] {
+            for name in what.usual() {
+                assert!(quantity(name).is_some(), "{name}");
+            }
+        }
+        assert_eq!(
+            (&values["stamp_unix_ns"], &values["target_unix_ns"]),
+            (&json!(1_100), &json!(1_130))
+        );
+        assert_eq!(
+            (&values["reading_age_s"], &values["quality"]),
+            (&json!(0.5), &json!("Held"))
+        );
+        assert_eq!(
+            (&values["lo_w"], &values["alarms"]),
+            (&Value::Null, &json!(["StuckSensor"]))
+        );
+    }
+
+    #[test]
+    fn a_mapping_sets_names_units_and_signs() {
+        let values = values(7, "r7", &newest(), |at_ns| at_ns);
+        let field = |value: &str, path: &[&str], unit: &str, negate| OutgoingValue {
+            value: value.to_owned(),
+            path: path.iter().map(|part| (*part).to_owned()).collect(),
+            unit: quantity(value).unwrap().unit(unit).unwrap(),
+            negate,
+        };
+        let fields = [
+            field("power_w", &["next", "mw"], "mW", false),
+            field("reading_w", &["next", "drawn"], "W", true),
+            field("soc", &["charge"], "%", false),
+            field("drawn_j", &["wh"], "Wh", false),
+            field("lo_w", &["lo"], "W", true),
+            OutgoingValue::plain("name"),
+        ];
+        assert_eq!(
+            document(&fields, &values),
+            json!({
+                "next": {"mw": 4_750.0, "drawn": -4.5}, "charge": 50.0, "wh": 2.0, "lo": null, "name": "r7",
+            })
+        );
+    }
+}

@@ -1,0 +1,76 @@
+//! Announcements of other participants: topics of robots that the mapping does not have, or of
+//! another type.
+
+use crate::mapping::account::{Account, Reason};
+use crate::mapping::robots::Robots;
+use crate::mapping::ros::incoming::RosRoute;
+use crate::mapping::ros::names::{dds_type, ros_topic};
+
+/// Counts an announced writer, if none of its messages are read.
+pub(crate) fn announced(
+    routes: &[RosRoute],
+    robots: &Robots,
+    (topic, kind): (&str, &str),
+    account: &mut Account,
+) {
+    let Some(topic) = ros_topic(topic) else {
+        return;
+    };
+    for route in routes {
+        let Some(Some(robot)) = route.pattern.matches(topic) else {
+            continue;
+        };
+        if robots.id(robot).is_none() {
+            account.count(&route.name, Reason::UnknownRobot, robot);
+        } else if kind != dds_type(route.kind) {
+            let name = format!("{kind} of {robot}");
+            account.count(&route.name, Reason::WrongType, &name);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use joulebus_ros_messages::RosType;
+
+    use super::*;
+    use crate::mapping::ros::incoming::BatteryFields;
+    use crate::mapping::topic::{Pattern, Template};
+    use crate::mapping::units::Quantity;
+
+    #[test]
+    fn robots_without_a_name_and_topics_of_another_type_are_counted() {
+        let text = "/fleet/{robot}/cmd_vel";
+        let routes = [RosRoute {
+            name: text.to_owned(),
+            topic: Template::parse(text, "lab", true).unwrap(),
+            pattern: Pattern::parse(text).unwrap(),
+            kind: RosType::Twist,
+            battery: BatteryFields {
+                discharge_is_positive: false,
+                percentage: Quantity::Share.si(),
+                power_of: None,
+            },
+        }];
+        let mut robots = Robots::default();
+        robots.add("r{id}", "1-2").unwrap();
+        let twist = "geometry_msgs::msg::dds_::Twist_";
+        for (topic, kind, expected) in [
+            ("rt/fleet/r1/cmd_vel", twist, None),
+            ("rt/fleet/r9/cmd_vel", twist, Some(("unknown_robot", "r9"))),
+            (
+                "rt/fleet/r1/cmd_vel",
+                "x::Stamped_",
+                Some(("wrong_type", "x::Stamped_ of r1")),
+            ),
+            ("rt/fleet/r9/odom", twist, None),
+            ("rq/fleet/r9/cmd_vel", twist, None),
+        ] {
+            let mut account = Account::default();
+            announced(&routes, &robots, (topic, kind), &mut account);
+            let found = account.records();
+            let found = found.first().map(|it| (it.reason, it.names[0].as_str()));
+            assert_eq!(found, expected, "{topic} {kind}");
+        }
+    }
+}

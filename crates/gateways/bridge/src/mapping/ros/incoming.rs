@@ -1,0 +1,469 @@
+//! Decodes a robot's ROS 2 messages. The bytes are untrusted: a message that does not fit its type
+//! is counted and changes nothing.
+
+use joulebus_ros_messages::{BatteryState, Message, RosError, RosType, Twist};
+
+use crate::mapping::account::{Account, Reason};
+use crate::mapping::fields::product;
+use crate::mapping::observation::{Observation, PowerOf};
+use crate::mapping::topic::{Pattern, Template};
+use crate::mapping::units::Unit;
+
+/// Maximum size of a message with its encapsulation header, bytes. An odometry has 720 and a name.
+pub(crate) const MAX_BYTES: usize = 65_536;
+
+/// `power_supply_status` of `sensor_msgs/BatteryState`.
+pub(crate) const CHARGING: u8 = 1;
+pub(crate) const DISCHARGING: u8 = 2;
+const NOT_CHARGING: u8 = 3;
+pub(crate) const FULL: u8 = 4;
+
+/// A pattern of topics, one for each robot.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct RosRoute {
+    /// The pattern as written in the config.
+    pub(crate) name: String,
+    /// The template of a robot's topic.
+    pub(crate) topic: Template,
+    /// The pattern that finds the robot of a topic.
+    pub(crate) pattern: Pattern,
+    pub(crate) kind: RosType,
+    pub(crate) battery: BatteryFields,
+}
+
+/// How a publisher fills in `sensor_msgs/BatteryState`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct BatteryFields {
+    /// The current is positive while discharging, contrary to the message's definition.
+    pub(crate) discharge_is_positive: bool,
+    /// The unit of `percentage`.
+    pub(crate) percentage: Unit,
+    /// What voltage times current is the power of. `None`: not a power.
+    pub(crate) power_of: Option<PowerOf>,
+}
+
+/// A received message.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Received {
+    /// Its length, bytes.
+    pub(crate) length: usize,
+    /// Its bytes with the encapsulation header. Empty if there are more than [`MAX_BYTES`].
+    pub(crate) bytes: Vec<u8>,
+}
+
+impl Received {
+    /// Creates a message from the encapsulation's code and the body.
+    pub(crate) fn new(encapsulation: [u8; 2], body: &[u8]) -> Self {
+        let length = 4 + body.len();
+        let mut bytes = Vec::new();
+        if length <= MAX_BYTES {
+            bytes.reserve_exact(length);
+            bytes.extend_from_slice(&[encapsulation[0], encapsulation[1], 0, 0]);
+            bytes.extend_from_slice(body);
+        }
+        Self { length, bytes }
+    }
+}
+
+impl RosRoute {
+    /// The observation in a message of `robot`. `None` if there is none, which is counted.
+    pub(crate) fn read(
+        &self,
+        robot: &str,
+        received: &Received,
+        account: &mut Account,
+    ) -> Option<Observation> {
+        let mut count = |reason, name: &str| account.count(&self.name, reason, name);
+        if received.length > MAX_BYTES {
+            count(Reason::TooLong, robot);
+            return None;
+        }
+        let message = match self.kind.decode(&received.bytes) {
+            Ok(message) => message,
+            Err(error) => {
+                let is_encoding = matches!(error, RosError::Encapsulation { .. });
+                let reason = if is_encoding {
+                    Reason::WrongEncoding
+                } else {
+                    Reason::NotCdr
+                };
+                count(reason, robot);
+                return None;
+            }
+        };
+        let mut refused = |reason, field: &str| count(reason, &format!("{field} of {robot}"));
+        let seen = match &message {
+            Message::BatteryState(state) => self.battery.read(state, &mut refused),
+            Message::Twist(twist) => motion(twist, &mut refused),
+            Message::TwistStamped(stamped) => motion(&stamped.twist, &mut refused),
+            Message::Odometry(odometry) => motion(&odometry.twist.twist, &mut refused),
+        };
+        if seen.is_empty() {
+            count(Reason::Nothing, robot);
+            return None;
+        }
+        Some(seen)
+    }
+}
+
+impl BatteryFields {
+    /// Reads a battery state. NaN means "not measured", by the message's definition.
+    fn read(&self, state: &BatteryState, refused: &mut impl FnMut(Reason, &str)) -> Observation {
+        if !state.present {
+            return Observation::default();
+        }
+        let mut measured = |value: f32, name| match value {
+            value if value.is_nan() => None,
+            value if value.is_finite() => Some(value),
+            _ => {
+                refused(Reason::NotFinite, name);
+                None
+            }
+        };
+        let voltage_v = measured(state.voltage, "voltage");
+        let current_a = measured(state.current, "current");
+        let current_a = current_a.map(|current_a| {
+            if self.discharge_is_positive {
+                current_a
+            } else {
+                -current_a
+            }
+        });
+        let soc = measured(state.percentage, "percentage");
+        let soc = soc.map(|share| (f64::from(share) * self.percentage.size) as f32);
+        let is_share = |soc: f32| (0.0..=1.0).contains(&soc);
+        if soc.is_some_and(|soc| !is_share(soc)) {
+            refused(Reason::OutOfRange, "percentage");
+        }
+        let (charging, full) = match state.power_supply_status {
+            CHARGING => (Some(true), Some(false)),
+            FULL => (Some(true), Some(true)),
+            DISCHARGING | NOT_CHARGING => (Some(false), Some(false)),
+            0 => (None, None),
+            _ => {
+                refused(Reason::OutOfRange, "power_supply_status");
+                (None, None)
+            }
+        };
+        let power = product(voltage_v, current_a)
+            .zip(self.power_of)
+            .map(|(power, of)| crate::mapping::observation::PowerReading { of, ..power });
+        Observation {
+            power,
+            voltage_v,
+            current_a,
+            soc: soc.filter(|soc| is_share(*soc)),
+            charging,
+            full,
+            ..Observation::default()
+        }
+    }
+}
+
+/// Forward and angular velocity. With a velocity across, the speed counts.
+fn motion(twist: &Twist, refused: &mut impl FnMut(Reason, &str)) -> Observation {
+    let mut finite = |value: f64, name| {
+        let value = value as f32;
+        if !value.is_finite() {
+            refused(Reason::NotFinite, name);
+        }
+        value
+    };
+    let (x, y) = (
+        finite(twist.linear.x, "linear.x"),
+        finite(twist.linear.y, "linear.y"),
+    );
+    let omega = finite(twist.angular.z, "angular.z");
+    let v_mps = if y == 0.0 { x } else { x.hypot(y) };
+    Observation {
+        v_mps: Some(v_mps).filter(|v_mps| v_mps.is_finite()),
+        omega_radps: Some(omega).filter(|omega| omega.is_finite()),
+        ..Observation::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use joulebus_ros_messages::{Header, Time, TwistStamped, Vector3, encode};
+    use proptest::prelude::*;
+    use serde::Serialize;
+
+    use super::*;
+    use crate::mapping::units::Quantity;
+
+    fn route(kind: RosType) -> RosRoute {
+        RosRoute {
+            name: "/{robot}/x".to_owned(),
+            topic: Template::parse("/{robot}/x", "lab", true).unwrap(),
+            pattern: Pattern::parse("/{robot}/x").unwrap(),
+            kind,
+            battery: BatteryFields {
+                discharge_is_positive: false,
+                percentage: Quantity::Share.si(),
+                power_of: Some(PowerOf::Battery),
+            },
+        }
+    }
+
+    fn header() -> Header {
+        Header {
+            stamp: Time::default(),
+            frame_id: "base".to_owned(),
+        }
+    }
+
+    fn battery() -> BatteryState {
+        BatteryState {
+            header: header(),
+            voltage: 24.0,
+            temperature: f32::NAN,
+            current: -2.0,
+            charge: f32::NAN,
+            capacity: f32::NAN,
+            design_capacity: f32::NAN,
+            percentage: 0.5,
+            power_supply_status: DISCHARGING,
+            power_supply_health: 0,
+            power_supply_technology: 0,
+            present: true,
+            cell_voltage: vec![4.0, 4.1],
+            cell_temperature: Vec::new(),
+            location: "slot".to_owned(),
+            serial_number: "7".to_owned(),
+        }
+    }
+
+    fn twist(x: f64, y: f64, z: f64) -> Twist {
+        let vector = |x, y, z| Vector3 { x, y, z };
+        Twist {
+            linear: vector(x, y, 0.0),
+            angular: vector(0.0, 0.0, z),
+        }
+    }
+
+    fn body(message: &impl Serialize) -> Vec<u8> {
+        encode(message).unwrap()
+    }
+
+    fn read(
+        route: &RosRoute,
+        received: &Received,
+    ) -> (Option<Observation>, Vec<(&'static str, String)>) {
+        let mut account = Account::default();
+        let seen = route.read("r1", received, &mut account);
+        let refused = account
+            .records()
+            .into_iter()
+            .map(|it| (it.reason, it.names.join(",")));
+        (seen, refused.collect())
+    }
+
+    fn read_battery(
+        route: &RosRoute,
+        state: &BatteryState,
+    ) -> (Option<Observation>, Vec<(&'static str, String)>) {
+        read(route, &Received::new([0, 1], &body(state)))
+    }
+
+    #[test]
+    fn a_discharging_battery_draws_power() {
+        let (seen, refused) = read_battery(&route(RosType::BatteryState), &battery());
+        let seen = seen.unwrap();
+        assert_eq!(refused, []);
+        assert_eq!(
+            (seen.voltage_v, seen.current_a, seen.soc),
+            (Some(24.0), Some(2.0), Some(0.5))
+        );
+        let power = seen.power.unwrap();
+        assert_eq!((power.power_w, power.of), (48.0, PowerOf::Battery));
+        assert_eq!((seen.charging, seen.full), (Some(false), Some(false)));
+    }
+
+    #[test]
+    fn publishers_with_another_sign_or_unit_are_mapped() {
+        let mut other = route(RosType::BatteryState);
+        other.battery = BatteryFields {
+            discharge_is_positive: true,
+            percentage: Quantity::Share.unit("%").unwrap(),
+            power_of: Some(PowerOf::Load),
+        };
+        let state = BatteryState {
+            current: 2.0,
+            percentage: 50.0,
+            ..battery()
+        };
+        let seen = read_battery(&other, &state).0.unwrap();
+        let power = seen.power.unwrap();
+        assert_eq!((power.power_w, power.of), (48.0, PowerOf::Load));
+        assert_eq!((seen.current_a, seen.soc), (Some(2.0), Some(0.5)));
+        other.battery.power_of = None;
+        assert_eq!(read_battery(&other, &state).0.unwrap().power, None);
+    }
+
+    #[test]
+    fn the_status_says_whether_a_robot_charges() {
+        for (status, charging, full) in [
+            (0, None, None),
+            (1, Some(true), Some(false)),
+            (2, Some(false), Some(false)),
+            (3, Some(false), Some(false)),
+            (4, Some(true), Some(true)),
+        ] {
+            let state = BatteryState {
+                power_supply_status: status,
+                current: 3.0,
+                ..battery()
+            };
+            let seen = read_battery(&route(RosType::BatteryState), &state)
+                .0
+                .unwrap();
+            assert_eq!((seen.charging, seen.full), (charging, full), "{status}");
+            assert_eq!(seen.power.unwrap().power_w, -72.0);
+        }
+    }
+
+    #[test]
+    fn nan_is_unknown_and_what_is_out_of_range_is_named() {
+        let route = route(RosType::BatteryState);
+        let unknown = BatteryState {
+            current: f32::NAN,
+            percentage: f32::NAN,
+            ..battery()
+        };
+        let (seen, refused) = read_battery(&route, &unknown);
+        let seen = seen.unwrap();
+        assert_eq!((seen.power, seen.current_a, seen.soc), (None, None, None));
+        assert_eq!((seen.voltage_v, refused), (Some(24.0), vec![]));
+        let wrong = BatteryState {
+            voltage: f32::INFINITY,
+            percentage: 50.0,
+            power_supply_status: 9,
+            ..battery()
+        };
+        let (seen, refused) = read_battery(&route, &wrong);
+        let seen = seen.unwrap();
+        assert_eq!((seen.voltage_v, seen.power, seen.soc), (None, None, None));
+        assert_eq!(seen.current_a, Some(2.0), "the others count");
+        assert_eq!(
+            refused,
+            [
+                ("not_finite", "voltage of r1".to_owned()),
+                (
+                    "out_of_range",
+                    "percentage of r1,power_supply_status of r1".to_owned()
+                )
+            ]
+        );
+        let absent = BatteryState {
+            present: false,
+            ..battery()
+        };
+        let (seen, refused) = read_battery(&route, &absent);
+        assert_eq!((seen, refused[0].0), (None, "nothing_mapped"));
+    }
+
+    #[test]
+    fn velocities_come_from_commands_and_odometry() {
+        for (x, y, v) in [(0.3, 0.0, 0.3), (-0.3, 0.0, -0.3), (0.3, 0.4, 0.5)] {
+            let stamped = TwistStamped {
+                header: header(),
+                twist: twist(x, y, -0.2),
+            };
+            for (kind, bytes) in [
+                (RosType::Twist, body(&twist(x, y, -0.2))),
+                (RosType::TwistStamped, body(&stamped)),
+            ] {
+                let seen = read(&route(kind), &Received::new([0, 1], &bytes))
+                    .0
+                    .unwrap();
+                assert_eq!((seen.v_mps, seen.omega_radps), (Some(v), Some(-0.2)));
+            }
+        }
+        let bytes = body(&twist(f64::NAN, 0.0, 1e300));
+        let (seen, refused) = read(&route(RosType::Twist), &Received::new([0, 1], &bytes));
+        assert_eq!(seen, None);
+        assert_eq!(
+            refused,
+            [
+                ("nothing_mapped", "r1".to_owned()),
+                ("not_finite", "angular.z of r1,linear.x of r1".to_owned())
+            ]
+        );
+    }
+
+    #[test]
+    fn either_order_of_bytes_is_read() {
+        let bytes: Vec<u8> = [0.3_f64, 0.0, 0.0, 0.0, 0.0, -0.2]
+            .iter()
+            .flat_map(|number| number.to_be_bytes())
+            .collect();
+        let seen = read(&route(RosType::Twist), &Received::new([0, 0], &bytes)).0;
+        let seen = seen.unwrap();
+        assert_eq!((seen.v_mps, seen.omega_radps), (Some(0.3), Some(-0.2)));
+    }
+
+    #[test]
+    fn bytes_that_do_not_fit_are_counted_and_change_nothing() {
+        let battery = body(&battery());
+        let mut huge = battery.clone();
+        // The length of `frame_id`.
+        huge[8..12].copy_from_slice(&u32::MAX.to_le_bytes());
+        let mut cells = battery.clone();
+        let at = cells
+            .windows(4)
+            .position(|four| four == 4.0_f32.to_le_bytes());
+        let at = at.unwrap() - 4;
+        cells[at..at + 4].copy_from_slice(&0x7fff_ffff_u32.to_le_bytes());
+        let longer: Vec<u8> = battery.iter().copied().chain([0; 40]).collect();
+        for (encapsulation, bytes, reason) in [
+            ([0, 1], &battery[..battery.len() - 5], "not_cdr"),
+            ([0, 1], &battery[..0], "not_cdr"),
+            ([0, 1], &huge, "not_cdr"),
+            ([0, 1], &cells, "not_cdr"),
+            ([0, 1], &longer, "not_cdr"),
+            ([0, 0], &battery, "not_cdr"),
+            ([0, 3], &battery, "wrong_encoding"),
+            ([0, 7], &battery, "wrong_encoding"),
+            ([0xff, 0xff], &battery, "wrong_encoding"),
+            ([0, 1], &vec![0; MAX_BYTES], "too_long"),
+        ] {
+            let received = Received::new(encapsulation, bytes);
+            assert!(received.bytes.len() <= MAX_BYTES);
+            let (seen, refused) = read(&route(RosType::BatteryState), &received);
+            assert_eq!(seen, None, "{encapsulation:?}");
+            assert_eq!(refused, [(reason, "r1".to_owned())], "{encapsulation:?}");
+        }
+        let nothing = Received {
+            length: 0,
+            bytes: Vec::new(),
+        };
+        assert_eq!(
+            read(&route(RosType::Twist), &nothing).1[0].0,
+            "wrong_encoding"
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn no_bytes_panic_or_give_a_number_that_is_not_finite(
+            bytes in prop::collection::vec(any::<u8>(), 0..900),
+            at in 0usize..400,
+            kind in 0usize..4,
+        ) {
+            let kinds = [RosType::BatteryState, RosType::Twist, RosType::TwistStamped, RosType::Odometry];
+            let mut near = body(&battery());
+            let at = at.min(near.len());
+            near.splice(at..(at + 8).min(near.len()), bytes.iter().copied().take(8));
+            for bytes in [bytes.as_slice(), near.as_slice()] {
+                let (seen, refused) = read(&route(kinds[kind]), &Received::new([0, 1], bytes));
+                prop_assert!(seen.is_some() || !refused.is_empty());
+                if let Some(seen) = seen {
+                    let power_w = seen.power.map(|power| power.power_w);
+                    for number in [power_w, seen.voltage_v, seen.current_a, seen.soc, seen.v_mps, seen.omega_radps] {
+                        prop_assert!(number.is_none_or(f32::is_finite));
+                    }
+                }
+            }
+        }
+    }
+}

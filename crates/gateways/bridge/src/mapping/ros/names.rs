@@ -1,0 +1,133 @@
+//! Names of topics and types in ROS 2 and in DDS.
+
+use joulebus_ros_messages::RosType;
+
+/// Maximum length of a topic, bytes. DDS allows 256 with its prefix.
+const MAX_BYTES: usize = 250;
+
+/// The types that are read: their names in ROS 2 and in DDS.
+const TYPES: [(RosType, &str, &str); 4] = [
+    (
+        RosType::BatteryState,
+        "sensor_msgs/msg/BatteryState",
+        "sensor_msgs::msg::dds_::BatteryState_",
+    ),
+    (
+        RosType::Twist,
+        "geometry_msgs/msg/Twist",
+        "geometry_msgs::msg::dds_::Twist_",
+    ),
+    (
+        RosType::TwistStamped,
+        "geometry_msgs/msg/TwistStamped",
+        "geometry_msgs::msg::dds_::TwistStamped_",
+    ),
+    (
+        RosType::Odometry,
+        "nav_msgs/msg/Odometry",
+        "nav_msgs::msg::dds_::Odometry_",
+    ),
+];
+
+/// Why a topic or a type is refused.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum NameError {
+    #[error(
+        "is, of a robot, {found:?}, and no topic of ROS 2: it begins with a slash, has at most {MAX_BYTES} bytes, and its \
+         parts are letters, digits and single underscores that do not begin with a digit"
+    )]
+    Topic { found: String },
+    #[error("is no type that is read; allowed are {allowed}")]
+    Type { allowed: String },
+}
+
+/// The type called `name`; `msg/` may be left out.
+pub(crate) fn read_type(name: &str) -> Result<RosType, NameError> {
+    let is_it = |usual: &str| usual == name || usual.replacen("/msg/", "/", 1) == name;
+    let found = TYPES.iter().find(|(_, usual, _)| is_it(usual));
+    found.map(|(kind, ..)| *kind).ok_or_else(|| {
+        let all: Vec<&str> = TYPES.iter().map(|(_, name, _)| *name).collect();
+        NameError::Type {
+            allowed: all.join(", "),
+        }
+    })
+}
+
+/// The name of a type in ROS 2.
+pub(crate) fn ros_type(kind: RosType) -> &'static str {
+    let found = TYPES.iter().find(|(other, ..)| *other == kind);
+    found.map_or("", |(_, name, _)| name)
+}
+
+/// The name of a type in DDS.
+pub(crate) fn dds_type(kind: RosType) -> &'static str {
+    let found = TYPES.iter().find(|(other, ..)| *other == kind);
+    found.map_or("", |(.., dds)| dds)
+}
+
+/// The name of a topic in DDS.
+pub(crate) fn dds_topic(topic: &str) -> String {
+    format!("rt{topic}")
+}
+
+/// The ROS 2 topic with the DDS name `dds`. `None` for services, actions and other DDS topics.
+pub(crate) fn ros_topic(dds: &str) -> Option<&str> {
+    dds.strip_prefix("rt")
+        .filter(|topic| topic.starts_with('/'))
+}
+
+/// Refuses a text that is no absolute topic.
+pub(crate) fn check_topic(topic: &str) -> Result<(), NameError> {
+    let is_part = |part: &str| {
+        let is_letter = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'_';
+        !part.is_empty()
+            && part.bytes().all(is_letter)
+            && !part.starts_with(|letter: char| letter.is_ascii_digit())
+            && !part.contains("__")
+    };
+    let parts = topic.strip_prefix('/').filter(|_| topic.len() <= MAX_BYTES);
+    let is_topic = parts.is_some_and(|parts| parts.split('/').all(is_part));
+    is_topic.then_some(()).ok_or_else(|| NameError::Topic {
+        found: topic.to_owned(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn topics_are_those_that_ros_takes() {
+        for topic in ["/a", "/robot_7/battery_state", "/Fleet/_hidden/x9"] {
+            assert_eq!(check_topic(topic), Ok(()), "{topic}");
+            assert_eq!(ros_topic(&dds_topic(topic)), Some(topic));
+        }
+        let long = format!("/{}", "x".repeat(250));
+        for topic in [
+            "", "/", "a", "/a/", "//a", "/7", "/a/7b", "/a-b", "/a b", "/a__b", "/ä", "~/a", &long,
+        ] {
+            assert!(check_topic(topic).is_err(), "{topic:?}");
+        }
+        for dds in ["rq/a/b", "rta", "ros_discovery_info", ""] {
+            assert_eq!(ros_topic(dds), None, "{dds}");
+        }
+    }
+
+    #[test]
+    fn types_have_one_name_in_dds() {
+        for (name, dds) in [
+            (
+                "sensor_msgs/msg/BatteryState",
+                "sensor_msgs::msg::dds_::BatteryState_",
+            ),
+            (
+                "geometry_msgs/TwistStamped",
+                "geometry_msgs::msg::dds_::TwistStamped_",
+            ),
+        ] {
+            assert_eq!(dds_type(read_type(name).unwrap()), dds);
+        }
+        let refused = read_type("std_msgs/msg/Float64").unwrap_err().to_string();
+        assert!(refused.contains("nav_msgs/msg/Odometry"), "{refused}");
+    }
+}

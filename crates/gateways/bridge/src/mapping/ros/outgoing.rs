@@ -1,0 +1,335 @@
+//! Values of robots as ROS 2 messages.
+//!
+//! `sensor_msgs/BatteryState` follows its definition: the current is negative while discharging,
+//! and NaN means unknown. It has no fields for powers. These are published as `std_msgs/Float64`
+//! and among the diagnostics, with their unit in the key.
+
+use joulebus_ros_messages::{
+    BatteryState, DiagnosticArray, DiagnosticStatus, Float64, Header, KeyValue, RosError, Time,
+    encode,
+};
+use serde_json::Value;
+
+use crate::mapping::outgoing::{Object, OutgoingValue, value_names};
+use crate::mapping::ros::incoming::{CHARGING, DISCHARGING};
+
+/// `diagnostic_msgs/DiagnosticStatus`: not measured.
+const STALE: u8 = 3;
+/// Maximum number of robots in a `diagnostic_msgs/DiagnosticArray`, some 40 kB.
+const MAX_STATUSES: usize = 32;
+/// Values of a robot that are not among the diagnostics: fields of the status itself, times of
+/// values, and how long a ledger has counted.
+const NOT_DIAGNOSED: [&str; 8] = [
+    "robot",
+    "name",
+    "stamp_unix_ns",
+    "target_unix_ns",
+    "level",
+    "alarms",
+    "metered_s",
+    "unmetered_s",
+];
+
+/// The values of a robot among the diagnostics, beside its alarms.
+fn diagnosed() -> impl Iterator<Item = &'static str> {
+    value_names().filter(|name| !NOT_DIAGNOSED.contains(name))
+}
+
+/// The contents of a ROS 2 topic.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum RosWhat {
+    /// The forecast of a robot's next reading, as a battery's voltage and current.
+    Forecast,
+    /// The state of charge of a robot's battery.
+    Budget,
+    /// One value of a robot.
+    Value,
+    /// Levels, alarms, forecasts and budgets of all robots, and the worker.
+    Diagnostics,
+}
+
+impl RosWhat {
+    /// Whether each robot has a topic of its own.
+    pub(crate) const fn is_of_robot(self) -> bool {
+        !matches!(self, Self::Diagnostics)
+    }
+
+    /// Its type in ROS 2.
+    pub(crate) const fn type_name(self) -> &'static str {
+        match self {
+            Self::Forecast | Self::Budget => "sensor_msgs/msg/BatteryState",
+            Self::Value => "std_msgs/msg/Float64",
+            Self::Diagnostics => "diagnostic_msgs/msg/DiagnosticArray",
+        }
+    }
+
+    /// Its type in DDS.
+    pub(crate) const fn dds_type(self) -> &'static str {
+        match self {
+            Self::Forecast | Self::Budget => "sensor_msgs::msg::dds_::BatteryState_",
+            Self::Value => "std_msgs::msg::dds_::Float64_",
+            Self::Diagnostics => "diagnostic_msgs::msg::dds_::DiagnosticArray_",
+        }
+    }
+}
+
+/// The forecast of a robot's next reading. `voltage_v` is the measured voltage of its battery.
+pub(crate) fn forecast(name: &str, values: &Object, voltage_v: Option<f32>) -> BatteryState {
+    let power_w = number(values, "power_w");
+    let current_a = voltage_v
+        .filter(|voltage_v| *voltage_v > 0.0)
+        .map_or(f64::NAN, |voltage_v| -power_w / f64::from(voltage_v));
+    BatteryState {
+        current: current_a as f32,
+        ..battery(name, "target_unix_ns", values, voltage_v)
+    }
+}
+
+/// The energy left in a robot's battery.
+pub(crate) fn budget(name: &str, values: &Object, voltage_v: Option<f32>) -> BatteryState {
+    let usable_ah = voltage_v
+        .filter(|voltage_v| *voltage_v > 0.0)
+        .map_or(f64::NAN, |voltage_v| {
+            number(values, "usable_j") / 3_600.0 / f64::from(voltage_v)
+        });
+    BatteryState {
+        percentage: number(values, "soc") as f32,
+        charge: usable_ah as f32,
+        ..battery(name, "stamp_unix_ns", values, voltage_v)
+    }
+}
+
+/// One value of a robot; NaN if it is not known.
+pub(crate) fn value(field: &OutgoingValue, values: &Object) -> Float64 {
+    let data = field.number(values).unwrap_or(f64::NAN);
+    Float64 { data }
+}
+
+/// The status of a robot with its alarms, forecast and budget.
+pub(crate) fn robot_status(name: &str, values: &Object) -> DiagnosticStatus {
+    let text = |value: &str| values.get(value).and_then(Value::as_str);
+    let level = match text("level") {
+        Some("ok") => 0,
+        Some("warn") => 1,
+        Some("error") => 2,
+        _ => STALE,
+    };
+    let alarms = values.get("alarms").and_then(Value::as_array);
+    let alarms: Vec<&str> = alarms
+        .into_iter()
+        .flatten()
+        .filter_map(Value::as_str)
+        .collect();
+    let message = match (level, alarms.is_empty()) {
+        (0, true) => "OK".to_owned(),
+        (_, true) => "no data".to_owned(),
+        _ => alarms.join(", "),
+    };
+    let shown = |value: &str| match values.get(value) {
+        None | Some(Value::Null) => "unknown".to_owned(),
+        Some(Value::String(text)) => text.clone(),
+        Some(other) => other.to_string(),
+    };
+    let values = diagnosed().map(|value| KeyValue {
+        key: value.to_owned(),
+        value: shown(value),
+    });
+    DiagnosticStatus {
+        level,
+        name: format!("joulebus: {name}"),
+        message,
+        hardware_id: name.to_owned(),
+        values: values.collect(),
+    }
+}
+
+/// The status of a robot without a worker: everything is unknown.
+pub(crate) fn unknown_status(name: &str, worker: &str) -> DiagnosticStatus {
+    DiagnosticStatus {
+        level: STALE,
+        name: format!("joulebus: {name}"),
+        message: format!("worker {worker}"),
+        hardware_id: name.to_owned(),
+        values: Vec::new(),
+    }
+}
+
+/// The status of the worker and of this bridge.
+pub(crate) fn worker_status(
+    (fleet, bridge): (&str, &str),
+    (level, worker): (u8, &str),
+    counts: [(&str, u64); 4],
+) -> DiagnosticStatus {
+    let counts = counts.into_iter().map(|(key, count)| KeyValue {
+        key: key.to_owned(),
+        value: count.to_string(),
+    });
+    DiagnosticStatus {
+        level,
+        name: format!("joulebus: worker of {fleet}"),
+        message: format!("worker {worker}"),
+        hardware_id: bridge.to_owned(),
+        values: counts.collect(),
+    }
+}
+
+/// The statuses in CDR arrays.
+pub(crate) fn diagnostics(
+    now_unix_ns: u64,
+    statuses: &[DiagnosticStatus],
+) -> impl Iterator<Item = Result<Vec<u8>, RosError>> {
+    statuses.chunks(MAX_STATUSES).map(move |statuses| {
+        encode(&DiagnosticArray {
+            header: header(now_unix_ns, ""),
+            status: statuses.to_vec(),
+        })
+    })
+}
+
+/// A battery whose voltage is known, and whether it is charged.
+fn battery(name: &str, stamp: &str, values: &Object, voltage_v: Option<f32>) -> BatteryState {
+    let stamp_ns = values.get(stamp).and_then(Value::as_u64);
+    let charging = values.get("charging").and_then(Value::as_bool);
+    BatteryState {
+        header: header(stamp_ns.unwrap_or(0), name),
+        voltage: voltage_v.unwrap_or(f32::NAN),
+        temperature: f32::NAN,
+        current: f32::NAN,
+        charge: f32::NAN,
+        capacity: f32::NAN,
+        design_capacity: f32::NAN,
+        percentage: f32::NAN,
+        power_supply_status: match charging {
+            None => 0,
+            Some(true) => CHARGING,
+            Some(false) => DISCHARGING,
+        },
+        power_supply_health: 0,
+        power_supply_technology: 0,
+        present: true,
+        cell_voltage: Vec::new(),
+        cell_temperature: Vec::new(),
+        location: String::new(),
+        serial_number: String::new(),
+    }
+}
+
+fn header(unix_ns: u64, frame_id: &str) -> Header {
+    let stamp = Time {
+        sec: i32::try_from(unix_ns / 1_000_000_000).unwrap_or(i32::MAX),
+        nanosec: (unix_ns % 1_000_000_000) as u32,
+    };
+    Header {
+        stamp,
+        frame_id: frame_id.to_owned(),
+    }
+}
+
+fn number(values: &Object, value: &str) -> f64 {
+    values
+        .get(value)
+        .and_then(Value::as_f64)
+        .unwrap_or(f64::NAN)
+}
+
+#[cfg(test)]
+mod tests {
+    use joulebus_ros_messages::{Message, RosType};
+    use serde_json::json;
+
+    use super::*;
+
+    fn values() -> Object {
+        let values = json!({
+            "power_w": 48.0, "soc": 0.5, "usable_j": 86_400.0, "charging": false, "level": "warn",
+            "alarms": ["StuckSensor", "HeldTooLong"], "quality": "Held",
+            "stamp_unix_ns": 1_700_000_000_000_000_001_u64, "target_unix_ns": 1_700_000_000_500_000_000_u64,
+        });
+        match values {
+            Value::Object(values) => values,
+            _ => Object::new(),
+        }
+    }
+
+    #[test]
+    fn a_forecast_is_a_current_that_is_negative_while_discharging() {
+        let message = forecast("r1", &values(), Some(24.0));
+        assert_eq!((message.voltage, message.current), (24.0, -2.0));
+        assert_eq!(message.power_supply_status, DISCHARGING);
+        assert_eq!(
+            (message.header.stamp.sec, message.header.stamp.nanosec),
+            (1_700_000_000, 500_000_000)
+        );
+        assert_eq!(message.header.frame_id, "r1");
+        for unknown in [
+            message.percentage,
+            message.charge,
+            message.temperature,
+            message.capacity,
+        ] {
+            assert!(unknown.is_nan());
+        }
+        for voltage_v in [None, Some(0.0)] {
+            assert!(forecast("r1", &values(), voltage_v).current.is_nan());
+        }
+        let nothing = forecast("r1", &Object::new(), Some(24.0));
+        assert!(nothing.current.is_nan() && nothing.power_supply_status == 0);
+    }
+
+    #[test]
+    fn a_budget_is_a_charge_and_a_percentage() {
+        let message = budget("r1", &values(), Some(24.0));
+        assert_eq!((message.percentage, message.charge), (0.5, 1.0));
+        assert!(message.current.is_nan());
+        assert_eq!(message.header.stamp.nanosec, 1);
+        let message = budget("r1", &values(), None);
+        assert!(message.percentage == 0.5 && message.charge.is_nan() && message.voltage.is_nan());
+        let bytes: Vec<u8> = [0, 1, 0, 0]
+            .into_iter()
+            .chain(encode(&message).unwrap())
+            .collect();
+        let Message::BatteryState(again) = RosType::BatteryState.decode(&bytes).unwrap() else {
+            panic!("another type");
+        };
+        assert_eq!((again.percentage, again.header), (0.5, message.header));
+    }
+
+    #[test]
+    fn values_have_units_and_unknown_ones_are_nan() {
+        let field = OutgoingValue {
+            negate: true,
+            ..OutgoingValue::plain("power_w")
+        };
+        assert_eq!(value(&field, &values()).data, -48.0);
+        assert!(value(&field, &Object::new()).data.is_nan());
+        assert_eq!(
+            value(&OutgoingValue::plain("charging"), &values()).data,
+            0.0
+        );
+    }
+
+    #[test]
+    fn diagnostics_have_levels_alarms_and_values() {
+        let status = robot_status("r1", &values());
+        assert_eq!((status.level, status.name.as_str()), (1, "joulebus: r1"));
+        assert_eq!(status.message, "StuckSensor, HeldTooLong");
+        let of = |key: &str| status.values.iter().find(|it| it.key == key).unwrap();
+        assert_eq!(
+            (of("power_w").value.as_str(), of("lo_w").value.as_str()),
+            ("48.0", "unknown")
+        );
+        assert_eq!(robot_status("r1", &Object::new()).level, STALE);
+        assert_eq!(unknown_status("r1", "gone").message, "worker gone");
+        for (robots, arrays) in [(0, 0), (1, 1), (32, 1), (33, 2), (100, 4)] {
+            let statuses = vec![status.clone(); robots];
+            let messages: Vec<_> = diagnostics(1, &statuses).collect();
+            assert_eq!(messages.len(), arrays);
+            assert!(
+                messages
+                    .iter()
+                    .all(|it| it.as_ref().unwrap().len() < 60_000)
+            );
+        }
+    }
+}

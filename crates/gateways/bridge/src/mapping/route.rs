@@ -1,0 +1,503 @@
+//! Routes messages to the observations of their robots.
+
+use std::collections::{BTreeMap, HashMap};
+
+use serde_json::Value;
+
+use crate::mapping::account::{Account, Reason};
+use crate::mapping::fields::Fields;
+use crate::mapping::observation::Observation;
+use crate::mapping::robots::Robots;
+use crate::mapping::topic::Pattern;
+use crate::mapping::vizier;
+
+/// Number of rounds after which a request counts as unanswered.
+const ROUNDS: u64 = 3;
+/// Name of the route of a vizier's answers.
+const VIZIER: &str = "vizier";
+
+/// A pattern of topics, with the layout of their documents.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Route {
+    /// The pattern as written in the config.
+    pub(crate) name: String,
+    pub(crate) pattern: Pattern,
+    pub(crate) fields: Fields,
+}
+
+/// A received message.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Message<'m> {
+    pub(crate) topic: &'m str,
+    pub(crate) payload: &'m [u8],
+    /// The broker retained it from earlier.
+    pub(crate) retained: bool,
+}
+
+/// Reads messages. Bad ones are counted and change nothing.
+#[derive(Debug, Clone)]
+pub(crate) struct Reader {
+    routes: Vec<Route>,
+    robots: Robots,
+    most_bytes: usize,
+    vizier: Option<Vizier>,
+}
+
+/// The pending requests to a vizier's nodes.
+#[derive(Debug, Clone)]
+struct Vizier {
+    client: String,
+    fields: Fields,
+    round: u64,
+    next: u64,
+    /// Robot and round of each unanswered request.
+    open: BTreeMap<u64, (u32, u64)>,
+    /// The newest status of each robot.
+    newest: HashMap<u32, String>,
+}
+
+impl Reader {
+    /// Creates a reader of payloads up to `most_bytes`.
+    pub(crate) fn new(routes: Vec<Route>, robots: Robots, most_bytes: usize) -> Self {
+        Self {
+            routes,
+            robots,
+            most_bytes,
+            vizier: None,
+        }
+    }
+
+    /// Adds the answers of a vizier to `client`.
+    #[must_use]
+    pub(crate) fn with_vizier(mut self, client: &str, fields: Fields) -> Self {
+        self.vizier = Some(Vizier {
+            client: client.to_owned(),
+            fields,
+            round: 0,
+            next: 0,
+            open: BTreeMap::new(),
+            newest: HashMap::new(),
+        });
+        self
+    }
+
+    /// The topics to subscribe to, without duplicates.
+    pub(crate) fn filters(&self) -> Vec<String> {
+        let mut filters: Vec<String> = self.routes.iter().map(|it| it.pattern.filter()).collect();
+        filters.extend(
+            self.vizier
+                .iter()
+                .map(|it| vizier::response_filter(&it.client)),
+        );
+        filters.sort();
+        filters.dedup();
+        filters
+    }
+
+    /// Reads a message, and passes each robot's observation to `take`.
+    pub(crate) fn read(
+        &mut self,
+        message: Message<'_>,
+        account: &mut Account,
+        mut take: impl FnMut(u32, &Observation),
+    ) {
+        let matching = self.routes.iter().filter_map(|route| {
+            let robot = route.pattern.matches(message.topic)?;
+            Some((route, robot))
+        });
+        for (route, robot) in matching {
+            let reading = Reading {
+                route: &route.name,
+                message,
+                account,
+            };
+            if let Some((robot, seen)) = reading.seen(route, robot, &self.robots, self.most_bytes) {
+                take(robot, &seen);
+            }
+        }
+        if let Some(vizier) = &mut self.vizier
+            && let Some((node, number)) = vizier::answered(&vizier.client, message.topic)
+        {
+            let reading = Reading {
+                route: VIZIER,
+                message,
+                account,
+            };
+            if let Some((robot, seen)) =
+                vizier.seen(reading, (node, number), &self.robots, self.most_bytes)
+            {
+                take(robot, &seen);
+            }
+        }
+    }
+
+    /// The next round of requests to a vizier: topic and body for each robot.
+    pub(crate) fn requests(&mut self, account: &mut Account) -> Vec<(String, Value)> {
+        let Some(vizier) = &mut self.vizier else {
+            return Vec::new();
+        };
+        vizier.round += 1;
+        let round = vizier.round;
+        let robots = &self.robots;
+        vizier.open.retain(|_, (robot, asked)| {
+            let waits = round - *asked < ROUNDS;
+            if !waits {
+                let name = robots.name(*robot).unwrap_or_default();
+                account.count(VIZIER, Reason::NoAnswer, name);
+            }
+            waits
+        });
+        let request = |(robot, name): (u32, &str)| {
+            let number = vizier.next;
+            vizier.next += 1;
+            vizier.open.insert(number, (robot, round));
+            let body = vizier::request(&vizier.client, name, number);
+            (vizier::request_topic(name), body)
+        };
+        robots.iter().map(request).collect()
+    }
+}
+
+/// One message on one route.
+struct Reading<'a> {
+    route: &'a str,
+    message: Message<'a>,
+    account: &'a mut Account,
+}
+
+impl Reading<'_> {
+    fn count(&mut self, reason: Reason, name: &str) {
+        self.account.count(self.route, reason, name);
+    }
+
+    fn document(&mut self, most_bytes: usize) -> Option<Value> {
+        let Message {
+            topic,
+            payload,
+            retained,
+        } = self.message;
+        let refused = if payload.len() > most_bytes {
+            Reason::TooLong
+        } else if retained {
+            Reason::Retained
+        } else {
+            match serde_json::from_slice(payload) {
+                Ok(document) => return Some(document),
+                Err(_) => Reason::NotJson,
+            }
+        };
+        self.count(refused, topic);
+        None
+    }
+
+    fn observation(&mut self, fields: &Fields, document: &Value, robot: &str) -> Observation {
+        let mut refused = Vec::new();
+        let seen = fields.read(document, |reason, field| refused.push((reason, field)));
+        for (reason, field) in refused {
+            self.count(reason, &format!("{field} of {robot}"));
+        }
+        seen
+    }
+
+    fn id(&mut self, name: &str, robots: &Robots) -> Option<u32> {
+        let id = robots.id(name);
+        if id.is_none() {
+            self.count(Reason::UnknownRobot, name);
+        }
+        id
+    }
+
+    fn seen(
+        mut self,
+        route: &Route,
+        robot: Option<&str>,
+        robots: &Robots,
+        most_bytes: usize,
+    ) -> Option<(u32, Observation)> {
+        // Look up a name in the topic first, so that messages about other robots are not parsed.
+        let id = robot.map(|name| self.id(name, robots));
+        let document = match id {
+            Some(None) => return None,
+            _ => self.document(most_bytes)?,
+        };
+        let (robot, id) = match (robot, id.flatten()) {
+            (Some(name), Some(id)) => (name.to_owned(), id),
+            _ => {
+                let Some(name) = route.fields.robot(&document) else {
+                    self.count(Reason::UnknownRobot, "a document without name");
+                    return None;
+                };
+                let id = self.id(&name, robots)?;
+                (name, id)
+            }
+        };
+        let seen = self.observation(&route.fields, &document, &robot);
+        if seen.is_empty() {
+            self.count(Reason::Nothing, &robot);
+            return None;
+        }
+        Some((id, seen))
+    }
+}
+
+impl Vizier {
+    fn seen(
+        &mut self,
+        mut reading: Reading<'_>,
+        (node, number): (&str, u64),
+        robots: &Robots,
+        most_bytes: usize,
+    ) -> Option<(u32, Observation)> {
+        let document = reading.document(most_bytes)?;
+        let asked = self.open.get(&number).map(|(robot, _)| *robot);
+        let Some(robot) = asked.filter(|robot| robots.id(node) == Some(*robot)) else {
+            reading.count(Reason::NotAsked, node);
+            return None;
+        };
+        // An answer to an earlier request would be out of date.
+        self.open
+            .retain(|other, (of, _)| *of != robot || *other > number);
+        let body = match vizier::body(&document) {
+            Ok(body) => body,
+            Err(reason) => {
+                reading.count(reason, node);
+                return None;
+            }
+        };
+        let text = body.to_string();
+        let repeats = self.newest.get(&robot) == Some(&text);
+        self.newest.insert(robot, text);
+        let seen = reading.observation(&self.fields, &body, node);
+        let seen = vizier::status(seen, repeats);
+        if seen.is_empty() {
+            reading.count(Reason::Nothing, node);
+            return None;
+        }
+        Some((robot, seen))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+    use serde_json::json;
+
+    use super::*;
+    use crate::mapping::fields::{Number, Place};
+    use crate::mapping::units::Quantity;
+
+    fn robots() -> Robots {
+        let mut robots = Robots::default();
+        robots.add("r{id}", "1-3").unwrap();
+        robots
+    }
+
+    fn route(name: &str, robot: Option<Place>) -> Route {
+        Route {
+            name: name.to_owned(),
+            pattern: Pattern::parse(name).unwrap(),
+            fields: Fields {
+                power: Some(Number::si(Quantity::Power, "power")),
+                robot,
+                ..Fields::default()
+            },
+        }
+    }
+
+    fn reader() -> Reader {
+        let named = route("all", Some(Place::at("robot")));
+        Reader::new(
+            vec![route("fleet/{robot}/power", None), named],
+            robots(),
+            1_000,
+        )
+    }
+
+    /// Robots with their powers, and reasons with their names.
+    type Read = (Vec<(u32, f32)>, Vec<(&'static str, String)>);
+
+    fn read(reader: &mut Reader, topic: &str, payload: &[u8]) -> Read {
+        let (mut taken, mut account) = (Vec::new(), Account::default());
+        let message = Message {
+            topic,
+            payload,
+            retained: false,
+        };
+        reader.read(message, &mut account, |robot, seen| {
+            taken.push((robot, seen.power.unwrap().power_w));
+        });
+        let refused = account
+            .records()
+            .into_iter()
+            .map(|it| (it.reason, it.names.join(",")));
+        (taken, refused.collect())
+    }
+
+    #[test]
+    fn messages_are_of_the_robot_that_topic_or_document_names() {
+        for (topic, payload, robot) in [
+            ("fleet/r2/power", json!({"power": 3}), 2),
+            ("all", json!({"robot": "r3", "power": 3}), 3),
+        ] {
+            let payload = payload.to_string();
+            assert_eq!(
+                read(&mut reader(), topic, payload.as_bytes()),
+                (vec![(robot, 3.0)], vec![])
+            );
+        }
+        assert_eq!(reader().filters(), ["all", "fleet/+/power"]);
+    }
+
+    #[test]
+    fn what_cannot_be_mapped_is_counted_and_named() {
+        let deep = "[".repeat(900);
+        for (topic, payload, reason, name) in [
+            ("fleet/x/power", r#"{"power": 3}"#, "unknown_robot", "x"),
+            ("fleet/r1/power", "{", "not_json", "fleet/r1/power"),
+            ("fleet/r1/power", "", "not_json", "fleet/r1/power"),
+            (
+                "fleet/r1/power",
+                r#"{"power": NaN}"#,
+                "not_json",
+                "fleet/r1/power",
+            ),
+            (
+                "fleet/r1/power",
+                r#"{"power": 1e999}"#,
+                "not_json",
+                "fleet/r1/power",
+            ),
+            ("fleet/r1/power", &deep, "not_json", "fleet/r1/power"),
+            (
+                "fleet/r1/power",
+                r#"{"power": 1e99}"#,
+                "not_finite",
+                "power of r1",
+            ),
+            (
+                "fleet/r1/power",
+                r#"{"power": "3"}"#,
+                "wrong_type",
+                "power of r1",
+            ),
+            ("fleet/r1/power", r#"{"watt": 3}"#, "nothing_mapped", "r1"),
+            ("fleet/r1/power", "[]", "nothing_mapped", "r1"),
+            (
+                "all",
+                r#"{"power": 3}"#,
+                "unknown_robot",
+                "a document without name",
+            ),
+            (
+                "all",
+                r#"{"robot": "r9", "power": 3}"#,
+                "unknown_robot",
+                "r9",
+            ),
+            (
+                "all",
+                r#"{"robot": ["r1"], "power": 3}"#,
+                "unknown_robot",
+                "a document without name",
+            ),
+        ] {
+            let (taken, refused) = read(&mut reader(), topic, payload.as_bytes());
+            assert_eq!(taken, [], "{payload}");
+            assert!(
+                refused.contains(&(reason, name.to_owned())),
+                "{payload}: {refused:?}"
+            );
+        }
+        let (taken, refused) = read(&mut reader(), "fleet/r1/power", &[b' '; 1_001]);
+        assert_eq!((taken, refused[0].0), (vec![], "too_long"));
+        assert_eq!(
+            read(&mut reader(), "elsewhere", b"{"),
+            (vec![], vec![]),
+            "of no route"
+        );
+        let mut account = Account::default();
+        let kept = Message {
+            topic: "fleet/r1/power",
+            payload: br#"{"power": 3}"#,
+            retained: true,
+        };
+        reader().read(kept, &mut account, |_, _| {
+            panic!("nobody knows how old it is")
+        });
+        assert_eq!(account.records()[0].reason, "retained");
+    }
+
+    fn vizier() -> Reader {
+        Reader::new(Vec::new(), robots(), 1_000).with_vizier("jb", vizier::status_fields())
+    }
+
+    fn answer(power_mw: f64) -> Vec<u8> {
+        let body = json!({"power": power_mw, "batt_volt": 4.0, "charge_status": false}).to_string();
+        json!({"status": 200, "body": body, "type": "DATA"})
+            .to_string()
+            .into_bytes()
+    }
+
+    #[test]
+    fn a_vizier_is_asked_in_rounds_and_each_answer_is_taken_once() {
+        let (mut reader, mut account) = (vizier(), Account::default());
+        assert_eq!(reader.filters(), ["+/responses/jb/+"]);
+        let asked = reader.requests(&mut account);
+        let topics: Vec<&str> = asked.iter().map(|(topic, _)| topic.as_str()).collect();
+        assert_eq!(topics, ["r1/requests", "r2/requests", "r3/requests"]);
+        assert_eq!(asked[1].1["id"], "jb/1");
+        assert_eq!(
+            read(&mut reader, "r2/responses/jb/1", &answer(3_000.0)).0,
+            [(2, 3.0)]
+        );
+        let again = read(&mut reader, "r2/responses/jb/1", &answer(9_000.0));
+        assert_eq!(again, (vec![], vec![("not_asked", "r2".to_owned())]));
+        let of_another = read(&mut reader, "r3/responses/jb/0", &answer(9_000.0));
+        assert_eq!(of_another.1, [("not_asked", "r3".to_owned())]);
+        for _ in 0..2 {
+            reader.requests(&mut account);
+        }
+        assert_eq!(
+            read(&mut reader, "r1/responses/jb/6", &answer(1_000.0)).0,
+            [(1, 1.0)]
+        );
+        let late = read(&mut reader, "r1/responses/jb/3", &answer(1_000.0));
+        assert_eq!(late.1[0].0, "not_asked", "an answer to an earlier request");
+        assert_eq!(account.records(), []);
+        reader.requests(&mut account);
+        let record = &account.records()[0];
+        assert_eq!(
+            (record.reason, record.count, &record.names[..]),
+            ("no_answer", 1, &["r3".to_owned()][..])
+        );
+    }
+
+    #[test]
+    fn a_status_that_equals_the_one_before_is_a_repeated_measurement() {
+        let (mut reader, mut account, mut repeats) = (vizier(), Account::default(), Vec::new());
+        for (number, power_mw) in [(0, 3_000.0), (3, 3_000.0), (6, 3_010.0), (9, 3_010.0)] {
+            reader.requests(&mut account);
+            let payload = answer(power_mw);
+            let message = Message {
+                topic: &format!("r1/responses/jb/{number}"),
+                payload: &payload,
+                retained: false,
+            };
+            reader.read(message, &mut account, |_, seen| repeats.push(seen.repeats));
+        }
+        assert_eq!(repeats, [false, true, false, true]);
+    }
+
+    proptest! {
+        #[test]
+        fn no_message_panics(topic in "[a-z0-9/]{0,30}", payload in prop::collection::vec(any::<u8>(), 0..200)) {
+            let (mut account, mut reader) = (Account::default(), reader());
+            reader.vizier = vizier().vizier;
+            reader.requests(&mut account);
+            for topic in [topic.as_str(), "fleet/r1/power", "all", "r1/responses/jb/0"] {
+                let message = Message { topic, payload: &payload, retained: false };
+                reader.read(message, &mut account, |_, seen| assert!(!seen.is_empty()));
+            }
+        }
+    }
+}

@@ -1,0 +1,212 @@
+//! Topic patterns: levels between slashes, one of which may contain `{robot}`.
+
+/// Maximum length of a topic, bytes. MQTT allows 65,535.
+const MAX_BYTES: usize = 512;
+/// The placeholder of a robot's name.
+pub(crate) const ROBOT: &str = "{robot}";
+
+/// Why a pattern is refused.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum TopicError {
+    #[error("has {found} bytes; allowed are 1 to {MAX_BYTES}")]
+    Length { found: usize },
+    #[error("has {{robot}} more than once")]
+    TwoRobots,
+    #[error("has a wildcard beside other letters, a # that is not last, or a control character")]
+    Wildcard,
+    #[error("has a wildcard, which a topic to write to must not have")]
+    WrittenWildcard,
+    #[error("has {{robot}}, but what is written to it is not of one robot")]
+    NeedlessRobot,
+    #[error("lacks {{robot}}: what is written to it is of one robot")]
+    NoRobot,
+}
+
+/// A pattern to read: it matches topics and extracts the robot's name.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Pattern {
+    levels: Vec<String>,
+}
+
+impl Pattern {
+    /// Parses `fleet/{robot}/power`. `+` and `#` are MQTT's wildcards.
+    pub(crate) fn parse(text: &str) -> Result<Self, TopicError> {
+        check(text)?;
+        let levels: Vec<String> = text.split('/').map(str::to_owned).collect();
+        let last = levels.len() - 1;
+        let is_bad = |(place, level): (usize, &String)| match level.as_str() {
+            "+" => false,
+            "#" => place != last,
+            other => other.contains(['+', '#']),
+        };
+        if levels.iter().enumerate().any(is_bad) {
+            return Err(TopicError::Wildcard);
+        }
+        Ok(Self { levels })
+    }
+
+    /// Whether the pattern has the robot's name.
+    pub(crate) fn has_robot(&self) -> bool {
+        self.levels.iter().any(|level| level.contains(ROBOT))
+    }
+
+    /// The topic filter to subscribe to.
+    pub(crate) fn filter(&self) -> String {
+        let levels = self.levels.iter().map(|level| {
+            let is_named = level.contains(ROBOT);
+            if is_named { "+" } else { level }
+        });
+        levels.collect::<Vec<_>>().join("/")
+    }
+
+    /// `Some` if the topic matches, with the robot's name if the pattern has it.
+    pub(crate) fn matches<'t>(&self, topic: &'t str) -> Option<Option<&'t str>> {
+        let mut robot = None;
+        let mut rest = topic.split('/');
+        for level in &self.levels {
+            if level == "#" {
+                return Some(robot);
+            }
+            let found = rest.next()?;
+            match level.split_once(ROBOT) {
+                Some((before, after)) => {
+                    let name = found.strip_prefix(before)?.strip_suffix(after)?;
+                    robot = Some(name);
+                }
+                None if level == "+" || level == found => {}
+                None => return None,
+            }
+        }
+        rest.next().is_none().then_some(robot)
+    }
+}
+
+/// A topic to write, with `{robot}` and `{fleet}`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Template(String);
+
+impl Template {
+    /// Parses `joulebus/{fleet}/{robot}/budget`. `of_robot` states that `{robot}` is required, else
+    /// it is forbidden.
+    pub(crate) fn parse(text: &str, fleet: &str, of_robot: bool) -> Result<Self, TopicError> {
+        check(text)?;
+        if text.contains(['+', '#']) {
+            return Err(TopicError::WrittenWildcard);
+        }
+        match (text.contains(ROBOT), of_robot) {
+            (false, true) => Err(TopicError::NoRobot),
+            (true, false) => Err(TopicError::NeedlessRobot),
+            _ => Ok(Self(text.replace("{fleet}", fleet))),
+        }
+    }
+
+    /// The topic of a robot, or of the fleet.
+    pub(crate) fn of(&self, robot: &str) -> String {
+        self.0.replace(ROBOT, robot)
+    }
+}
+
+fn check(text: &str) -> Result<(), TopicError> {
+    if !(1..=MAX_BYTES).contains(&text.len()) {
+        return Err(TopicError::Length { found: text.len() });
+    }
+    if text.matches(ROBOT).count() > 1 {
+        return Err(TopicError::TwoRobots);
+    }
+    if text.contains(char::is_control) {
+        return Err(TopicError::Wildcard);
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn a_pattern_finds_the_robot_in_topics_that_match() {
+        for (pattern, filter, topic, found) in [
+            (
+                "fleet/{robot}/power",
+                "fleet/+/power",
+                "fleet/a/power",
+                Some(Some("a")),
+            ),
+            (
+                "fleet/{robot}/power",
+                "fleet/+/power",
+                "fleet/a/powers",
+                None,
+            ),
+            (
+                "fleet/{robot}/power",
+                "fleet/+/power",
+                "fleet/a/b/power",
+                None,
+            ),
+            ("fleet/{robot}/power", "fleet/+/power", "fleet/a", None),
+            (
+                "x/agv-{robot}-s/y",
+                "x/+/y",
+                "x/agv-07-s/y",
+                Some(Some("07")),
+            ),
+            ("x/agv-{robot}-s/y", "x/+/y", "x/lift-07-s/y", None),
+            ("+/{robot}/#", "+/+/#", "a/b/c/d", Some(Some("b"))),
+            ("+/{robot}/#", "+/+/#", "a/b", Some(Some("b"))),
+            ("all", "all", "all", Some(None)),
+            ("{robot}", "+", "", Some(Some(""))),
+        ] {
+            let read = Pattern::parse(pattern).unwrap();
+            assert_eq!(read.filter(), filter);
+            assert_eq!(read.matches(topic), found, "{pattern} {topic}");
+        }
+    }
+
+    #[test]
+    fn patterns_that_no_broker_takes_are_refused() {
+        for (text, why) in [
+            ("", TopicError::Length { found: 0 }),
+            ("a/#/b", TopicError::Wildcard),
+            ("a/b+", TopicError::Wildcard),
+            ("a/b#", TopicError::Wildcard),
+            ("a/{robot}+", TopicError::Wildcard),
+            ("a\0", TopicError::Wildcard),
+            ("{robot}/{robot}", TopicError::TwoRobots),
+        ] {
+            assert_eq!(Pattern::parse(text), Err(why), "{text:?}");
+        }
+        for (text, of_robot, why) in [
+            ("a/+", false, TopicError::WrittenWildcard),
+            ("a", true, TopicError::NoRobot),
+            ("a/{robot}", false, TopicError::NeedlessRobot),
+        ] {
+            assert_eq!(Template::parse(text, "lab", of_robot), Err(why), "{text:?}");
+        }
+        let topic = Template::parse("jb/{fleet}/{robot}/b", "lab", true).unwrap();
+        assert_eq!(topic.of("r7"), "jb/lab/r7/b");
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_written_for_a_robot_is_read_as_that_robot(
+            before in "[a-z/]{0,8}",
+            after in "[a-z/]{0,8}",
+            name in "[a-zA-Z0-9_. -]{1,12}",
+        ) {
+            let text = format!("{before}/x{{robot}}y/{after}");
+            let topic = Template::parse(&text, "f", true).unwrap().of(&name);
+            let pattern = Pattern::parse(&text).unwrap();
+            prop_assert_eq!(pattern.matches(&topic), Some(Some(name.as_str())));
+        }
+
+        #[test]
+        fn no_topic_panics(pattern in ".{0,24}", topic in ".{0,40}") {
+            if let Ok(pattern) = Pattern::parse(&pattern) {
+                let _ = (pattern.matches(&topic), pattern.filter());
+            }
+        }
+    }
+}

@@ -1,0 +1,375 @@
+//! The sink of a broker: documents of robots, some retained, and every alarm change.
+
+use std::collections::{BTreeSet, HashMap, VecDeque};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError};
+
+use joulebus_board::{AlarmRecord, Board, Link};
+use joulebus_config::Config;
+use joulebus_consumer::{FleetAlarm, FleetAlarms};
+use rumqttc::QoS;
+use serde_json::{Value, json};
+
+use crate::config::Write;
+use crate::mapping::outgoing::{Object, What, document, values};
+use crate::mapping::robots::Robots;
+use crate::mqtt::outlet::Outlet;
+use crate::outbound::{Sink, Times, next_due_ns};
+use crate::shared::Shared;
+
+/// Maximum number of alarm changes that wait for a connection. Beyond it the oldest are lost.
+pub(crate) const MAX_WAITING: usize = 10_000;
+
+/// A topic with the state of its robots.
+struct Topic {
+    write: Write,
+    due_ns: u64,
+    /// The last document of each robot, for topics that publish only changes.
+    published: HashMap<u32, Value>,
+    /// Robots whose document the broker retains.
+    kept: BTreeSet<u32>,
+}
+
+/// Publishes to the topics of a broker.
+pub(crate) struct MqttSink {
+    fleet: String,
+    name: String,
+    robots: Robots,
+    topics: Vec<Topic>,
+    changes: Receiver<FleetAlarm>,
+    waiting: VecDeque<AlarmRecord>,
+    /// Number of topics to which the first waiting change was published.
+    published_to: usize,
+    /// Changes handed to the connection lately, with the monotonic time, ns. If the connection
+    /// breaks, they may not have arrived.
+    handed: VecDeque<(u64, AlarmRecord)>,
+    arrives_within_ns: u64,
+    outlet: Arc<Outlet>,
+    connections: u64,
+    shared: Arc<Shared>,
+    lost: Arc<AtomicU64>,
+}
+
+/// The arguments of [`MqttSink::new`].
+pub(crate) struct Start {
+    pub(crate) fleet: String,
+    pub(crate) name: String,
+    pub(crate) robots: Robots,
+    pub(crate) writes: Vec<Write>,
+    pub(crate) outlet: Arc<Outlet>,
+    pub(crate) changes: Receiver<FleetAlarm>,
+    pub(crate) shared: Arc<Shared>,
+    pub(crate) lost: Arc<AtomicU64>,
+    /// Time after which a message has arrived or the connection is known to be broken, ns.
+    pub(crate) arrives_within_ns: u64,
+}
+
+impl Sink for MqttSink {
+    fn publish(&mut self, board: &Board, times: Times) {
+        self.take_changes(times);
+        if self.outlet.is_connected() {
+            self.publish_due(board, times);
+        }
+    }
+
+    fn finish(&mut self) {
+        self.lost
+            .fetch_add(self.waiting.len() as u64, Ordering::Relaxed);
+    }
+}
+
+impl MqttSink {
+    pub(crate) fn new(start: Start) -> Self {
+        let topic = |write: Write| Topic {
+            due_ns: 0,
+            published: HashMap::new(),
+            // The broker may retain documents of an earlier run.
+            kept: start
+                .robots
+                .iter()
+                .map(|(robot, _)| robot)
+                .filter(|_| write.retain)
+                .collect(),
+            write,
+        };
+        let topics = start.writes.into_iter().map(topic).collect();
+        Self {
+            fleet: start.fleet,
+            name: start.name,
+            robots: start.robots,
+            topics,
+            changes: start.changes,
+            waiting: VecDeque::new(),
+            published_to: 0,
+            handed: VecDeque::new(),
+            arrives_within_ns: start.arrives_within_ns,
+            connections: 0,
+            outlet: start.outlet,
+            shared: start.shared,
+            lost: start.lost,
+        }
+    }
+
+    fn take_changes(&mut self, times: Times) {
+        for change in self.changes.try_iter() {
+            if self.waiting.len() >= MAX_WAITING {
+                self.waiting.pop_front();
+                self.published_to = 0;
+                self.lost.fetch_add(1, Ordering::Relaxed);
+            }
+            let record = AlarmRecord::new(&self.fleet, &change, times.unix_ns(change.at_ns));
+            self.waiting.push_back(record);
+        }
+    }
+
+    fn publish_due(&mut self, board: &Board, times: Times) {
+        let connections = self.outlet.connections();
+        if connections != self.connections {
+            // This is another broker, or one that has lost its retained documents: publish
+            // everything again.
+            self.connections = connections;
+            for topic in &mut self.topics {
+                topic.due_ns = 0;
+                topic.published.clear();
+                if topic.write.retain {
+                    // The broker may also have missed the end of a retained document.
+                    topic.kept = self.robots.iter().map(|(robot, _)| robot).collect();
+                }
+            }
+            while let Some((_, record)) = self.handed.pop_back() {
+                self.waiting.push_front(record);
+            }
+            self.published_to = 0;
+        }
+        for place in 0..self.topics.len() {
+            match self.topics[place].write.what {
+                What::AlarmChanges => {}
+                _ if times.now_ns < self.topics[place].due_ns => {}
+                What::Status => self.publish_status(place, board, times),
+                _ => self.publish_robots(place, board, times),
+            }
+        }
+        self.publish_changes(times.now_ns);
+    }
+
+    fn publish_changes(&mut self, now_ns: u64) {
+        let since_ns = now_ns.saturating_sub(self.arrives_within_ns);
+        while self
+            .handed
+            .front()
+            .is_some_and(|(at_ns, _)| *at_ns < since_ns)
+        {
+            self.handed.pop_front();
+        }
+        let topics = self
+            .topics
+            .iter()
+            .filter(|topic| topic.write.what == What::AlarmChanges);
+        let topics: Vec<&Topic> = topics.collect();
+        while let Some(record) = self.waiting.front() {
+            let name = record.robot.and_then(|robot| self.robots.name(robot));
+            let mut document = json!(record);
+            document["name"] = json!(name);
+            let payload = document.to_string().into_bytes();
+            for topic in &topics[self.published_to.min(topics.len())..] {
+                let (to, retain) = (topic.write.topic.of(""), topic.write.retain);
+                let payload = payload.clone();
+                // Retried later, from this topic on.
+                if !self.outlet.write(to, payload, QoS::AtLeastOnce, retain) {
+                    return;
+                }
+                self.published_to += 1;
+            }
+            self.published_to = 0;
+            let record = self.waiting.pop_front();
+            self.handed.extend(record.map(|record| (now_ns, record)));
+        }
+    }
+
+    fn publish_status(&mut self, place: usize, board: &Board, times: Times) {
+        let topic = &mut self.topics[place];
+        let status = json!({
+            "fleet": self.fleet,
+            "bridge": self.name,
+            "state": "online",
+            "at_unix_ns": times.now_unix_ns,
+            "worker": board.link.name(),
+            "messages": self.shared.messages(),
+            "unmapped": self.shared.account().records(),
+        });
+        let (to, retain) = (topic.write.topic.of(""), topic.write.retain);
+        if self.outlet.write(
+            to,
+            status.to_string().into_bytes(),
+            QoS::AtLeastOnce,
+            retain,
+        ) {
+            topic.due_ns = next_due_ns(topic.due_ns, topic.write.every_ns, times.now_ns);
+        }
+    }
+
+    fn publish_robots(&mut self, place: usize, board: &Board, times: Times) {
+        let topic = &mut self.topics[place];
+        topic.due_ns = next_due_ns(topic.due_ns, topic.write.every_ns, times.now_ns);
+        // Without a worker there are no values. The status topic reports that.
+        if board.link != Link::Live {
+            return;
+        }
+        let mut left = topic.kept.clone();
+        for (robot, row) in &board.rows {
+            let Some(name) = self.robots.name(*robot) else {
+                continue;
+            };
+            left.remove(robot);
+            let values = values(*robot, name, &row.newest(), |at_ns| times.unix_ns(at_ns));
+            topic.publish(*robot, name, &values, &self.outlet);
+        }
+        for robot in left {
+            // An empty message deletes a retained document.
+            let to = topic
+                .write
+                .topic
+                .of(self.robots.name(robot).unwrap_or_default());
+            if self.outlet.write(to, Vec::new(), QoS::AtLeastOnce, true) {
+                topic.kept.remove(&robot);
+                topic.published.remove(&robot);
+            }
+        }
+    }
+}
+
+impl Topic {
+    fn publish(&mut self, robot: u32, name: &str, values: &Object, outlet: &Outlet) {
+        let document = document(&self.write.fields, values);
+        let only_changes = self.write.what == What::Alarms;
+        if only_changes && self.published.get(&robot) == Some(&document) {
+            return;
+        }
+        let qos = if self.write.what == What::Forecast {
+            QoS::AtMostOnce
+        } else {
+            QoS::AtLeastOnce
+        };
+        let payload = document.to_string().into_bytes();
+        let is_handed = outlet.write(self.write.topic.of(name), payload, qos, self.write.retain);
+        if !is_handed && !only_changes && outlet.is_connected() {
+            // The next document replaces this one, so it is not retried.
+            outlet.count_lost();
+        }
+        if is_handed {
+            if only_changes {
+                self.published.insert(robot, document);
+            }
+            if self.write.retain {
+                self.kept.insert(robot);
+            }
+        }
+    }
+}
+
+/// Passes every alarm change to the sink until the bridge stops.
+///
+/// # Errors
+/// The fleet cannot be joined or read.
+pub(crate) fn read_alarms(
+    config: &Config,
+    name: &str,
+    to: &SyncSender<FleetAlarm>,
+    shared: &Shared,
+    lost: &AtomicU64,
+) -> anyhow::Result<()> {
+    let mut alarms = FleetAlarms::with_config(config, name)?;
+    while !shared.is_stopped() {
+        alarms.wait(|change| {
+            if let Err(TrySendError::Full(_)) = to.try_send(change) {
+                lost.fetch_add(1, Ordering::Relaxed);
+            }
+        })?;
+    }
+    lost.fetch_add(alarms.history().ticks_missed(), Ordering::Relaxed);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::sync_channel;
+
+    use joulebus_consumer::Change;
+    use joulebus_consumer::wire::Level;
+    use rumqttc::{AsyncClient, MqttOptions};
+
+    use super::*;
+    use crate::mapping::intake::{Expired, Holds, Intake};
+    use crate::mapping::topic::Template;
+
+    const HOLDS: Holds = Holds {
+        command_ns: 1,
+        expired: Expired::Unknown,
+        reading_ns: 1,
+        silent_ns: 1,
+    };
+
+    fn write(what: What, topic: &str) -> Write {
+        Write {
+            what,
+            topic: Template::parse(topic, "lab", what.is_of_robot()).unwrap(),
+            every_ns: 1,
+            retain: false,
+            fields: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_full_queue_loses_no_change_of_an_alarm_and_tells_none_twice() {
+        // Nothing takes messages from this queue.
+        let (client, _events) = AsyncClient::new(MqttOptions::new("jb", "127.0.0.1", 1), 3);
+        let outlet = Arc::new(Outlet::new(client));
+        outlet.connected();
+        let (changes, changed) = sync_channel(MAX_WAITING);
+        for at_ns in 0..2 {
+            let change = FleetAlarm {
+                robot: Some(1),
+                alarm: "NoData",
+                level: Level::Stale,
+                change: Change::Raised,
+                at_ns,
+                raised_ns: at_ns,
+            };
+            changes.send(change).unwrap();
+        }
+        let mut sink = MqttSink::new(Start {
+            fleet: "lab".to_owned(),
+            name: "bridge".to_owned(),
+            robots: Robots::default(),
+            writes: vec![
+                write(What::AlarmChanges, "one"),
+                write(What::AlarmChanges, "other"),
+                write(What::Status, "status"),
+            ],
+            outlet: Arc::clone(&outlet),
+            changes: changed,
+            shared: Arc::new(Shared::new(Intake::new(HOLDS, false, []))),
+            lost: Arc::default(),
+            arrives_within_ns: 1_000_000_000,
+        });
+        // The status is due later. The queue has three entries for four messages.
+        sink.topics[2].due_ns = 2;
+        sink.connections = outlet.connections();
+        for turn in 0..5 {
+            let times = Times {
+                now_ns: 1,
+                now_unix_ns: turn,
+            };
+            sink.publish(&Board::new(0), times);
+        }
+        assert_eq!((outlet.sent(), outlet.lost()), (3, 0));
+        assert_eq!((sink.waiting.len(), sink.published_to), (1, 1));
+        sink.finish();
+        assert_eq!(
+            sink.lost.load(Ordering::Relaxed),
+            1,
+            "never published to all"
+        );
+    }
+}

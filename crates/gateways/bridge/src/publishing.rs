@@ -1,0 +1,121 @@
+//! The thread that publishes samples at each platform's rate, independent of the rate of the
+//! messages.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::thread;
+use std::time::Duration;
+
+use joulebus_bus::clock;
+use joulebus_config::Config;
+use joulebus_publisher::{Grid, PublishError, Publisher};
+use serde::Serialize;
+
+use crate::mapping::robots::Robots;
+use crate::shared::Shared;
+
+/// Maximum sleep: the delay until a stop is noticed.
+const POLL_INTERVAL_NS: u64 = 50_000_000;
+
+/// Totals of the published frames.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub(crate) struct PublishedRecord {
+    pub(crate) frames: u64,
+    pub(crate) samples: u64,
+    /// Frames without a reading worker.
+    pub(crate) frames_unheard: u64,
+    /// Frames that could not be sent.
+    pub(crate) frames_failed: u64,
+}
+
+/// Robots with the same rate.
+struct Group {
+    grid: Grid,
+    robots: Vec<u32>,
+}
+
+/// Publishes until the bridge stops. Calls `ready` when the fleet is joined.
+///
+/// # Errors
+/// The fleet cannot be joined, or its files were removed.
+pub(crate) fn run(
+    config: &Config,
+    name: &str,
+    robots: &Robots,
+    shared: &Arc<Shared>,
+    ready: impl FnOnce(),
+) -> anyhow::Result<PublishedRecord> {
+    let mut publisher = Publisher::with_config(config, name)?;
+    ready();
+    let mut groups = groups(config, robots, clock::monotonic_ns());
+    let (mut record, mut states) = (PublishedRecord::default(), Vec::new());
+    while !shared.is_stopped() {
+        let now_ns = clock::monotonic_ns();
+        let due_ns = groups.iter().map(|group| group.grid.due_ns()).min();
+        let wait_ns = due_ns.map_or(POLL_INTERVAL_NS, |due_ns| due_ns.saturating_sub(now_ns));
+        if wait_ns > 0 {
+            thread::sleep(Duration::from_nanos(wait_ns.min(POLL_INTERVAL_NS)));
+            continue;
+        }
+        states.clear();
+        let mut intended_ns = now_ns;
+        for group in &mut groups {
+            if let Some(slot) = group.grid.take(now_ns) {
+                intended_ns = intended_ns.min(slot.intended_ns);
+                let mut intake = shared.intake();
+                states.extend(
+                    group
+                        .robots
+                        .iter()
+                        .filter_map(|robot| intake.sample(*robot, now_ns)),
+                );
+            }
+        }
+        if !states.is_empty() {
+            count(
+                publisher.publish_intended(intended_ns, states.iter().copied()),
+                &mut record,
+            )?;
+        }
+    }
+    Ok(record)
+}
+
+/// The robots, grouped by the rate of their platforms.
+fn groups(config: &Config, robots: &Robots, now_ns: u64) -> Vec<Group> {
+    let platforms = &config.settings().platforms;
+    let mut by_period: BTreeMap<u64, Vec<u32>> = BTreeMap::new();
+    for (robot, _) in robots.iter() {
+        let is_its = |ids: &std::ops::RangeInclusive<u32>| ids.contains(&robot);
+        let platform = platforms.iter().find(|it| it.robots.iter().any(is_its));
+        // The check of the bridge's file refuses robots without a platform.
+        if let Some(platform) = platform {
+            by_period.entry(platform.period_ns).or_default().push(robot);
+        }
+    }
+    let group = |(period_ns, robots)| Group {
+        grid: Grid::new(now_ns, period_ns),
+        robots,
+    };
+    by_period.into_iter().map(group).collect()
+}
+
+/// Counts the result of a frame. A frame that the bus refuses does not end the bridge.
+fn count(
+    sent: Result<joulebus_publisher::Sent, PublishError>,
+    record: &mut PublishedRecord,
+) -> Result<(), PublishError> {
+    match sent {
+        Ok(sent) => {
+            record.frames += 1;
+            record.samples += sent.samples as u64;
+            record.frames_unheard += u64::from(sent.readers == 0);
+        }
+        Err(PublishError::Send(error)) if !error.is_final() => {
+            record.frames_failed += 1;
+            tracing::warn!(%error, "a frame was not sent");
+        }
+        Err(error) => return Err(error),
+    }
+    Ok(())
+}

@@ -1,0 +1,144 @@
+//! The sink of ROS 2: forecasts, budgets and values of each robot, and the diagnostics of all.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use joulebus_board::{Board, Link};
+use joulebus_ros_messages::{RosError, encode};
+use rustdds::no_key::DataWriter;
+
+use crate::config::RosWrite;
+use crate::mapping::outgoing::values;
+use crate::mapping::robots::Robots;
+use crate::mapping::ros::outgoing::{
+    RosWhat, budget, diagnostics, forecast, robot_status, unknown_status, value, worker_status,
+};
+use crate::outbound::{Sink, Times, next_due_ns};
+use crate::ros2::raw::Raw;
+use crate::shared::Shared;
+
+/// A writer of encoded messages.
+pub(super) type Writer = DataWriter<Vec<u8>, Raw>;
+
+/// A topic with its writers.
+pub(super) struct Topic {
+    pub(super) write: RosWrite,
+    /// Writers by robot. A topic of the fleet has one, under 0.
+    pub(super) writers: BTreeMap<u32, Writer>,
+    pub(super) due_ns: u64,
+}
+
+/// Numbers of published and of rejected messages.
+#[derive(Debug, Default)]
+pub(crate) struct Counts {
+    sent: AtomicU64,
+    lost: AtomicU64,
+}
+
+impl Counts {
+    /// Number of messages handed to DDS.
+    pub(crate) fn sent(&self) -> u64 {
+        self.sent.load(Ordering::Relaxed)
+    }
+
+    /// Number of messages without room, because a reader does not acknowledge.
+    pub(crate) fn lost(&self) -> u64 {
+        self.lost.load(Ordering::Relaxed)
+    }
+
+    fn write(&self, writer: &Writer, message: Result<Vec<u8>, RosError>) {
+        let is_sent = message.is_ok_and(|message| writer.write(message, None).is_ok());
+        let count = if is_sent { &self.sent } else { &self.lost };
+        count.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// Publishes to ROS 2.
+pub(crate) struct RosSink {
+    pub(super) fleet: String,
+    pub(super) name: String,
+    pub(super) robots: Robots,
+    pub(super) topics: Vec<Topic>,
+    pub(super) counts: Arc<Counts>,
+    pub(super) shared: Arc<Shared>,
+}
+
+impl Sink for RosSink {
+    fn publish(&mut self, board: &Board, times: Times) {
+        for place in 0..self.topics.len() {
+            let topic = &mut self.topics[place];
+            if times.now_ns < topic.due_ns {
+                continue;
+            }
+            topic.due_ns = next_due_ns(topic.due_ns, topic.write.every_ns, times.now_ns);
+            let topic = &self.topics[place];
+            match topic.write.what {
+                RosWhat::Diagnostics => self.diagnose(topic, board, times),
+                _ => self.publish_robots(topic, board, times),
+            }
+        }
+    }
+
+    fn finish(&mut self) {}
+}
+
+impl RosSink {
+    /// Whether there is any topic to publish to.
+    pub(crate) fn has_topics(&self) -> bool {
+        !self.topics.is_empty()
+    }
+
+    fn publish_robots(&self, topic: &Topic, board: &Board, times: Times) {
+        // Without a worker there are no values. The diagnostics report that.
+        if board.link != Link::Live {
+            return;
+        }
+        for (robot, row) in &board.rows {
+            let (Some(name), Some(writer)) = (self.robots.name(*robot), topic.writers.get(robot))
+            else {
+                continue;
+            };
+            let values = values(*robot, name, &row.newest(), |at_ns| times.unix_ns(at_ns));
+            let voltage_v = self.shared.intake().voltage_v(*robot, times.now_ns);
+            let message = match (topic.write.what, &topic.write.value) {
+                (RosWhat::Budget, _) => encode(&budget(name, &values, voltage_v)),
+                (RosWhat::Value, Some(field)) => encode(&value(field, &values)),
+                _ => encode(&forecast(name, &values, voltage_v)),
+            };
+            self.counts.write(writer, message);
+        }
+    }
+
+    fn diagnose(&self, topic: &Topic, board: &Board, times: Times) {
+        let Some(writer) = topic.writers.get(&0) else {
+            return;
+        };
+        let level = match board.link {
+            Link::Live => 0,
+            Link::Waiting | Link::Stale => 1,
+            Link::Gone | Link::Ended => 2,
+        };
+        let counts = [
+            ("messages", self.shared.messages()),
+            ("not_mapped", self.shared.account().lost()),
+            ("written", self.counts.sent()),
+            ("not_written", self.counts.lost()),
+        ];
+        let worker = (level, board.link.name());
+        let mut statuses = vec![worker_status((&self.fleet, &self.name), worker, counts)];
+        statuses.extend(self.robots.iter().map(|(robot, name)| {
+            let row = board.rows.get(&robot).filter(|_| board.link == Link::Live);
+            row.map_or_else(
+                || unknown_status(name, board.link.name()),
+                |row| {
+                    let unix_ns = |at_ns| times.unix_ns(at_ns);
+                    robot_status(name, &values(robot, name, &row.newest(), unix_ns))
+                },
+            )
+        }));
+        for array in diagnostics(times.now_unix_ns, &statuses) {
+            self.counts.write(writer, array);
+        }
+    }
+}

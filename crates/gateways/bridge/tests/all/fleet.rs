@@ -1,0 +1,80 @@
+//! A fleet of real processes with a bridge.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use joulebus_config::Config;
+use joulebus_testkit::{Child, joulebus_beside, left_behind};
+
+/// The `joulebus` program of the same build.
+fn joulebus() -> &'static Path {
+    joulebus_beside(env!("CARGO_BIN_EXE_joulebus-bridge"))
+}
+
+pub(crate) struct Fleet {
+    directory: tempfile::TempDir,
+}
+
+impl Fleet {
+    pub(crate) fn new() -> Self {
+        static NUMBER: AtomicU32 = AtomicU32::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let root = format!("/dev/shm/jbbridge-{}-{number}", std::process::id());
+        let text = format!(
+            "[fleet]\nname = \"lab\"\ncapacity = 20\n\
+             [domain]\nroot = \"{root}\"\nprefix = \"jbbrdg_\"\n\
+             [intake]\nmax_sources = 4\nleave_after_s = 4\n[readers]\nmax_planners = 8\n\
+             [ledger]\ncheckpoint = \"\"\n\
+             [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\nhold_max_s = 5\n\
+             [platform.battery]\ncapacity_wh = 10\ninitial_soc = 1\ninitial_soc_lo = 0\n"
+        );
+        let directory = tempfile::tempdir().unwrap();
+        fs::write(directory.path().join("fleet.toml"), text).unwrap();
+        Self { directory }
+    }
+
+    pub(crate) fn config(&self) -> PathBuf {
+        self.directory.path().join("fleet.toml")
+    }
+
+    /// Starts a worker.
+    pub(crate) fn worker(&self) -> Child {
+        let mut command = Command::new(joulebus());
+        command
+            .args(["run", "--config"])
+            .arg(self.config())
+            .env_remove("JOULEBUS_LOG");
+        let mut worker = Child::spawn("run", command);
+        worker.wait_for_line("ready:");
+        worker
+    }
+
+    /// The command of a bridge with this file, not started.
+    pub(crate) fn command(&self, text: &str) -> Command {
+        let path = self.directory.path().join("bridge.toml");
+        fs::write(&path, text).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-bridge"));
+        command
+            .args(["--format", "json"])
+            .arg(path)
+            .arg("--config")
+            .arg(self.config());
+        command.env_remove("JOULEBUS_LOG");
+        command
+    }
+
+    /// Starts a bridge, and waits until it logs `expected`.
+    pub(crate) fn bridge(&self, text: &str, expected: &str) -> Child {
+        let mut bridge = Child::spawn("bridge", self.command(text));
+        bridge.wait_for_line(expected);
+        bridge
+    }
+
+    /// Files that the fleet has left behind.
+    pub(crate) fn stale_files(&self) -> Vec<PathBuf> {
+        let domain = Config::load(self.config()).unwrap().domain().unwrap();
+        left_behind(domain.shm_prefix(), domain.root())
+    }
+}

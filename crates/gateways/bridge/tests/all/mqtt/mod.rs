@@ -1,0 +1,606 @@
+//! A bridge to a real Mosquitto with a real worker. Without a broker the tests log that they skip,
+//! and with CI=true they fail.
+
+pub(crate) mod broker;
+
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::path::PathBuf;
+use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use crate::fleet::Fleet;
+use broker::{Broker, Listener, mosquitto};
+use joulebus_testkit::{Child, eventually};
+use rumqttc::{Client, QoS};
+use serde_json::{Value, json};
+
+/// A bridge's file that reads powers in mW and commands of robots 1 to 3, and writes all topics.
+fn file(broker: &Broker) -> String {
+    let address = broker.address();
+    format!(
+        r#"
+        [robots]
+        "r{{id}}" = "1-3"
+        [mqtt]
+        broker = "{address}"
+        [[mqtt.read]]
+        topic = "fleet/{{robot}}/power"
+        fields = {{ power = {{ at = "/monitor/power", unit = "mW" }}, soc = {{ at = "soc", unit = "%" }} }}
+        [[mqtt.read]]
+        topic = "commands"
+        robot_at = "who"
+        fields = {{ v = {{ at = "v", unit = "mm/s" }}, omega = {{ at = "w", unit = "deg/s", negate = true }} }}
+        [[mqtt.write]]
+        what = "forecast"
+        topic = "jb/{{fleet}}/{{robot}}/forecast"
+        every_s = 0.1
+        [[mqtt.write]]
+        what = "budget"
+        topic = "jb/{{fleet}}/{{robot}}/budget"
+        every_s = 0.5
+        fields = {{ "/left/percent" = {{ value = "soc", unit = "%" }}, drawn_wh = {{ value = "drawn_j", unit = "Wh" }} }}
+        [[mqtt.write]]
+        what = "alarms"
+        topic = "jb/{{fleet}}/{{robot}}/alarms"
+        every_s = 0.1
+        [[mqtt.write]]
+        what = "alarm_changes"
+        topic = "jb/{{fleet}}/alarms"
+        [[mqtt.write]]
+        what = "status"
+        topic = "jb/{{fleet}}/bridge"
+        every_s = 0.2
+        "#
+    )
+}
+
+/// Sends readings and commands of robots 1 to 3 until it is dropped.
+struct Robots {
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Robots {
+    fn start(client: Client) -> Self {
+        let stop = Arc::<AtomicBool>::default();
+        let stopped = Arc::clone(&stop);
+        let thread = std::thread::spawn(move || {
+            for turn in 0_u32.. {
+                if stopped.load(Ordering::Relaxed) {
+                    return;
+                }
+                for robot in 1..=3 {
+                    let power = 4_000.0 + 100.0 * f64::from(robot) + f64::from(turn % 7);
+                    let reading = json!({"monitor": {"power": power}, "soc": 80}).to_string();
+                    let _ = client.try_publish(
+                        format!("fleet/r{robot}/power"),
+                        QoS::AtMostOnce,
+                        false,
+                        reading,
+                    );
+                    let command =
+                        json!({"who": format!("r{robot}"), "v": 100, "w": 10}).to_string();
+                    let _ = client.try_publish("commands", QoS::AtMostOnce, false, command);
+                }
+                std::thread::sleep(Duration::from_millis(33));
+            }
+        });
+        Self {
+            stop,
+            thread: Some(thread),
+        }
+    }
+}
+
+impl Drop for Robots {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        let _ = self.thread.take().map(JoinHandle::join);
+    }
+}
+
+fn is_forecast(document: &Value) -> bool {
+    document["power_w"].is_number() && document["lo_w"].is_number()
+}
+
+#[test]
+fn readings_as_json_are_forecast_and_forecasts_budgets_and_alarms_are_told() {
+    let Some(program) = mosquitto() else { return };
+    let (fleet, broker) = (
+        Fleet::new(),
+        Broker::start(&program, "allow_anonymous true"),
+    );
+    let mut worker = fleet.worker();
+    let mut bridge = fleet.bridge(&file(&broker), "connected to ");
+    let listener = broker.client("listener", "jb/#");
+    let robots = Robots::start(broker.client("robots", "nothing").client);
+    for robot in 1..=3 {
+        let document = listener
+            .wait_for(&format!("jb/lab/r{robot}/forecast"), is_forecast)
+            .json();
+        let reading_w = document["reading_w"].as_f64().unwrap();
+        assert!((4.0..4.4).contains(&reading_w), "{document}");
+        assert_eq!(
+            (&document["robot"], &document["name"]),
+            (&json!(robot), &json!(format!("r{robot}")))
+        );
+    }
+    let budget = |document: &Value| {
+        document["left"]["percent"]
+            .as_f64()
+            .is_some_and(|percent| percent < 99.0)
+            && document["drawn_wh"].is_number()
+    };
+    listener.wait_for("jb/lab/r2/budget", budget);
+    listener.wait_for("jb/lab/r3/budget", |_| true);
+    // A late subscriber gets the retained messages, and then new ones.
+    let later = broker.client("later", "jb/#");
+    eventually("what is kept", || {
+        let messages = later.messages();
+        let mut budgets = messages.iter().filter(|it| it.topic == "jb/lab/r3/budget");
+        budgets.any(|budget| budget.retained)
+    });
+    assert!(
+        later
+            .wait_for("jb/lab/bridge", |document| document["state"] == "online")
+            .json()["worker"]
+            .is_string()
+    );
+    listener.forget();
+    drop(robots);
+    let raised = |document: &Value| {
+        document["alarm"] == "NoData" && document["change"] == "raised" && document["name"] == "r1"
+    };
+    let change = listener.wait_for("jb/lab/alarms", raised);
+    assert!(
+        !change.retained && change.json()["robot"] == 1,
+        "{change:?}"
+    );
+    listener.wait_for("jb/lab/r1/alarms", |document| {
+        document["alarms"] == json!(["NoData"]) && document["level"] == "stale"
+    });
+    // The documents of robots that leave the fleet are deleted from the broker.
+    eventually("no budget is kept", || {
+        let messages = listener.messages();
+        messages
+            .iter()
+            .any(|message| message.topic == "jb/lab/r1/budget" && message.payload.is_empty())
+    });
+    worker.kill();
+    listener.wait_for("jb/lab/alarms", |document| {
+        document["alarm"] == "WorkerGone" && document["robot"].is_null()
+    });
+    listener.wait_for("jb/lab/bridge", |document| document["worker"] == "gone");
+    let report = bridge.stop().json();
+    listener.wait_for("jb/lab/bridge", |document| document["state"] == "offline");
+    assert_eq!(
+        (&report["unmapped"], &report["not_written"]),
+        (&json!([]), &json!(0)),
+        "{report}"
+    );
+    assert!(
+        report["published"]["samples"].as_u64().unwrap() > 0,
+        "{report}"
+    );
+    fleet.worker().stop();
+    assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
+}
+
+#[test]
+fn a_broker_that_is_killed_and_started_again_is_joined_again() {
+    let Some(program) = mosquitto() else { return };
+    let (fleet, mut broker) = (
+        Fleet::new(),
+        Broker::start(&program, "allow_anonymous true"),
+    );
+    let mut worker = fleet.worker();
+    let mut bridge = fleet.bridge(&file(&broker), "connected to ");
+    let listener = broker.client("listener", "jb/#");
+    let robots = Robots::start(broker.client("robots", "nothing").client);
+    listener.wait_for("jb/lab/r1/forecast", is_forecast);
+    listener.wait_for("jb/lab/r1/alarms", |document| {
+        document["alarms"] == json!([])
+    });
+    for _ in 0..2 {
+        broker.kill();
+        bridge.wait_for_line("not connected to ");
+        broker.restart();
+        bridge.wait_for_line("connected to ");
+        listener.forget();
+        // Readings arrive again, so the bridge has subscribed again.
+        listener.wait_for("jb/lab/r1/forecast", |document| {
+            is_forecast(document) && document["quality"] != "OpenLoop"
+        });
+        // The broker retains the documents again.
+        let later = broker.client("later", "jb/#");
+        for topic in ["jb/lab/r2/budget", "jb/lab/r2/alarms", "jb/lab/bridge"] {
+            later.wait_for(topic, |_| true);
+        }
+    }
+    drop(robots);
+    // The broker reports a killed bridge.
+    bridge.kill();
+    listener.wait_for("jb/lab/bridge", |document| {
+        document["state"] == "offline" && document["bridge"] == "bridge"
+    });
+    worker.stop();
+}
+
+/// The number of unmapped messages with a reason.
+fn count(report: &Value, reason: &str) -> u64 {
+    let lines = report["unmapped"].as_array().map_or(&[][..], Vec::as_slice);
+    let counts = lines
+        .iter()
+        .filter(|line| line["reason"] == reason)
+        .map(|line| line["count"].as_u64().unwrap());
+    counts.sum()
+}
+
+/// Sends messages that no robot should send.
+fn attack(client: &Listener) {
+    let deep = "[".repeat(60_000);
+    let bad: [(&str, Vec<u8>); 11] = [
+        ("fleet/r1/power", vec![b'7'; 5 << 20]),
+        ("fleet/r1/power", deep.into_bytes()),
+        ("fleet/r1/power", br#"{"monitor": {"power": NaN}}"#.to_vec()),
+        (
+            "fleet/r1/power",
+            br#"{"monitor": {"power": 1e300}}"#.to_vec(),
+        ),
+        (
+            "fleet/r1/power",
+            br#"{"monitor": {"power": "4000"}}"#.to_vec(),
+        ),
+        ("fleet/r1/power", br#"{"monitor": [[[]]]}"#.to_vec()),
+        ("fleet/r1/power", vec![0xff, 0xfe, 0x00]),
+        (
+            "fleet/in\u{202e}truder/power",
+            br#"{"monitor": {"power": 1}}"#.to_vec(),
+        ),
+        ("commands", br#"{"v": 1}"#.to_vec()),
+        ("commands", br#"{"who": "r9", "v": 1}"#.to_vec()),
+        ("commands", Vec::new()),
+    ];
+    for (topic, payload) in &bad {
+        client.send(topic, payload.clone());
+    }
+    for number in 0..2_000 {
+        client.send(&format!("fleet/flood-{number}/power"), "{}");
+    }
+    // Values of the right type that are impossible for a robot. The worker refuses them.
+    for _ in 0..20 {
+        client.send(
+            "fleet/r2/power",
+            r#"{"monitor": {"power": 1e12}, "soc": 900}"#,
+        );
+    }
+}
+
+#[test]
+fn hostile_messages_are_counted_and_named_and_harm_nobody() {
+    let Some(program) = mosquitto() else { return };
+    let (fleet, broker) = (
+        Fleet::new(),
+        Broker::start(&program, "allow_anonymous true"),
+    );
+    let mut worker = fleet.worker();
+    let keeper = broker.client("keeper", "nothing");
+    keeper
+        .client
+        .publish(
+            "fleet/r1/power",
+            QoS::AtLeastOnce,
+            true,
+            r#"{"monitor": {"power": 9000}}"#,
+        )
+        .unwrap();
+    let mut bridge = fleet.bridge(&file(&broker), "connected to ");
+    let listener = broker.client("listener", "jb/#");
+    let robots = Robots::start(broker.client("robots", "nothing").client);
+    listener.wait_for("jb/lab/r3/forecast", is_forecast);
+    attack(&broker.client("intruder", "nothing"));
+    let flooded = |document: &Value| count(document, "unknown_robot") >= 2_003;
+    listener.wait_for("jb/lab/bridge", flooded);
+    listener.forget();
+    let calm = listener.wait_for("jb/lab/r3/forecast", is_forecast).json();
+    assert!(
+        (4.2..4.4).contains(&calm["reading_w"].as_f64().unwrap()),
+        "{calm}"
+    );
+    listener.wait_for("jb/lab/r2/forecast", |document| {
+        is_forecast(document) && document["reading_w"].as_f64().unwrap() < 5.0
+    });
+    assert!(worker.is_running() && bridge.is_running());
+    drop(robots);
+    let ended = bridge.end();
+    assert_eq!(ended.exit_code(), 3, "{ended:?}");
+    assert!(!ended.errors().contains('\u{202e}'), "{}", ended.errors());
+    assert!(
+        ended
+            .errors()
+            .contains("not mapped: fleet/{robot}/power: unknown_robot: "),
+        "{}",
+        ended.errors()
+    );
+    let report = ended.json();
+    for (reason, least) in [
+        ("too_long", 1),
+        ("not_json", 4),
+        ("not_finite", 1),
+        ("wrong_type", 1),
+        ("nothing_mapped", 2),
+        ("unknown_robot", 2_003),
+        ("retained", 1),
+    ] {
+        assert!(count(&report, reason) >= least, "{reason}: {report}");
+    }
+    let names = report["unmapped"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|line| line["names"].as_array().unwrap().len());
+    assert!(names.max().unwrap() <= 16, "{report}");
+    worker.stop();
+}
+
+#[test]
+fn vehicles_of_vda_5050_tell_their_battery_and_velocity() {
+    let Some(program) = mosquitto() else { return };
+    let (fleet, broker) = (
+        Fleet::new(),
+        Broker::start(&program, "allow_anonymous true"),
+    );
+    let mut worker = fleet.worker();
+    let address = broker.address();
+    let mut bridge = fleet.bridge(
+        &format!(
+            r#"
+        [bridge]
+        reading_holds_s = 30
+        silent_after_s = 60
+        [robots]
+        "0001" = 4
+        [mqtt]
+        broker = "{address}"
+        vda5050 = [{{ topic = "uagv/v2/KIT/{{robot}}/state" }}]
+        write = [{{ what = "budget", topic = "jb/{{robot}}/budget", every_s = 0.1 }}]
+        "#
+        ),
+        "connected to ",
+    );
+    let listener = broker.client("listener", "jb/#");
+    let mut state = json!({
+        "headerId": 1, "timestamp": "2026-11-23T04:00:00.00Z", "version": "2.0.0", "manufacturer": "KIT",
+        "serialNumber": "0001", "orderId": "", "driving": true, "operatingMode": "AUTOMATIC",
+        "velocity": {"vx": 0.1, "vy": 0.0, "omega": 0.2},
+        "batteryState": {"batteryCharge": 63.0, "batteryVoltage": 24.0, "charging": true},
+        "errors": [], "safetyState": {"eStop": "NONE", "fieldViolation": false},
+    });
+    let soc = |document: &Value| {
+        document["soc"]
+            .as_f64()
+            .is_some_and(|soc| (soc - 0.63).abs() < 0.1)
+    };
+    // A state is not retained. One sent before the bridge subscribes is lost.
+    let mut sent = 0;
+    let mut send = |state: &Value, is_charging: bool| {
+        eventually("the state is published", || {
+            sent += 1;
+            listener.send("uagv/v2/KIT/0001/state", state.to_string());
+            std::thread::sleep(Duration::from_millis(100));
+            let messages = listener.messages();
+            let budgets = messages.iter().filter(|it| it.topic == "jb/0001/budget");
+            budgets.map(broker::Message::json).any(|document| {
+                document["charging"] == is_charging && soc(&document) && document["robot"] == 4
+            })
+        });
+    };
+    send(&state, true);
+    state["batteryState"]["charging"] = json!(false);
+    send(&state, false);
+    let report = bridge.stop().json();
+    // Every received state was counted once: exactly two if no state was sent again.
+    let observations = report["observations"].as_u64().unwrap();
+    assert!((2..=sent).contains(&observations), "{sent}: {report}");
+    worker.stop();
+}
+
+/// Whether a message of the robot was not mapped for a reason.
+fn has(report: &Value, reason: &str, robot: &str) -> bool {
+    let lines = report["unmapped"].as_array().map_or(&[][..], Vec::as_slice);
+    let mut lines = lines.iter().filter(|line| line["reason"] == reason);
+    lines.any(|line| {
+        let names = line["names"].as_array().unwrap();
+        names.iter().any(|name| name == robot)
+    })
+}
+
+/// Answers requests like a vizier's node until `stop`. Its first status has no reading. If that
+/// answer was too late, as the bridge's status shows, another such answer follows.
+fn node(client: &Listener, bridge_status: &Listener, stop: &AtomicBool) -> Vec<Value> {
+    let (mut asked, mut unread, mut answers) = (0, 0, 0);
+    while !stop.load(Ordering::Relaxed) {
+        let requests: Vec<Value> = client
+            .messages()
+            .iter()
+            .map(broker::Message::json)
+            .collect();
+        let state = bridge_status
+            .messages()
+            .last()
+            .map_or(Value::Null, broker::Message::json);
+        let taken = count(&state, "nothing_mapped");
+        let is_known = taken + count(&state, "not_asked") >= unread;
+        // Only the newest request: an answer to an earlier one would be too late.
+        if let Some(request) = requests[asked..].last().filter(|_| is_known) {
+            let power = 3_000 + 10 * (answers % 50);
+            let status = if taken == 0 {
+                unread += 1;
+                json!({"batt_volt": -1, "charge_status": false, "bus_volt": -1, "bus_current": -1, "power": -1})
+            } else {
+                answers += 1;
+                json!({"batt_volt": 4.0, "charge_status": false, "bus_volt": 4000, "bus_current": 750, "power": power})
+            };
+            let response = json!({"status": 200, "body": status.to_string(), "type": "DATA"});
+            client.send(
+                &format!("5/responses/{}", request["id"].as_str().unwrap()),
+                response.to_string(),
+            );
+            asked = requests.len();
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    client
+        .messages()
+        .iter()
+        .map(broker::Message::json)
+        .collect()
+}
+
+#[test]
+fn robots_of_a_vizier_are_asked_and_sent_nothing_else() {
+    let Some(program) = mosquitto() else { return };
+    let (fleet, broker) = (
+        Fleet::new(),
+        Broker::start(&program, "allow_anonymous true"),
+    );
+    let mut worker = fleet.worker();
+    let everything = broker.client("everything", "#");
+    let client = broker.client("node", "5/requests");
+    let of_bridge = broker.client("told", "jb/bridge");
+    let stop = Arc::<AtomicBool>::default();
+    let stopped = Arc::clone(&stop);
+    let node = std::thread::spawn(move || node(&client, &of_bridge, &stopped));
+    let address = broker.address();
+    let mut bridge = fleet.bridge(
+        &format!(
+            r#"
+        [robots]
+        5 = 5
+        6 = 6
+        [mqtt]
+        broker = "{address}"
+        vizier = {{ every_s = 0.2 }}
+        write = [
+            {{ what = "forecast", topic = "jb/{{robot}}/forecast", every_s = 0.1 }},
+            {{ what = "status", topic = "jb/bridge", every_s = 0.1 }},
+        ]
+        "#
+        ),
+        "connected to ",
+    );
+    let listener = broker.client("listener", "jb/#");
+    eventually("a forecast", || {
+        listener.send("matlab_api/5", r#"{"v": 0.1, "w": 0.5}"#);
+        std::thread::sleep(Duration::from_millis(20));
+        listener
+            .messages()
+            .iter()
+            .any(|message| is_forecast(&message.json()))
+    });
+    let document = listener.wait_for("jb/5/forecast", is_forecast).json();
+    listener.wait_for("jb/bridge", |document| has(document, "no_answer", "6"));
+    assert!(
+        (3.0..3.9).contains(&document["reading_w"].as_f64().unwrap()),
+        "{document}"
+    );
+    let ended = bridge.end();
+    let report = ended.json();
+    assert!(
+        has(&report, "no_answer", "6"),
+        "robot 6 is switched off: {report}"
+    );
+    assert_eq!(
+        count(&report, "nothing_mapped"),
+        1,
+        "the first status has not been read: {report}"
+    );
+    stop.store(true, Ordering::Relaxed);
+    for request in node.join().unwrap() {
+        assert_eq!(
+            (&request["method"], &request["link"]),
+            (&json!("GET"), &json!("5/status"))
+        );
+    }
+    let allowed = |topic: &str| {
+        ["5/requests", "6/requests", "matlab_api/5"].contains(&topic)
+            || topic.starts_with("5/responses/")
+            || topic.starts_with("jb/")
+    };
+    for message in everything.messages() {
+        assert!(allowed(&message.topic), "{message:?}");
+    }
+    worker.stop();
+}
+
+#[test]
+fn a_wrong_password_ends_the_start_and_a_right_one_is_taken() {
+    let Some(program) = mosquitto() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let passwords = folder.path().join("passwords");
+    let mut make = Command::new("mosquitto_passwd");
+    make.arg("-b")
+        .arg("-c")
+        .arg(&passwords)
+        .args(["bridge", "right"]);
+    assert!(make.status().unwrap().success());
+    let more = format!(
+        "allow_anonymous false\npassword_file {}",
+        passwords.display()
+    );
+    let (fleet, broker) = (Fleet::new(), Broker::start(&program, &more));
+    let secret = broker.file("secret");
+    let login = format!(
+        "broker = \"{}\"\nusername = \"bridge\"\npassword_file = \"{}\"",
+        broker.address(),
+        secret.display()
+    );
+    let text = file(&broker).replace(&format!("broker = \"{}\"", broker.address()), &login);
+    for (password, code) in [("wrong", 1), ("right", 0)] {
+        fs::write(&secret, password).unwrap();
+        fs::set_permissions(&secret, PermissionsExt::from_mode(0o600)).unwrap();
+        let mut bridge = Child::spawn("bridge", fleet.command(&text));
+        if code == 0 {
+            bridge.wait_for_line("connected to ");
+            bridge.stop();
+        } else {
+            let ended = bridge.wait();
+            assert_eq!(ended.exit_code(), code, "{ended:?}");
+            assert!(
+                ended.errors().contains("refuses the connection")
+                    && !ended.errors().contains(password),
+                "{ended:?}"
+            );
+        }
+    }
+    fs::set_permissions(&secret, PermissionsExt::from_mode(0o644)).unwrap();
+    let ended = Child::spawn("bridge", fleet.command(&text)).wait();
+    assert_eq!(ended.exit_code(), 2, "{ended:?}");
+}
+
+#[test]
+fn a_file_is_checked_without_a_fleet_or_a_broker() {
+    let fleet = Fleet::new();
+    let text = "[robots]\nr = 1\n[mqtt]\nbroker = \"127.0.0.1:9\"\nvda5050 = [{ topic = \"a/{robot}/state\" }]\n";
+    let check = |text: &str| {
+        let mut command = fleet.command(text);
+        command.arg("--check");
+        Child::spawn("bridge", command).wait()
+    };
+    let good = check(text);
+    assert_eq!(
+        (good.exit_code(), &good.json()["reads"]),
+        (0, &json!(["a/{robot}/state"]))
+    );
+    let bad = check(&text.replace("broker", "brokers"));
+    assert_eq!(bad.exit_code(), 2);
+    assert!(
+        bad.errors().contains("bridge.toml:4") && bad.text().is_empty(),
+        "{bad:?}"
+    );
+    assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
+}

@@ -1,0 +1,506 @@
+//! `joulebus link`: starts the threads, waits for the stop, and reports.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::sync_channel;
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use crate::arguments::LinkArguments;
+use anyhow::{Context as _, anyhow};
+use joulebus_bus::{WorkerLock, clock, yield_to_the_worker};
+use joulebus_config::Config;
+use joulebus_plan_server::PlanServer;
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::{Output, say};
+use joulebus_program::stop::Stop;
+use joulebus_standby::Places;
+use serde::Serialize;
+
+use crate::config::{Mode, Settings, Side};
+use crate::giving::GivenRecord;
+use crate::network::{Network, NetworkError, longest_bytes, longest_state_bytes};
+use crate::refusals::Refusals;
+use crate::taking::TakenRecord;
+use crate::turn::Turn;
+use crate::{follow, forward, intake, one_thread, outputs, standby, take_over};
+
+/// Interval between checks for a stop. The main thread does nothing else.
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// Pause before the next attempt to reach a router.
+const ROUTER_AGAIN_NS: u64 = 500_000_000;
+/// Nice value of all threads, so that the worker and its sources run first.
+const NICE: u8 = 5;
+
+/// The report of a link that has ended.
+#[derive(Debug, Serialize)]
+struct LinkReport {
+    fleet: String,
+    link: String,
+    given: Vec<GivenRecord>,
+    taken: Vec<TakenRecord>,
+    /// Refused requests, by reason.
+    refused: Refusals,
+}
+
+/// The report of `--check`.
+#[derive(Debug, Serialize)]
+struct CheckReport {
+    fleet: String,
+    link: String,
+    mode: &'static str,
+    connect: Vec<String>,
+    listen: Vec<String>,
+    encrypted: bool,
+    /// Number of the config's robots in each shard.
+    shards: BTreeMap<String, usize>,
+    /// The shard that this host's worker may lead.
+    speaks_for: Option<String>,
+    /// Links whose samples are taken, or whose outputs are followed.
+    takes: Vec<String>,
+    /// Links that get the samples published here.
+    gives: Vec<String>,
+    /// Links of the other candidates for this host's shard.
+    stands_by_with: Vec<String>,
+    /// The etcd members of the lease. Without them an operator chooses the leader.
+    lease: Vec<String>,
+}
+
+pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcome> {
+    let config = args.config.load()?;
+    let settings = Settings::load(&args.file, &config)?;
+    if args.check {
+        output.report(&checked(&config, &settings))?;
+        return Ok(Outcome::Done);
+    }
+    if settings.network.tls.is_some() && !args.take_over {
+        // Restart before signals are caught. A signal in between then still ends the program.
+        one_thread::begin();
+    }
+    let stop = Stop::on_signals()?;
+    if args.take_over {
+        take_over::run(&config, &settings, &stop)?;
+        return Ok(Outcome::Done);
+    }
+    yield_to_the_worker(NICE);
+    let Some(mut link) = Link::start(&config, &settings, &stop)? else {
+        return Ok(Outcome::Done);
+    };
+    while !stop.is_asked() && !link.threads.iter().any(JoinHandle::is_finished) {
+        thread::sleep(LOOK_EVERY);
+    }
+    let report = link.finish(&config, &settings)?;
+    let lost = report.is_lossy();
+    output.report(&report)?;
+    Ok(Outcome::unless_lost(lost))
+}
+
+fn checked(config: &Config, settings: &Settings) -> CheckReport {
+    let network = &settings.network;
+    let (takes, gives) = match &settings.side {
+        Side::Worker(takes) => (
+            takes.iter().map(|take| take.from.clone()).collect(),
+            Vec::new(),
+        ),
+        Side::Other { samples, follow } => (
+            follow.iter().flat_map(|it| it.workers.concat()).collect(),
+            samples.clone().unwrap_or_default(),
+        ),
+    };
+    let mut robots = BTreeMap::new();
+    let mut speaks_for = None;
+    if let Some(map) = settings.shards.as_deref() {
+        let name = |shard: usize| map.all()[shard].name.clone();
+        robots.extend(map.all().iter().map(|shard| (shard.name.clone(), 0)));
+        let platforms = config.settings().platforms.iter();
+        for robot in platforms.flat_map(|it| it.robots.iter().cloned().flatten()) {
+            if let Some(shard) = map.of_robot(robot) {
+                *robots.entry(name(shard)).or_default() += 1;
+            }
+        }
+        speaks_for = map.of_worker(&settings.name).map(name);
+    }
+    CheckReport {
+        fleet: config.fleet().to_owned(),
+        link: settings.name.clone(),
+        shards: robots,
+        speaks_for,
+        mode: network.mode.name(),
+        connect: network.connect.clone(),
+        listen: network.listen.clone(),
+        encrypted: network.tls.is_some(),
+        takes,
+        gives,
+        stands_by_with: settings
+            .standby
+            .iter()
+            .flat_map(|it| &it.others)
+            .map(|(_, name)| name.clone())
+            .collect(),
+        lease: settings
+            .standby
+            .iter()
+            .filter_map(|it| it.lease.as_ref())
+            .flat_map(|lease| lease.endpoints.clone())
+            .collect(),
+    }
+}
+
+/// Opens the network. A client retries until a router answers or a stop is requested.
+fn open(
+    config: &Config,
+    settings: &Settings,
+    takes: Option<&[&str]>,
+    stop: &Stop,
+) -> anyhow::Result<Option<Network>> {
+    let of = (config.fleet(), settings.name.as_str());
+    let capacity = config.limits().capacity;
+    let longest_bytes = match settings.standby {
+        Some(_) => longest_state_bytes(capacity),
+        None => longest_bytes(capacity),
+    };
+    let candidates = settings.standby.iter().flat_map(|it| &it.others);
+    let candidates: Vec<&str> = candidates.map(|(_, name)| name.as_str()).collect();
+    let hosts = takes.map(|takes| (takes, candidates.as_slice()));
+    let mut is_told = false;
+    while !stop.is_asked() {
+        match Network::open(&settings.network, of, hosts, longest_bytes) {
+            Err(NetworkError::Open { .. }) if settings.network.mode == Mode::Client => {
+                if !is_told {
+                    let router = settings.network.connect.join(", ");
+                    tracing::warn!("no router answers at {router}: waiting for one");
+                }
+                is_told = true;
+                stop.sleep_until(clock::monotonic_ns() + ROUTER_AGAIN_NS);
+            }
+            opened => return Ok(Some(opened?)),
+        }
+    }
+    Ok(None)
+}
+
+/// The part of the report from one thread.
+#[derive(Debug, Default)]
+struct Done {
+    given: Vec<GivenRecord>,
+    taken: Vec<TakenRecord>,
+    refused: Refusals,
+}
+
+/// The running threads.
+struct Link {
+    stop: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<anyhow::Result<Done>>>,
+    /// Answers planners' questions on a host without a worker.
+    questions: Option<PlanServer>,
+    /// The worker lock of a host without a worker. Released after the threads that need it have
+    /// ended.
+    lock: Option<Arc<WorkerLock>>,
+}
+
+impl Link {
+    /// Starts all threads. `None` if a stop is requested before the router answers.
+    fn start(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::Result<Option<Self>> {
+        let mut link = Self {
+            stop: Arc::default(),
+            threads: Vec::new(),
+            questions: None,
+            lock: None,
+        };
+        let (fleet, name) = (config.fleet(), settings.name.as_str());
+        if let Side::Other { follow, .. } = &settings.side {
+            if follow.is_some() {
+                link.questions = Some(PlanServer::start(config)?);
+            }
+            link.lock = Some(Arc::new(WorkerLock::acquire(&config.domain()?)?));
+        }
+        let takes: Option<Vec<&str>> = match &settings.side {
+            Side::Worker(takes) => Some(takes.iter().map(|take| take.from.as_str()).collect()),
+            Side::Other { .. } => None,
+        };
+        let Some(network) = open(config, settings, takes.as_deref(), stop)? else {
+            return Ok(None);
+        };
+        let network = Arc::new(network);
+        match &settings.side {
+            Side::Worker(takes) => link.start_worker_side((config, settings), takes, &network)?,
+            Side::Other { samples, follow } => {
+                if let Some(follow) = follow {
+                    link.start_following((config, settings), follow, &network)?;
+                }
+                if let Some(to) = samples {
+                    link.start_forwarding((config, settings), to, &network)?;
+                }
+            }
+        }
+        if let Some(questions) = &link.questions {
+            questions.serve();
+        }
+        say(&format!("link {name} of fleet {fleet} is open"));
+        Ok(Some(link))
+    }
+
+    fn start_worker_side(
+        &mut self,
+        (config, settings): (&Config, &Settings),
+        takes: &[crate::config::Take],
+        network: &Arc<Network>,
+    ) -> anyhow::Result<()> {
+        let turn = match &settings.standby {
+            Some(standby) => Some(self.start_standby((config, settings), standby, network)?),
+            None => None,
+        };
+        let (of, over) = (config.clone(), Arc::clone(network));
+        let fleet = settings.fleet(config);
+        self.spawn("joulebus-outputs", move |stop, ready| {
+            let over = (&over, turn.as_deref());
+            let (given, refused) = outputs::run((&of, fleet), over, stop, ready)?;
+            Ok(Done {
+                given,
+                refused,
+                ..Done::default()
+            })
+        })?;
+        if takes.is_empty() {
+            return Ok(());
+        }
+        let (of, over, takes) = (config.clone(), Arc::clone(network), takes.to_vec());
+        let with = settings.clone();
+        self.spawn("joulebus-intake", move |stop, ready| {
+            let taken = intake::run((&of, &with, &takes), &over, stop, ready)?;
+            Ok(Done {
+                taken,
+                ..Done::default()
+            })
+        })
+    }
+
+    /// Starts the threads that decide whether this host's worker leads.
+    fn start_standby(
+        &mut self,
+        (config, settings): (&Config, &Settings),
+        standby: &crate::config::Standby,
+        network: &Arc<Network>,
+    ) -> anyhow::Result<Arc<Turn>> {
+        let (turn, permit) = Turn::resume(Places::of(config))?;
+        let turn = Arc::new(turn);
+        let (of, with, over) = (config.clone(), settings.clone(), Arc::clone(network));
+        let (its, of_shard) = (Arc::clone(&turn), standby.clone());
+        self.spawn("joulebus-standby", move |stop, ready| {
+            let taken = standby::follow((&of, &with, &of_shard), (&over, &its), stop, ready)?;
+            Ok(Done {
+                taken,
+                ..Done::default()
+            })
+        })?;
+        if let Some(lease) = standby.lease.clone() {
+            let (of, with) = (config.clone(), settings.clone());
+            let (its, of_shard) = (Arc::clone(&turn), standby.clone());
+            self.spawn("joulebus-lease", move |stop, ready| {
+                let by = (&of_shard, &lease);
+                standby::hold((&of, &with), by, (&its, permit), stop, ready)?;
+                Ok(Done::default())
+            })?;
+        }
+        Ok(turn)
+    }
+
+    fn start_following(
+        &mut self,
+        (config, settings): (&Config, &Settings),
+        follow: &crate::config::Follow,
+        network: &Arc<Network>,
+    ) -> anyhow::Result<()> {
+        let (of, over, follow) = (config.clone(), Arc::clone(network), follow.clone());
+        let with = settings.clone();
+        let lock = self.lock.clone().context("the lock is taken first")?;
+        self.spawn("joulebus-follow", move |stop, ready| {
+            let taken = follow::run((&of, &with, &follow), (&over, &lock), stop, ready)?;
+            Ok(Done {
+                taken,
+                ..Done::default()
+            })
+        })
+    }
+
+    fn start_forwarding(
+        &mut self,
+        (config, settings): (&Config, &Settings),
+        to: &[String],
+        network: &Arc<Network>,
+    ) -> anyhow::Result<()> {
+        let (of, over, to) = (config.clone(), Arc::clone(network), to.to_vec());
+        let with = settings.clone();
+        let lock = self.lock.clone().context("the lock is taken first")?;
+        self.spawn("joulebus-forward", move |stop, ready| {
+            let (given, refused) = forward::run((&of, &with, &to), (&over, &lock), stop, ready)?;
+            Ok(Done {
+                given,
+                refused,
+                ..Done::default()
+            })
+        })
+    }
+
+    /// Starts a thread, and waits until it has joined the fleet.
+    fn spawn(
+        &mut self,
+        name: &str,
+        work: impl FnOnce(&AtomicBool, Box<dyn FnOnce()>) -> anyhow::Result<Done> + Send + 'static,
+    ) -> anyhow::Result<()> {
+        let (ready, joined) = sync_channel(1);
+        let stop = Arc::clone(&self.stop);
+        let thread = thread::Builder::new().name(name.to_owned()).spawn(move || {
+            let tell = move || {
+                // The caller of `spawn` waits for this.
+                let _ = ready.send(());
+            };
+            work(&stop, Box::new(tell))
+        });
+        let thread = thread.with_context(|| format!("cannot start the thread {name}"))?;
+        if joined.recv().is_err() {
+            join(thread)?;
+            return Ok(());
+        }
+        self.threads.push(thread);
+        Ok(())
+    }
+
+    fn finish(&mut self, config: &Config, settings: &Settings) -> anyhow::Result<LinkReport> {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(questions) = self.questions.take() {
+            let _ = questions.finish();
+        }
+        let mut report = LinkReport {
+            fleet: config.fleet().to_owned(),
+            link: settings.name.clone(),
+            given: Vec::new(),
+            taken: Vec::new(),
+            refused: Refusals::default(),
+        };
+        let ended: Vec<_> = self.threads.drain(..).map(join).collect();
+        for done in ended {
+            let done = done?;
+            report.given.extend(done.given);
+            report.taken.extend(done.taken);
+            report.refused.add(&done.refused);
+        }
+        Ok(report)
+    }
+}
+
+fn join(thread: JoinHandle<anyhow::Result<Done>>) -> anyhow::Result<Done> {
+    thread
+        .join()
+        .map_err(|_| anyhow!("a thread of the link panicked"))?
+}
+
+impl LinkReport {
+    /// Whether frames were lost or refused. Frames dropped on a slow link count, because planners
+    /// did not get them.
+    fn is_lossy(&self) -> bool {
+        let given = self.given.iter();
+        self.refused.total() > 0
+            || given
+                .clone()
+                .any(|it| it.sent.dropped > 0 || it.sent.unheard > 0)
+            || self.taken.iter().any(
+                |TakenRecord {
+                     received, refused, ..
+                 }| {
+                    received.lost > 0
+                        || received.dropped > 0
+                        || received.future > 0
+                        || refused.total() > 0
+                },
+            )
+    }
+}
+
+impl fmt::Display for LinkReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(out, "link {} of fleet {}", self.link, self.fleet)?;
+        for GivenRecord { to, sent } in &self.given {
+            writeln!(
+                out,
+                "gave {to} {} frames, {} bytes; {} left out for newer ones, {} not acknowledged",
+                sent.frames, sent.bytes, sent.dropped, sent.unheard
+            )?;
+        }
+        for taken in &self.taken {
+            let it = &taken.received;
+            writeln!(
+                out,
+                "took {} frames, {} bytes from {}; {} lost, {} left out there, {} repeated, {} runs, {} silences",
+                it.frames,
+                it.bytes,
+                taken.from,
+                it.lost,
+                it.dropped,
+                it.repeated,
+                it.runs,
+                it.silences
+            )?;
+            if let Some(uncertainty_s) = taken.clock_uncertainty_s {
+                let by = if taken.clock_realtime {
+                    " by realtime clocks"
+                } else {
+                    ""
+                };
+                writeln!(
+                    out,
+                    "clock of {}: within {:.3} ms{by}, {} refits, {} steps, {} contradictions",
+                    taken.from,
+                    uncertainty_s * 1e3,
+                    taken.clock_refits,
+                    taken.clock_steps,
+                    taken.clock_contradictions
+                )?;
+            }
+            for (reason, count) in taken.refused.iter() {
+                writeln!(out, "refused of {}: {count} ({reason})", taken.from)?;
+            }
+        }
+        self.refused
+            .iter()
+            .try_for_each(|(reason, count)| writeln!(out, "refused requests: {count} ({reason})"))
+    }
+}
+
+impl fmt::Display for CheckReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let way = if self.encrypted {
+            "encrypted"
+        } else {
+            "not encrypted"
+        };
+        writeln!(
+            out,
+            "link {} of fleet {}: {}, {way}",
+            self.link, self.fleet, self.mode
+        )?;
+        for (shard, robots) in &self.shards {
+            let own = if self.speaks_for.as_ref() == Some(shard) {
+                ", for which it speaks"
+            } else {
+                ""
+            };
+            writeln!(out, "shard {shard}: {robots} robots{own}")?;
+        }
+        for (what, list) in [
+            ("connects to", &self.connect),
+            ("listens on", &self.listen),
+            ("takes from", &self.takes),
+            ("gives samples to", &self.gives),
+            ("stands by with", &self.stands_by_with),
+            ("asks for a lease", &self.lease),
+        ] {
+            if !list.is_empty() {
+                writeln!(out, "{what} {}", list.join(", "))?;
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,247 @@
+//! Which services a link carries, and what their frames consist of.
+
+use bytemuck::{Pod, pod_read_unaligned};
+use joulebus_wire::{
+    Budgets, Channel, Diagnostics, Forecasts, FrameHeader as _, FrameRows, PlanStates,
+    SCHEMA_VERSION, Samples, State, Ticks,
+};
+
+/// A channel whose frames cross a link, by its code in messages: from 1, because 0 is a message without a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Carried(u32);
+
+/// What a link knows of a channel.
+#[derive(Debug, Clone, Copy)]
+struct Frames {
+    /// Bytes of a header, and of an element.
+    sizes: (usize, usize),
+    rows: FrameRows,
+    sent_ns: fn(&[u8]) -> Option<u64>,
+}
+
+impl Frames {
+    const fn of<C: Channel>() -> Self {
+        Self {
+            sizes: (size_of::<C::Header>(), size_of::<C::Row>()),
+            rows: C::ROWS,
+            sent_ns: |header| pod_read_unaligned::<C::Header>(header).sent_ns(),
+        }
+    }
+}
+
+/// In the order of the codes.
+const CHANNELS: &[Frames] = &[
+    Frames::of::<Forecasts>(),
+    Frames::of::<Diagnostics>(),
+    Frames::of::<Budgets>(),
+    Frames::of::<PlanStates>(),
+    Frames::of::<Ticks>(),
+    Frames::of::<Samples>(),
+    Frames::of::<State>(),
+    #[cfg(test)]
+    Frames::of::<joulebus_testkit_channels::Signals>(),
+];
+
+/// Bytes of a state for each robot of the capacity, at most, and for all else: it takes some 500 and a few thousand.
+const STATE_BYTES_PER_ROBOT: usize = 4_096;
+const STATE_BYTES: usize = 1 << 18;
+
+impl Carried {
+    pub(crate) const FORECASTS: Self = Self(1);
+    pub(crate) const DIAGNOSTICS: Self = Self(2);
+    pub(crate) const BUDGETS: Self = Self(3);
+    pub(crate) const PLAN_STATES: Self = Self(4);
+    pub(crate) const TICKS: Self = Self(5);
+    pub(crate) const SAMPLES: Self = Self(6);
+    /// A worker's whole state, for those that stand by: the elements are its bytes.
+    pub(crate) const STATE: Self = Self(7);
+    #[cfg(test)]
+    pub(crate) const SIGNALS: Self = Self(8);
+
+    pub(crate) fn all() -> impl Iterator<Item = Self> {
+        (1..).take(CHANNELS.len()).map(Self)
+    }
+
+    pub(crate) const fn code(self) -> u32 {
+        self.0
+    }
+
+    pub(crate) fn decode(code: u32) -> Option<Self> {
+        Self::all().find(|carried| carried.code() == code)
+    }
+
+    /// The bit in a request's set.
+    pub(crate) const fn bit(self) -> u32 {
+        1 << (self.0 - 1)
+    }
+
+    const fn frames(self) -> &'static Frames {
+        &CHANNELS[self.0 as usize - 1]
+    }
+
+    /// Bytes of a header, and of an element.
+    pub(crate) const fn sizes(self) -> (usize, usize) {
+        self.frames().sizes
+    }
+
+    /// Whether elements are of one robot each, whose id they begin with.
+    pub(crate) const fn is_by_robot(self) -> bool {
+        matches!(self.frames().rows, FrameRows::Robots)
+    }
+
+    /// Elements that a frame of a fleet with that capacity may have.
+    pub(crate) const fn most(self, capacity: usize) -> usize {
+        match self.frames().rows {
+            FrameRows::Bytes => capacity
+                .saturating_mul(STATE_BYTES_PER_ROBOT)
+                .saturating_add(STATE_BYTES),
+            _ => capacity,
+        }
+    }
+}
+
+/// A frame that came over a link: sizes are right, the contents are not checked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct RawFrame<'a> {
+    pub(crate) service: Carried,
+    header: &'a [u8],
+    elements: &'a [u8],
+}
+
+impl<'a> RawFrame<'a> {
+    /// A frame of these bytes, header first. `most`: rows that a frame of the fleet may have.
+    ///
+    /// # Errors
+    /// [`FrameError`]: the bytes are no frame of the service.
+    pub(crate) fn new(
+        service: Carried,
+        count: u32,
+        most: usize,
+        bytes: &'a [u8],
+    ) -> Result<Self, FrameError> {
+        let (header_bytes, element_bytes) = service.sizes();
+        let (count, allowed) = (count as usize, service.most(most));
+        if count > allowed {
+            return Err(FrameError::TooLong {
+                found: count,
+                allowed,
+            });
+        }
+        let allowed = header_bytes + count * element_bytes;
+        if bytes.len() != allowed {
+            let found = bytes.len();
+            return Err(FrameError::Length { found, allowed });
+        }
+        let (header, elements) = bytes.split_at(header_bytes);
+        // Every header begins with the version.
+        let schema = pod_read_unaligned::<u32>(&header[..4]);
+        if schema != SCHEMA_VERSION {
+            return Err(FrameError::Schema { found: schema });
+        }
+        Ok(Self {
+            service,
+            header,
+            elements,
+        })
+    }
+
+    /// The header, as that of its service.
+    pub(crate) fn header<H: Pod>(&self) -> H {
+        pod_read_unaligned(self.header)
+    }
+
+    /// When the frame was sent on its host, as its header says, monotonic ns there; 0 where headers do not say.
+    pub(crate) fn sent_ns(&self) -> u64 {
+        (self.service.frames().sent_ns)(self.header).unwrap_or_default()
+    }
+
+    /// The number of elements.
+    pub(crate) const fn len(&self) -> usize {
+        self.elements.len() / self.service.sizes().1
+    }
+
+    /// Element `at`, below [`RawFrame::len`].
+    pub(crate) fn element<T: Pod>(&self, at: usize) -> T {
+        let bytes = self.service.sizes().1;
+        pod_read_unaligned(&self.elements[at * bytes..][..bytes])
+    }
+
+    /// The bytes of all elements.
+    pub(crate) const fn bytes(&self) -> &'a [u8] {
+        self.elements
+    }
+
+    /// All elements, which are the service's.
+    pub(crate) fn elements<T: Pod>(&self) -> impl Iterator<Item = T> {
+        let bytes = self.service.sizes().1;
+        self.elements.chunks_exact(bytes).map(pod_read_unaligned)
+    }
+}
+
+/// Reason that bytes are not a frame.
+#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+pub(crate) enum FrameError {
+    #[error("a frame of {found} elements, allowed are {allowed} (`fleet.capacity`)")]
+    TooLong { found: usize, allowed: usize },
+    #[error("a frame of {found} bytes that should have {allowed}")]
+    Length { found: usize, allowed: usize },
+    #[error(
+        "a frame of schema version {found}, allowed is {SCHEMA_VERSION}; use one release on all hosts"
+    )]
+    Schema { found: u32 },
+}
+
+#[cfg(test)]
+mod tests {
+    use joulebus_wire::{Forecast, ForecastHeader};
+
+    use super::*;
+
+    #[test]
+    fn codes_and_bits_are_distinct_and_decode_to_their_service() {
+        let mut bits = 0;
+        for (at, service) in Carried::all().enumerate() {
+            assert_eq!(service.code() as usize, at + 1);
+            assert_eq!(Carried::decode(service.code()), Some(service));
+            assert_eq!(bits & service.bit(), 0);
+            bits |= service.bit();
+        }
+        for code in [0, CHANNELS.len() as u32 + 1, u32::MAX] {
+            assert_eq!(Carried::decode(code), None, "{code}");
+        }
+    }
+
+    #[test]
+    fn a_frame_whose_length_count_or_version_is_wrong_is_refused() {
+        let header = ForecastHeader {
+            schema: SCHEMA_VERSION,
+            tick: 9,
+            ..ForecastHeader::default()
+        };
+        let rows = [Forecast {
+            robot: 3,
+            ..Forecast::default()
+        }; 2];
+        let mut bytes = bytemuck::bytes_of(&header).to_vec();
+        bytes.extend_from_slice(bytemuck::cast_slice(&rows));
+        let frame = RawFrame::new(Carried::FORECASTS, 2, 2, &bytes).unwrap();
+        assert_eq!(frame.header::<ForecastHeader>(), header);
+        let copied: Vec<Forecast> = frame.elements().collect();
+        assert_eq!((frame.len(), copied.as_slice()), (2, rows.as_slice()));
+        for (count, most, length) in [
+            (2, 1, bytes.len()),
+            (u32::MAX, 2, bytes.len()),
+            (1, 2, bytes.len()),
+            (2, 2, bytes.len() - 1),
+            (0, 2, 3),
+            (0, 2, 0),
+        ] {
+            let refused = RawFrame::new(Carried::FORECASTS, count, most, &bytes[..length]);
+            assert!(refused.is_err(), "{count} {most} {length}");
+        }
+        bytes[0] ^= 1;
+        let refused = RawFrame::new(Carried::FORECASTS, 2, 2, &bytes).unwrap_err();
+        let found = SCHEMA_VERSION ^ 1;
+        assert_eq!(refused, FrameError::Schema { found });
+    }
+}

@@ -1,0 +1,349 @@
+//! Leader election for one shard over an etcd lease, as a pure state machine. It yields the next
+//! call to the store and handles the replies. Time is an argument.
+//!
+//! The store has three keys for each shard. The *holder* disappears with its lease. The *term*
+//! stays and only grows. The *wish* names the candidate that an operator requests. A candidate
+//! leads while the holder's key has its lease.
+//!
+//! The store ends a lease when the time to live has passed since it processed the last renewal.
+//! This host sent that renewal earlier. It counts from the sending, less the possible drift between
+//! the two clocks, and so stops leading before the store gives the shard away. That needs no reply
+//! and no time of another host.
+//!
+//! The next term is one more than the store's term and than any term that this host knows of. It is
+//! therefore higher than all earlier terms, even if the store has lost its data or a candidate has
+//! led without it.
+
+/// Possible drift between two clocks as a share of the time to live: each 500 ppm by slewing and
+/// 100 ppm by its crystal, times four. `APART_NS` is added for rounding.
+const APART_DIVISOR: u64 = 200;
+const APART_NS: u64 = 10_000_000;
+/// Renewals per time to live. One or two may be lost.
+const RENEWALS: u64 = 5;
+/// Polls of a shard per time to live while another candidate leads it, and the minimum and maximum
+/// interval.
+const LOOKS: u64 = 10;
+const LOOK_EVERY_NS: (u64, u64) = (100_000_000, 500_000_000);
+/// Maximum time to live of a lease, s. The file cannot ask for more, and a longer one that the
+/// store grants is cut to it.
+pub(crate) const MOST_TTL_S: u32 = 60;
+const LONGEST_NS: u64 = MOST_TTL_S as u64 * 1_000_000_000;
+/// Additional wait for a free shard per position in the list of candidates.
+const RANK_NS: u64 = 300_000_000;
+/// Maximum time for which the others leave a free shard to the requested candidate, which polls
+/// more often.
+const WISHED_NS: u64 = 1_500_000_000;
+
+/// The store's contents for one shard.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub(crate) struct Seen {
+    pub(crate) holder: Option<Holder>,
+    /// The last term; 0 before the first.
+    pub(crate) term: u64,
+    /// The store's revision of the term's key, 0 if there is none. It changes with the term.
+    pub(crate) term_revision: u64,
+    /// The candidate that an operator requests as leader.
+    pub(crate) wish: Option<String>,
+}
+
+/// The candidate that holds a shard.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Holder {
+    pub(crate) name: String,
+    pub(crate) term: u64,
+    pub(crate) lease: u64,
+}
+
+/// A call to the store.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Call {
+    /// Grants a new lease.
+    Grant,
+    /// Reads the shard's keys.
+    Look,
+    /// Makes this candidate the holder, sets the term and removes the request, if there is no
+    /// holder and the term's key still has this revision.
+    Acquire {
+        lease: u64,
+        term: u64,
+        term_revision: u64,
+    },
+    /// Renews the lease.
+    Renew { lease: u64 },
+}
+
+/// The store's reply to a call.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Reply {
+    Granted {
+        lease: u64,
+        ttl_ns: u64,
+    },
+    Seen(Seen),
+    /// Whether this candidate has become the holder.
+    Acquired(bool),
+    /// A time to live of 0 means that the lease is gone.
+    Renewed {
+        ttl_ns: u64,
+    },
+    /// No reply in time, or an unintelligible one. The store may have executed the call.
+    Failed,
+}
+
+/// What to do next.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum Next {
+    Call(Call),
+    /// Nothing before this instant.
+    Wait(u64),
+}
+
+/// The right to lead in a term, while a lease lasts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Right {
+    pub(crate) term: u64,
+    /// When another candidate may lead, ns since boot including suspension.
+    pub(crate) until_ns: u64,
+    pub(crate) lease: u64,
+}
+
+/// A lease with a lower bound of its end.
+#[derive(Debug, Clone, Copy)]
+struct Own {
+    id: u64,
+    until_ns: u64,
+}
+
+/// One candidate's view of the election.
+#[derive(Debug)]
+pub(crate) struct Candidate {
+    name: String,
+    /// Position in the list of candidates. The first one takes a free shard first.
+    rank: u64,
+    ttl_ns: u64,
+    lease: Option<Own>,
+    /// Term in which this candidate holds the shard.
+    term: Option<u64>,
+    /// The shard is being given up: the lease is not renewed and runs out.
+    resigns: bool,
+    /// The worker of this host can lead.
+    is_able: bool,
+    /// Highest term that any candidate is known to have led in.
+    heard: u64,
+    /// When this candidate first saw the shard free.
+    free_since_ns: Option<u64>,
+    seen: Seen,
+    look_ns: u64,
+    renew_ns: u64,
+}
+
+impl Candidate {
+    /// Creates a candidate. `right` is set after a restart of the link, which then continues as
+    /// leader.
+    pub(crate) fn new(name: &str, rank: usize, ttl_ns: u64, right: Option<Right>) -> Self {
+        Self {
+            name: name.to_owned(),
+            rank: rank as u64,
+            ttl_ns,
+            lease: right.map(|right| Own {
+                id: right.lease,
+                until_ns: right.until_ns,
+            }),
+            term: right.map(|right| right.term),
+            resigns: false,
+            is_able: true,
+            heard: 0,
+            free_since_ns: None,
+            seen: Seen::default(),
+            look_ns: 0,
+            renew_ns: 0,
+        }
+    }
+
+    /// The right to lead at `now_ns`.
+    pub(crate) fn right(&self, now_ns: u64) -> Option<Right> {
+        let (own, term) = (self.lease?, self.term?);
+        (now_ns < own.until_ns && term >= self.heard).then_some(Right {
+            term,
+            until_ns: own.until_ns,
+            lease: own.id,
+        })
+    }
+
+    /// Notes a term in which a candidate leads or has led.
+    pub(crate) fn hears(&mut self, term: u64) {
+        self.heard = self.heard.max(term);
+    }
+
+    /// Sets whether the worker of this host can lead. If not, the candidate takes no shard and
+    /// gives up the one that it holds.
+    pub(crate) fn is_able(&mut self, is_able: bool) {
+        self.is_able = is_able;
+        self.resigns |= !is_able;
+    }
+
+    /// The holder of the shard in the last view of the store.
+    pub(crate) fn holder(&self) -> Option<&Holder> {
+        self.seen.holder.as_ref()
+    }
+
+    /// What to do at `now_ns`.
+    pub(crate) fn next(&mut self, now_ns: u64) -> Next {
+        if self.is_over(now_ns) {
+            self.ends();
+        }
+        if self.term.is_some() {
+            return self.next_of_holder(now_ns);
+        }
+        if now_ns < self.look_ns {
+            return Next::Wait(self.look_ns);
+        }
+        // The term would overflow. Prefer no leader to two leaders in one term.
+        if self.is_turn(now_ns)
+            && let Some(term) = self.seen.term.max(self.heard).checked_add(1)
+        {
+            return match self.lease.filter(|own| now_ns < own.until_ns) {
+                Some(own) => Next::Call(Call::Acquire {
+                    lease: own.id,
+                    term,
+                    term_revision: self.seen.term_revision,
+                }),
+                None => Next::Call(Call::Grant),
+            };
+        }
+        Next::Call(Call::Look)
+    }
+
+    /// Whether the lease has run out or another candidate leads in a later term. This candidate
+    /// then starts again, whatever the store says.
+    fn is_over(&self, now_ns: u64) -> bool {
+        self.term.is_some() && self.right(now_ns).is_none()
+    }
+
+    fn next_of_holder(&self, now_ns: u64) -> Next {
+        let renews = (!self.resigns).then_some(self.renew_ns);
+        if renews.is_some_and(|due_ns| now_ns >= due_ns)
+            && let Some(own) = self.lease
+        {
+            return Next::Call(Call::Renew { lease: own.id });
+        }
+        if now_ns >= self.look_ns {
+            return Next::Call(Call::Look);
+        }
+        Next::Wait(renews.unwrap_or(u64::MAX).min(self.look_ns))
+    }
+
+    /// Whether the shard is free and this candidate may take it now.
+    fn is_turn(&self, now_ns: u64) -> bool {
+        let Some(since_ns) = self.free_since_ns.filter(|_| self.is_able) else {
+            return false;
+        };
+        let free_ns = now_ns.saturating_sub(since_ns);
+        match self.seen.wish.as_deref() {
+            Some(wish) if wish == self.name => true,
+            // The requested candidate may be down. After a while the others take the shard.
+            Some(_) => free_ns >= self.ttl_ns.min(WISHED_NS) + self.rank * RANK_NS,
+            None => free_ns >= self.rank * RANK_NS,
+        }
+    }
+
+    /// Handles the reply to a call that was made at `asked_ns` and replied to, or given up, at
+    /// `now_ns`.
+    pub(crate) fn answered(&mut self, call: &Call, reply: Reply, (asked_ns, now_ns): (u64, u64)) {
+        match (call, reply) {
+            // Lease 0 is no lease: a key stored with it would never expire. A lease that has
+            // already run out is requested again later.
+            (Call::Grant, Reply::Granted { lease, ttl_ns })
+                if lease > 0 && until(asked_ns, ttl_ns) > now_ns =>
+            {
+                self.lease = Some(Own {
+                    id: lease,
+                    until_ns: until(asked_ns, ttl_ns),
+                });
+            }
+            (Call::Look, Reply::Seen(seen)) => self.sees(seen, now_ns),
+            (Call::Acquire { term, .. }, Reply::Acquired(true)) => {
+                self.term = Some(*term);
+                self.resigns = !self.is_able;
+                self.free_since_ns = None;
+                self.renew_ns = now_ns;
+            }
+            (Call::Acquire { .. }, Reply::Acquired(false)) => {
+                // Another candidate was faster.
+                self.free_since_ns = None;
+                self.look_ns = now_ns;
+            }
+            (Call::Renew { lease }, Reply::Renewed { ttl_ns }) => {
+                self.renewed(*lease, ttl_ns, (asked_ns, now_ns));
+            }
+            // Retry soon. After a failed acquisition the next look shows whether it took effect.
+            (call, _) => {
+                let soon_ns = now_ns + LOOK_EVERY_NS.0;
+                match call {
+                    Call::Renew { .. } => self.renew_ns = soon_ns,
+                    _ => self.look_ns = soon_ns,
+                }
+                if matches!(call, Call::Acquire { .. }) {
+                    self.free_since_ns = None;
+                }
+            }
+        }
+    }
+
+    fn sees(&mut self, seen: Seen, now_ns: u64) {
+        let (least_ns, most_ns) = LOOK_EVERY_NS;
+        self.look_ns = now_ns + (self.ttl_ns / LOOKS).clamp(least_ns, most_ns);
+        let own = self.lease.map(|own| own.id);
+        let held = seen.holder.as_ref();
+        match held.filter(|holder| Some(holder.lease) == own && holder.name == self.name) {
+            Some(holder) => {
+                if self.term != Some(holder.term) {
+                    // The reply to the acquisition was lost.
+                    self.term = Some(holder.term);
+                    self.resigns = !self.is_able;
+                    self.renew_ns = now_ns;
+                }
+                let wish = seen.wish.as_deref();
+                self.resigns |= wish.is_some_and(|wish| wish != self.name);
+                self.free_since_ns = None;
+            }
+            None => {
+                // The holder's key may also have been removed by hand.
+                self.term = None;
+                self.free_since_ns = match held {
+                    None => Some(self.free_since_ns.unwrap_or(now_ns)),
+                    Some(_) => None,
+                };
+            }
+        }
+        self.seen = seen;
+    }
+
+    fn renewed(&mut self, lease: u64, ttl_ns: u64, (asked_ns, now_ns): (u64, u64)) {
+        let Some(own) = self.lease.as_mut().filter(|own| own.id == lease) else {
+            return;
+        };
+        if ttl_ns == 0 {
+            self.ends();
+            return;
+        }
+        own.until_ns = own.until_ns.max(until(asked_ns, ttl_ns));
+        self.renew_ns = now_ns + ttl_ns.min(LONGEST_NS) / RENEWALS;
+    }
+
+    /// Gives up the shard and the lease.
+    fn ends(&mut self) {
+        (self.term, self.lease, self.free_since_ns) = (None, None, None);
+        self.resigns = !self.is_able;
+        self.look_ns = 0;
+    }
+}
+
+/// Lower bound of the end of a lease that the store was asked at `asked_ns` to grant or renew.
+fn until(asked_ns: u64, ttl_ns: u64) -> u64 {
+    let apart_ns = ttl_ns / APART_DIVISOR + APART_NS;
+    asked_ns.saturating_add(ttl_ns.saturating_sub(apart_ns).min(LONGEST_NS))
+}
+
+#[cfg(test)]
+mod tests;

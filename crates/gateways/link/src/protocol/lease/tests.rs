@@ -1,0 +1,504 @@
+//! Simulated candidates with clocks of their own, a store with its clock, and a network that
+//! delays, loses and partitions.
+
+use std::collections::BTreeMap;
+
+use proptest::prelude::*;
+
+use super::*;
+
+const TTL_NS: u64 = 3_000_000_000;
+const STEP_NS: u64 = 10_000_000;
+/// Timeout of a call, as the link's client has it.
+const CALL_NS: u64 = 400_000_000;
+
+/// A store like etcd. A lease ends by the store's clock when its time has passed, or somewhat
+/// later.
+#[derive(Debug, Default)]
+struct Store {
+    leases: BTreeMap<u64, u64>,
+    holder: Option<Holder>,
+    term: u64,
+    term_revision: u64,
+    wish: Option<String>,
+    revision: u64,
+    next_lease: u64,
+}
+
+impl Store {
+    fn expire(&mut self, now_ns: u64) {
+        self.leases.retain(|_, until_ns| now_ns < *until_ns);
+        let leases = &self.leases;
+        self.holder = self
+            .holder
+            .take()
+            .filter(|it| leases.contains_key(&it.lease));
+    }
+
+    fn answer(&mut self, name: &str, call: &Call, now_ns: u64) -> Reply {
+        self.expire(now_ns);
+        match call {
+            Call::Grant => {
+                self.next_lease += 1;
+                self.leases.insert(self.next_lease, now_ns + TTL_NS);
+                Reply::Granted {
+                    lease: self.next_lease,
+                    ttl_ns: TTL_NS,
+                }
+            }
+            Call::Look => Reply::Seen(Seen {
+                holder: self.holder.clone(),
+                term: self.term,
+                term_revision: self.term_revision,
+                wish: self.wish.clone(),
+            }),
+            Call::Acquire {
+                lease,
+                term,
+                term_revision,
+            } => {
+                let is_free = self.holder.is_none() && self.term_revision == *term_revision;
+                // etcd answers with an error if the lease has ended.
+                if !self.leases.contains_key(lease) {
+                    return Reply::Failed;
+                }
+                if is_free {
+                    self.revision += 1;
+                    (self.term, self.term_revision) = (*term, self.revision);
+                    self.wish = None;
+                    self.holder = Some(Holder {
+                        name: name.to_owned(),
+                        term: *term,
+                        lease: *lease,
+                    });
+                }
+                Reply::Acquired(is_free)
+            }
+            Call::Renew { lease } => match self.leases.get_mut(lease) {
+                Some(until_ns) => {
+                    *until_ns = (*until_ns).max(now_ns + TTL_NS);
+                    Reply::Renewed { ttl_ns: TTL_NS }
+                }
+                None => Reply::Renewed { ttl_ns: 0 },
+            },
+        }
+    }
+}
+
+/// Conditions of a candidate for a span of time.
+#[derive(Debug, Clone, Copy)]
+struct Weather {
+    /// Minimum and maximum delay of requests and replies.
+    delay_ns: (u64, u64),
+    is_cut: bool,
+    /// The process is paused.
+    is_paused: bool,
+    /// The link is killed and starts again.
+    restarts: bool,
+}
+
+#[derive(Debug)]
+struct Host {
+    name: String,
+    candidate: Candidate,
+    /// Start of its own clock, and how much faster than true time it runs, ppm.
+    begun_ns: u64,
+    ppm: i64,
+    /// The call in flight: what, when it was made by the own clock, the true times of arrival at
+    /// the store and back, and the reply.
+    under_way: Option<(Call, u64, u64, u64, Option<Reply>)>,
+    /// Calls that were given up, and when they arrive at the store.
+    given_up: Vec<(Call, u64)>,
+    terms: Vec<u64>,
+    heard: u64,
+}
+
+impl Host {
+    fn clock(&self, true_ns: u64) -> u64 {
+        let fast = i128::from(true_ns) * i128::from(self.ppm) / 1_000_000;
+        (i128::from(true_ns) + fast) as u64 + self.begun_ns
+    }
+
+    fn step(&mut self, store: &mut Store, store_ns: u64, true_ns: u64, weather: Weather) {
+        if let Some((call, _, arrives_ns, _, reply)) = &mut self.under_way
+            && reply.is_none()
+            && true_ns >= *arrives_ns
+            && !weather.is_cut
+        {
+            *reply = Some(store.answer(&self.name, call, store_ns));
+        }
+        if !weather.is_cut {
+            for (call, _) in self
+                .given_up
+                .extract_if(.., |(_, arrives_ns)| true_ns >= *arrives_ns)
+            {
+                store.answer(&self.name, &call, store_ns);
+            }
+        }
+        if weather.is_paused {
+            return;
+        }
+        let now_ns = self.clock(true_ns);
+        if weather.restarts {
+            // The permit's file keeps the right across a restart.
+            let right = self.candidate.right(now_ns);
+            let rank = self.candidate.rank as usize;
+            self.candidate = Candidate::new(&self.name, rank, TTL_NS, right);
+            self.candidate.hears(self.heard);
+            self.give_up();
+        }
+        if let Some((call, asked_ns, _, back_ns, reply)) = self.under_way.clone() {
+            let is_late = now_ns.saturating_sub(asked_ns) > CALL_NS;
+            let reply = reply.filter(|_| true_ns >= back_ns && !weather.is_cut);
+            match reply {
+                Some(reply) => self.candidate.answered(&call, reply, (asked_ns, now_ns)),
+                None if is_late => {
+                    self.candidate
+                        .answered(&call, Reply::Failed, (asked_ns, now_ns));
+                }
+                None => return,
+            }
+            self.give_up();
+        }
+        if let Next::Call(call) = self.candidate.next(now_ns) {
+            let arrives_ns = true_ns + weather.delay_ns.0;
+            let back_ns = arrives_ns + weather.delay_ns.1;
+            self.under_way = Some((call, now_ns, arrives_ns, back_ns, None));
+        }
+    }
+
+    fn give_up(&mut self) {
+        let call = self.under_way.take();
+        let unheard = call.filter(|(.., reply)| reply.is_none());
+        self.given_up
+            .extend(unheard.map(|(call, _, arrives_ns, ..)| (call, arrives_ns)));
+    }
+
+    fn hears(&mut self, term: u64) {
+        self.heard = term;
+        self.candidate.hears(term);
+    }
+
+    fn right(&mut self, true_ns: u64) -> Option<Right> {
+        let right = self.candidate.right(self.clock(true_ns))?;
+        if self.terms.last() != Some(&right.term) {
+            self.terms.push(right.term);
+        }
+        Some(right)
+    }
+}
+
+fn hosts(count: usize, ppm: &[i64]) -> Vec<Host> {
+    (0..count)
+        .map(|at| Host {
+            name: format!("host-{at}"),
+            candidate: Candidate::new(&format!("host-{at}"), at, TTL_NS, None),
+            begun_ns: at as u64 * 7_000_000_000_000,
+            ppm: ppm[at],
+            under_way: None,
+            given_up: Vec::new(),
+            terms: Vec::new(),
+            heard: 0,
+        })
+        .collect()
+}
+
+fn weather() -> impl Strategy<Value = Weather> {
+    let delay =
+        || prop_oneof![4 => 0u64..20_000_000, 2 => 0u64..500_000_000, 1 => 0u64..5_000_000_000];
+    (
+        delay(),
+        delay(),
+        prop::bool::weighted(0.2),
+        prop::bool::weighted(0.1),
+        prop::bool::weighted(0.02),
+    )
+        .prop_map(|(to, back, is_cut, is_paused, restarts)| Weather {
+            delay_ns: (to, back),
+            is_cut,
+            is_paused,
+            restarts,
+        })
+}
+
+const CALM: Weather = Weather {
+    delay_ns: (1_000_000, 1_000_000),
+    is_cut: false,
+    is_paused: false,
+    restarts: false,
+};
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
+
+    /// Each span takes 700 ms. Operators' requests come in between.
+    #[test]
+    fn at_no_time_do_two_have_the_right_and_terms_only_grow_and_calm_brings_one_back(
+        spans in prop::collection::vec(prop::collection::vec(weather(), 3), 5..60),
+        ppm in prop::collection::vec(-600i64..600, 4),
+        wishes in prop::collection::vec(prop::option::weighted(0.05, 0usize..3), 60),
+        forgets in prop::option::weighted(0.2, 0usize..60),
+    ) {
+        let mut hosts = hosts(3, &ppm);
+        let mut store = Store::default();
+        let (mut greatest, mut forgetting) = (0, false);
+        let calm = vec![vec![CALM; 3]; 25];
+        let all: Vec<_> = spans.iter().chain(&calm).collect();
+        let mut true_ns = 1_000_000_000;
+        for (number, span) in all.into_iter().enumerate() {
+            // Not during the calm: a request would move the shard once more.
+            if let Some(Some(wished)) = wishes.get(number).filter(|_| number < spans.len()) {
+                store.wish = Some(format!("host-{wished}"));
+            }
+            forgetting |= forgets == Some(number);
+            for at in 0..70 {
+                true_ns += STEP_NS;
+                let fast = i128::from(true_ns) * i128::from(ppm[3]) / 1_000_000;
+                let store_ns = (i128::from(true_ns) + fast) as u64;
+                store.expire(store_ns);
+                if forgetting && store.holder.is_none() {
+                    // The store loses its data after the lease has run out. Candidates that have
+                    // led know their terms.
+                    forgetting = false;
+                    (store.term, store.term_revision) = (0, 0);
+                    hosts.iter_mut().for_each(|host| host.hears(greatest));
+                }
+                let mut speaking = Vec::new();
+                for (host, weather) in hosts.iter_mut().zip(span) {
+                    let weather = Weather {
+                        restarts: weather.restarts && at == 0,
+                        ..*weather
+                    };
+                    host.step(&mut store, store_ns, true_ns, weather);
+                    // A paused process sends nothing, but would continue with the right that it
+                    // had.
+                    speaking.extend(host.right(true_ns).map(|right| right.term));
+                }
+                prop_assert!(speaking.len() <= 1, "{speaking:?} at {true_ns}");
+                for term in speaking {
+                    prop_assert!(term >= greatest, "term {term} after {greatest}");
+                    greatest = term;
+                }
+            }
+        }
+        // After 17 s of calm one candidate leads.
+        let serving = hosts.iter_mut().filter_map(|host| host.right(true_ns)).count();
+        prop_assert_eq!(serving, 1);
+        let mut terms: Vec<u64> = hosts.iter().flat_map(|host| host.terms.clone()).collect();
+        let before = terms.len();
+        terms.sort_unstable();
+        terms.dedup();
+        prop_assert_eq!(terms.len(), before, "no term is given twice");
+    }
+}
+
+/// Runs all hosts under their conditions until the condition holds. Returns how long it took.
+fn run(
+    hosts: &mut [Host],
+    store: &mut Store,
+    true_ns: &mut u64,
+    weather: &[Weather],
+    mut until: impl FnMut(&mut [Host], u64) -> bool,
+) -> u64 {
+    let begun_ns = *true_ns;
+    while !until(hosts, *true_ns) {
+        *true_ns += STEP_NS;
+        for (host, weather) in hosts.iter_mut().zip(weather) {
+            host.step(store, *true_ns, *true_ns, *weather);
+        }
+        assert!(*true_ns - begun_ns < 60_000_000_000, "{store:?} {hosts:?}");
+    }
+    *true_ns - begun_ns
+}
+
+const CUT: Weather = Weather {
+    is_cut: true,
+    ..CALM
+};
+
+#[test]
+fn the_first_of_the_list_begins_and_when_it_is_gone_the_next_serves_within_a_second_of_the_leases_end()
+ {
+    let (mut hosts, mut store, mut true_ns) = (hosts(3, &[0; 3]), Store::default(), 1_000_000_000);
+    let serves = |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].right(ns).is_some();
+    run(&mut hosts, &mut store, &mut true_ns, &[CALM; 3], serves(0));
+    assert_eq!(hosts[0].terms, [1]);
+    // A candidate that is cut off stops before the store gives its shard away.
+    let weather = [CUT, CALM, CALM];
+    let silent = |hosts: &mut [Host], ns: u64| hosts[0].right(ns).is_none();
+    let silent_ns = run(&mut hosts, &mut store, &mut true_ns, &weather, silent);
+    assert!(silent_ns <= TTL_NS, "{silent_ns}");
+    let free = run(
+        &mut hosts,
+        &mut store,
+        &mut true_ns,
+        &weather,
+        |hosts, ns| {
+            hosts[1..]
+                .iter()
+                .all(|host| host.candidate.holder().is_none())
+                || hosts[1].right(ns).is_some()
+        },
+    );
+    let after_ns = run(&mut hosts, &mut store, &mut true_ns, &weather, serves(1));
+    assert!(after_ns < 1_000_000_000, "{free} {after_ns}");
+    assert_eq!(hosts[1].terms, [2]);
+    // The candidate that returns is a standby.
+    for _ in 0..500 {
+        true_ns += STEP_NS;
+        for host in &mut hosts {
+            host.step(&mut store, true_ns, true_ns, CALM);
+        }
+    }
+    let right: Vec<bool> = hosts
+        .iter_mut()
+        .map(|host| host.right(true_ns).is_some())
+        .collect();
+    assert_eq!(right, [false, true, false]);
+}
+
+#[test]
+fn a_wish_moves_the_shard_and_one_for_a_candidate_that_is_gone_does_not_lose_it() {
+    let (mut hosts, mut store, mut true_ns) = (hosts(3, &[0; 3]), Store::default(), 1_000_000_000);
+    let serves = |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].right(ns).is_some();
+    run(&mut hosts, &mut store, &mut true_ns, &[CALM; 3], serves(0));
+    store.wish = Some("host-2".to_owned());
+    let took_ns = run(&mut hosts, &mut store, &mut true_ns, &[CALM; 3], serves(2));
+    assert!(took_ns < TTL_NS + 2_000_000_000, "{took_ns}");
+    assert_eq!(store.wish, None);
+    store.wish = Some("host-9".to_owned());
+    let silent = |hosts: &mut [Host], ns: u64| hosts[2].right(ns).is_none();
+    run(&mut hosts, &mut store, &mut true_ns, &[CALM; 3], silent);
+    let took_ns = run(&mut hosts, &mut store, &mut true_ns, &[CALM; 3], serves(0));
+    // Measured from the lease's end, which comes shortly after the leader stops, however long a
+    // lease is.
+    assert!(took_ns < 3_000_000_000, "{took_ns}");
+}
+
+#[test]
+fn a_link_that_starts_again_goes_on_with_its_lease_and_one_that_hears_a_later_term_gives_way() {
+    let (mut hosts, mut store, mut true_ns) = (hosts(2, &[0; 2]), Store::default(), 1_000_000_000);
+    let serves = |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].right(ns).is_some();
+    run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], serves(0));
+    let again = Weather {
+        restarts: true,
+        ..CALM
+    };
+    true_ns += STEP_NS;
+    hosts[0].step(&mut store, true_ns, true_ns, again);
+    let took_ns = run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], serves(0));
+    assert!(took_ns < TTL_NS / 2, "{took_ns}");
+    assert_eq!(hosts[0].terms, [1], "the same term");
+    // Candidates exchange the highest terms that they know of.
+    hosts.iter_mut().for_each(|host| host.hears(5));
+    assert!(hosts[0].right(true_ns).is_none());
+    run(
+        &mut hosts,
+        &mut store,
+        &mut true_ns,
+        &[CALM; 2],
+        |hosts, ns| {
+            hosts
+                .iter_mut()
+                .any(|host| host.right(ns).is_some_and(|right| right.term > 1))
+        },
+    );
+    let terms: Vec<u64> = hosts.iter().flat_map(|host| host.terms.clone()).collect();
+    assert!(terms.contains(&6), "{terms:?}");
+}
+
+#[test]
+fn a_candidate_whose_worker_is_gone_leaves_the_shard_and_takes_none_until_it_is_back() {
+    let (mut hosts, mut store, mut true_ns) = (hosts(2, &[0; 2]), Store::default(), 1_000_000_000);
+    let serves = |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].right(ns).is_some();
+    run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], serves(0));
+    hosts[0].candidate.is_able(false);
+    let took_ns = run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], serves(1));
+    assert!(took_ns < TTL_NS + 1_500_000_000, "{took_ns}");
+    hosts[1].candidate.is_able(false);
+    for _ in 0..1_500 {
+        true_ns += STEP_NS;
+        hosts
+            .iter_mut()
+            .for_each(|host| host.step(&mut store, true_ns, true_ns, CALM));
+    }
+    assert!(hosts.iter_mut().all(|host| host.right(true_ns).is_none()));
+    hosts[0].candidate.is_able(true);
+    run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], serves(0));
+    assert_eq!(hosts[0].terms, [1, 3]);
+}
+
+#[test]
+fn while_the_store_is_away_the_holder_is_silent_from_its_leases_end_and_then_all_goes_on() {
+    let (mut hosts, mut store, mut true_ns) = (hosts(2, &[0; 2]), Store::default(), 1_000_000_000);
+    let serves = |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].right(ns).is_some();
+    run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], serves(0));
+    let silent = |hosts: &mut [Host], ns: u64| hosts[0].right(ns).is_none();
+    let took_ns = run(&mut hosts, &mut store, &mut true_ns, &[CUT; 2], silent);
+    assert!((TTL_NS / 2..=TTL_NS).contains(&took_ns), "{took_ns}");
+    for _ in 0..1_000 {
+        true_ns += STEP_NS;
+        hosts
+            .iter_mut()
+            .for_each(|host| host.step(&mut store, true_ns, true_ns, CUT));
+        assert!(hosts.iter_mut().all(|host| host.right(true_ns).is_none()));
+    }
+    let anybody =
+        |hosts: &mut [Host], ns: u64| hosts.iter_mut().any(|host| host.right(ns).is_some());
+    run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], anybody);
+}
+
+#[test]
+fn a_lease_of_no_time_or_no_number_is_asked_for_again_and_not_at_once_and_none_lasts_for_ever() {
+    for (lease, ttl_ns) in [(0, TTL_NS), (7, 0), (7, 1), (7, 10_000_000)] {
+        let mut candidate = Candidate::new("a", 0, TTL_NS, None);
+        candidate.answered(&Call::Look, Reply::Seen(Seen::default()), (0, 1));
+        let now_ns = candidate.look_ns;
+        candidate.free_since_ns = Some(0);
+        assert_eq!(candidate.next(now_ns), Next::Call(Call::Grant));
+        candidate.answered(
+            &Call::Grant,
+            Reply::Granted { lease, ttl_ns },
+            (now_ns, now_ns),
+        );
+        assert_eq!(
+            candidate.next(now_ns),
+            Next::Wait(now_ns + LOOK_EVERY_NS.0),
+            "{lease} {ttl_ns}"
+        );
+    }
+    let right = Right {
+        term: 3,
+        until_ns: 1_000,
+        lease: 7,
+    };
+    let mut candidate = Candidate::new("a", 0, TTL_NS, Some(right));
+    for ttl_ns in [LONGEST_NS + 1, u64::MAX / 2, u64::MAX] {
+        candidate.answered(
+            &Call::Renew { lease: 7 },
+            Reply::Renewed { ttl_ns },
+            (10, 20),
+        );
+        let until_ns = candidate.right(30).unwrap().until_ns;
+        assert!(until_ns <= 10 + LONGEST_NS, "{ttl_ns}: {until_ns}");
+        assert!(candidate.renew_ns <= 20 + LONGEST_NS / RENEWALS);
+    }
+}
+
+#[test]
+fn after_the_last_term_nobody_serves_since_two_would_in_one() {
+    for (stored, heard) in [(u64::MAX, 0), (0, u64::MAX)] {
+        let mut candidate = Candidate::new("a", 0, TTL_NS, None);
+        candidate.hears(heard);
+        let seen = Seen {
+            term: stored,
+            ..Seen::default()
+        };
+        let mut now_ns = 0;
+        for _ in 0..50 {
+            now_ns += LOOK_EVERY_NS.1;
+            assert_eq!(candidate.next(now_ns), Next::Call(Call::Look));
+            candidate.answered(&Call::Look, Reply::Seen(seen.clone()), (now_ns, now_ns));
+        }
+    }
+}

@@ -1,0 +1,18 @@
+//! The protocol between two links: pure, without clock, network, thread and shared memory.
+
+pub(crate) mod carried;
+#[cfg(test)]
+pub(crate) mod hostile;
+pub(crate) mod lease;
+pub(crate) mod merge;
+pub(crate) mod message;
+pub(crate) mod offset;
+pub(crate) mod receiver;
+pub(crate) mod selection;
+pub(crate) mod shards;
+pub(crate) mod shift;
+pub(crate) mod split;
+pub(crate) mod stream;
+pub(crate) mod wall;
+#[cfg(test)]
+mod weather;

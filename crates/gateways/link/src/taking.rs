@@ -1,0 +1,182 @@
+//! The receiving side of this host: frames from one link, and the requests for them.
+
+use std::sync::Arc;
+
+use joulebus_bus::clock;
+use serde::Serialize;
+
+use crate::network::{Bytes, Inbox, Kind, Network, NetworkError, Outlet};
+use crate::protocol::message::{FleetId, Sender, read};
+use crate::protocol::receiver::{Accepted, Received, Receiver, Unused};
+use crate::protocol::selection::Selection;
+use crate::refusals::Refusals;
+use crate::wall_clock::WallClock;
+
+/// Time without any message after which a link is reported as absent.
+pub(crate) const ABSENT_AFTER_NS: u64 = 5_000_000_000;
+
+/// Totals of the frames received from one link.
+#[derive(Debug, Clone, Serialize)]
+pub(crate) struct TakenRecord {
+    pub(crate) from: String,
+    #[serde(flatten)]
+    pub(crate) received: Received,
+    /// Frames that arrived before the clock offset was known.
+    pub(crate) before_clock: u64,
+    /// Frames of an earlier leader, dropped after another has led.
+    pub(crate) fenced: u64,
+    /// Upper bound of how much older stamps may look than they are, s. Null before the clock offset
+    /// is known.
+    pub(crate) clock_uncertainty_s: Option<f64>,
+    /// Number of changes of the clock offset in use.
+    pub(crate) clock_refits: u64,
+    /// Number of clock steps.
+    pub(crate) clock_steps: u64,
+    /// Whether realtime clocks narrow the uncertainty now.
+    pub(crate) clock_realtime: bool,
+    /// Number of times that round trips ruled out what realtime clocks said.
+    pub(crate) clock_contradictions: u64,
+    pub(crate) refused: Refusals,
+}
+
+/// The stream from one link.
+#[derive(Debug)]
+pub(crate) struct Taking {
+    from: String,
+    fleet: FleetId,
+    /// Maximum number of elements of a frame.
+    most: usize,
+    receiver: Receiver,
+    clock: WallClock,
+    outlet: Outlet,
+    opened_ns: u64,
+    /// The link has sent something, or its absence was logged.
+    is_known: bool,
+    before_clock: u64,
+    pub(crate) fenced: u64,
+    pub(crate) refused: Refusals,
+}
+
+impl Taking {
+    /// Subscribes the inbox to frames of the link `from`.
+    pub(crate) fn open(
+        network: &Arc<Network>,
+        (kind, from): (Kind, &str),
+        (fleet, most): (FleetId, usize),
+        selection: Selection,
+        inbox: &mut Inbox,
+    ) -> Result<Self, NetworkError> {
+        network.take_frames(kind, from, inbox)?;
+        let run = clock::monotonic_ns();
+        Ok(Self {
+            from: from.to_owned(),
+            fleet,
+            most,
+            receiver: Receiver::new(Sender { fleet, run }, selection),
+            clock: network.wall_clock(),
+            outlet: network.requests_to(kind, from)?,
+            opened_ns: run,
+            is_known: false,
+            before_clock: 0,
+            fenced: 0,
+            refused: Refusals::default(),
+        })
+    }
+
+    /// Name of the sending link.
+    pub(crate) fn from(&self) -> &str {
+        &self.from
+    }
+
+    /// Takes a message and passes its frame, if it has one, to `each`. An error of `each` is
+    /// counted as a refusal.
+    pub(crate) fn message(
+        &mut self,
+        bytes: &Bytes,
+        arrived_ns: u64,
+        each: impl FnOnce(Accepted<'_>) -> Result<(), (&'static str, String)>,
+    ) {
+        let bytes = bytes.get();
+        let message = match read(&bytes, self.fleet, self.most) {
+            Ok(message) => message,
+            Err(error) => {
+                self.refused.count(error.name(), &self.from, &error);
+                return;
+            }
+        };
+        let (number, before) = (message.number, self.receiver.received());
+        let contradictions = self.receiver.offset().contradictions;
+        self.receiver.reads(self.clock.read());
+        let taken = self.receiver.take(&message, bytes.len(), arrived_ns);
+        let after = self.receiver.received();
+        if before.contested == 0 && after.contested > 0 {
+            tracing::warn!(
+                "another link than the one that is heard sends as {from}, and is not heard: the files of two hosts have this name, or \
+                 a stranger does; give each link a name of its own",
+                from = self.from
+            );
+        }
+        if contradictions == 0 && self.receiver.offset().contradictions > 0 {
+            tracing::warn!(
+                "the realtime clocks of this host and {from} are further apart than `clock.realtime_within_s`, as round trips show: \
+                 for a minute they do not count",
+                from = self.from
+            );
+        }
+        let lost = after.lost - before.lost;
+        if lost > 0 {
+            tracing::debug!(from = self.from, number, lost, "messages are missing");
+        }
+        match taken {
+            Ok(accepted) => {
+                if let Err((reason, error)) = each(accepted) {
+                    self.refused.count(reason, &self.from, &error);
+                }
+            }
+            Err(Unused::NoClock) => self.before_clock += 1,
+            Err(_) => {}
+        }
+    }
+
+    /// Sends a request if one is due, and logs once that the link is absent.
+    pub(crate) fn ask(&mut self) {
+        let now_ns = clock::monotonic_ns();
+        if let Some(request) = self.receiver.ask(now_ns) {
+            self.outlet.send(request);
+        }
+        if !self.is_known {
+            let is_heard = self.receiver.is_heard();
+            let is_absent = now_ns.saturating_sub(self.opened_ns) > ABSENT_AFTER_NS;
+            if is_absent && !is_heard {
+                tracing::warn!(
+                    "nothing has come from {from} so far: does its link run, can the two hosts reach each other, is {from} the name in \
+                     its file and, with TLS, in its certificate, and does one of the files name the other's address?",
+                    from = self.from
+                );
+            }
+            self.is_known = is_heard || is_absent;
+        }
+    }
+
+    pub(crate) const fn receiver(&mut self) -> &mut Receiver {
+        &mut self.receiver
+    }
+
+    pub(crate) fn record(&self) -> TakenRecord {
+        let offset = self.receiver.offset();
+        let now_ns = clock::monotonic_ns();
+        let uncertainty_ns = offset.uncertainty_ns(now_ns);
+        TakenRecord {
+            from: self.from.clone(),
+            received: self.receiver.received(),
+            before_clock: self.before_clock,
+            fenced: self.fenced,
+            clock_uncertainty_s: uncertainty_ns.map(|ns| ns as f64 * 1e-9),
+            clock_refits: offset.refits,
+            clock_steps: offset.steps,
+            clock_realtime: offset.is_kept(now_ns),
+            clock_contradictions: offset.contradictions,
+            refused: self.refused.clone(),
+        }
+    }
+}

@@ -1,0 +1,24 @@
+//! Real links between hosts with their own shared memory, workers, robots and planners.
+#![forbid(unsafe_code)]
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
+
+mod certificates;
+mod chaos;
+mod etcd;
+mod host;
+mod local;
+mod namespaces;
+mod planner;
+mod router;
+mod shards;
+mod speed;
+mod standby;
+mod strangers;
+
+/// Not a test: the entry point of the processes that the tests start.
+#[test]
+fn member() {
+    planner::run();
+    router::run();
+    speed::run();
+}

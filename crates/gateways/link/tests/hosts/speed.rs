@@ -1,0 +1,355 @@
+//! Measures what a link costs beside zenoh itself. It prints figures and asserts nothing about
+//! them. In a release build:
+//! `cargo test --release -p joulebus-link --test hosts -- --include-ignored --nocapture speed`.
+
+use std::fs;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use joulebus_bus::clock;
+use joulebus_consumer::{Event, Planner};
+use joulebus_testkit::{Member, send_to_test};
+use serde::{Deserialize, Serialize};
+use zenoh::Wait as _;
+use zenoh::qos::CongestionControl;
+
+use crate::host::{FOLLOW, Host, free_address, of_other, of_worker};
+
+const SEND: &str = "JOULEBUS_LINK_RAW_SEND";
+const RECEIVE: &str = "JOULEBUS_LINK_RAW_RECEIVE";
+const LISTEN: &str = "JOULEBUS_LINK_LISTEN";
+const POLL: &str = "JOULEBUS_LINK_POLL";
+const KEY: &str = "raw/frames";
+const TICK: Duration = Duration::from_nanos(33_333_333);
+/// Number of frames of a measurement: ten seconds.
+const FRAMES: usize = 300;
+const FIRST: usize = 30;
+
+/// A zenoh session with the transport settings of a link: a peer that is silent for a second is
+/// gone, and there is room for a long frame. All other settings are zenoh's defaults.
+fn session(key: &str, address: &str) -> zenoh::Session {
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        (key, format!("[\"{address}\"]").as_str()),
+        ("scouting/multicast/enabled", "false"),
+        ("transport/link/tx/lease", "1000"),
+        ("transport/link/tx/queue/size/data", "16"),
+    ] {
+        config.insert_json5(key, value).unwrap();
+    }
+    zenoh::open(config).wait().unwrap()
+}
+
+/// A frame as a process has read it.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+struct Seen {
+    tick: u64,
+    sent_ns: u64,
+    read_ns: u64,
+}
+
+/// Reports to the test when the first frames have arrived, and at the end all later ones together.
+/// Reports in between would cost the processor time that is measured.
+fn collect(mut next: impl FnMut(&mut Vec<Seen>)) {
+    send_to_test("joined");
+    let mut seen = Vec::new();
+    while seen.len() < FIRST {
+        next(&mut seen);
+    }
+    send_to_test("begun");
+    seen.clear();
+    while seen.len() < FRAMES {
+        next(&mut seen);
+    }
+    send_to_test(serde_json::to_string(&seen).unwrap());
+    // The test reads this process's cost before it ends.
+    std::thread::sleep(Duration::from_secs(3_600));
+}
+
+/// The processes that use zenoh alone, with an `address` and the size of a message or only the
+/// address, and planners of a config.
+pub(crate) fn run() {
+    if let Ok(of) = std::env::var(SEND) {
+        let (address, bytes) = of.split_once(' ').unwrap();
+        send_raw(address, bytes.parse().unwrap());
+    }
+    if let Ok(address) = std::env::var(RECEIVE) {
+        let session = session("connect/endpoints", &address);
+        let subscriber = session.declare_subscriber(KEY).wait().unwrap();
+        collect(|seen| {
+            let sample = subscriber.recv().unwrap();
+            let bytes = sample.payload().to_bytes();
+            seen.push(Seen {
+                tick: 0,
+                sent_ns: u64::from_le_bytes(bytes[..8].try_into().unwrap()),
+                read_ns: clock::monotonic_ns(),
+            });
+        });
+    }
+    if let Some(config) = std::env::var_os(LISTEN) {
+        let mut planner = Planner::connect(PathBuf::from(config)).unwrap();
+        collect(|seen| {
+            if let Event::Frame(frame) = planner.wait_next(Duration::from_secs(1)).unwrap() {
+                seen.push(Seen {
+                    tick: frame.header().tick,
+                    sent_ns: frame.header().sent_ns,
+                    read_ns: clock::monotonic_ns(),
+                });
+            }
+        });
+    }
+    if let Some(config) = std::env::var_os(POLL) {
+        let config = joulebus_config::Config::load(PathBuf::from(config)).unwrap();
+        let mut planner = Planner::polling(&config, "near", Duration::from_millis(100)).unwrap();
+        collect(|seen| {
+            let each = |header: &joulebus_wire::ForecastHeader, _: &[_]| {
+                seen.push(Seen {
+                    tick: header.tick,
+                    sent_ns: header.sent_ns,
+                    read_ns: 0,
+                });
+            };
+            let _ = planner.wait_each(Duration::from_secs(1), each).unwrap();
+        });
+    }
+}
+
+fn send_raw(address: &str, bytes: usize) {
+    let session = session("listen/endpoints", address);
+    let publisher = session
+        .declare_publisher(KEY)
+        .congestion_control(CongestionControl::Drop);
+    let publisher = publisher.express(true).wait().unwrap();
+    send_to_test("joined");
+    loop {
+        let mut message = vec![0; bytes];
+        message[..8].copy_from_slice(&clock::monotonic_ns().to_le_bytes());
+        publisher.put(message).wait().unwrap();
+        std::thread::sleep(TICK);
+    }
+}
+
+/// Processor time that the processes have used, in ticks of the kernel's clock (100 a second).
+fn spent(pids: &[u32]) -> u64 {
+    let of = |pid: &u32| {
+        let stat = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap();
+        let fields: Vec<&str> = stat.rsplit(") ").next().unwrap().split(' ').collect();
+        fields[11].parse::<u64>().unwrap() + fields[12].parse::<u64>().unwrap()
+    };
+    pids.iter().map(of).sum()
+}
+
+/// Median and 99th percentile, µs.
+fn spread(mut all_ns: Vec<u64>) -> (f64, f64) {
+    all_ns.sort_unstable();
+    let at = |share: usize| all_ns[all_ns.len() * share / 100] as f64 / 1_000.0;
+    (at(50), at(99))
+}
+
+/// One-way times, µs, and the processor share of the processes that carried the frames.
+#[derive(Debug, Clone, Copy)]
+struct Cost {
+    p50: f64,
+    p99: f64,
+    cpu: f64,
+}
+
+fn cost((p50, p99): (f64, f64), ticks: u64) -> Cost {
+    let cpu = ticks as f64 / (FRAMES as f64 / 30.0);
+    Cost { p50, p99, cpu }
+}
+
+/// A process of the test binary.
+fn process(key: &str, value: impl AsRef<std::ffi::OsStr>) -> Member {
+    let mut command = Member::command();
+    command.env(key, value);
+    let mut member = Member::spawn(key, command);
+    assert_eq!(member.next_line(), "joined");
+    member
+}
+
+/// The frames of a process, and the processor time of `pids` in between.
+fn collected(from: &mut Member, pids: &[u32]) -> (Vec<Seen>, u64) {
+    assert_eq!(from.next_line(), "begun");
+    let begin = spent(pids);
+    let seen = from.next_line();
+    (serde_json::from_str(&seen).unwrap(), spent(pids) - begin)
+}
+
+fn took_ns(seen: &[Seen]) -> Vec<u64> {
+    let took = seen.iter().map(|it| it.read_ns - it.sent_ns);
+    took.collect()
+}
+
+/// Measures zenoh alone.
+fn raw(bytes: usize) -> Cost {
+    let address = free_address();
+    let sender = process(SEND, format!("{address} {bytes}"));
+    let mut receiver = process(RECEIVE, address);
+    let pids = [sender.pid(), receiver.pid()];
+    let (seen, ticks) = collected(&mut receiver, &pids);
+    cost(spread(took_ns(&seen)), ticks)
+}
+
+/// Measures the path from the worker to a planner beside it, without computation.
+fn hop(here: &Host) -> Cost {
+    let mut near = process(LISTEN, here.config());
+    let pids = [near.pid()];
+    let (seen, ticks) = collected(&mut near, &pids);
+    cost(spread(took_ns(&seen)), ticks)
+}
+
+/// Measures forecasts over a link, from the worker's sending to the reading elsewhere, with the
+/// number of dropped frames.
+fn linked(here: &Host, robots: usize) -> (Cost, u64) {
+    let there = Host::of(robots);
+    let address = free_address();
+    let base = here.link(&of_worker(&address, &[]));
+    let follows = format!("{FOLLOW}services = []\n");
+    let mut desk = there.link(&of_other("desk", &address, &follows));
+    // This planner polls now and then, so that it wakes no processor at a tick.
+    let mut near = process(POLL, here.config());
+    let mut far = process(LISTEN, there.config());
+    let (read, ticks) = collected(&mut far, &[base.pid(), desk.pid()]);
+    let (sent, _) = collected(&mut near, &[]);
+    let took = read.iter().filter_map(|there| {
+        let here = sent.iter().find(|here| here.tick == there.tick)?;
+        Some(there.read_ns - here.sent_ns)
+    });
+    let took_ns: Vec<u64> = took.collect();
+    assert!(took_ns.len() > FRAMES / 2, "{}", took_ns.len());
+    let dropped = desk.end().json()["taken"][0]["dropped"].as_u64().unwrap();
+    (cost(spread(took_ns), ticks), dropped)
+}
+
+/// Number of rounds. Their medians are shown.
+const ROUNDS: usize = 3;
+
+fn median(rounds: &[Cost]) -> Cost {
+    let of = |part: fn(&Cost) -> f64| {
+        let mut all: Vec<f64> = rounds.iter().map(part).collect();
+        all.sort_unstable_by(f64::total_cmp);
+        all[all.len() / 2]
+    };
+    Cost {
+        p50: of(|it| it.p50),
+        p99: of(|it| it.p99),
+        cpu: of(|it| it.cpu),
+    }
+}
+
+fn show(what: &str, robots: usize, cost: Cost) {
+    let Cost { p50, p99, cpu } = cost;
+    println!(
+        "figure: {what}, {robots} robots: p50 {p50:.0} µs, p99 {p99:.0} µs, {cpu:.1} % of a processor"
+    );
+}
+
+/// Measures zenoh alone, the path to a planner beside the worker, and a link, in turn and with the
+/// same worker and robots.
+#[test]
+#[ignore = "prints figures: docs/scale.md has the command"]
+fn speed_of_forecasts_over_a_link_beside_zenoh_alone() {
+    for robots in [100, 1_000, 10_000] {
+        let (mut raws, mut hops, mut links) = (Vec::new(), Vec::new(), Vec::new());
+        let here = Host::of(robots);
+        let _worker = here.worker();
+        let _robots = here.robots(&["--robots", &robots.to_string()]);
+        // The size of a link's message.
+        let bytes = 112 + 320 + 72 * robots;
+        for round in 1..=ROUNDS {
+            raws.push(raw(bytes));
+            hops.push(hop(&here));
+            let (cost, dropped) = linked(&here, robots);
+            links.push(cost);
+            for (what, all) in [("zenoh", &raws), ("hop", &hops), ("link", &links)] {
+                show(&format!("{what}, round {round}"), robots, all[round - 1]);
+            }
+            println!("figure: round {round}, {robots} robots: {dropped} frames left out");
+        }
+        let (raw, hop, link) = (median(&raws), median(&hops), median(&links));
+        for (what, cost) in [("zenoh", raw), ("hop", hop), ("link", link)] {
+            show(&format!("{what}, median, {bytes} bytes"), robots, cost);
+        }
+        println!(
+            "figure: {robots} robots, link over zenoh: p50 {:.2}, p99 {:.2}, processor {:.2}; p50 over zenoh and two hops {:.2}",
+            link.p50 / raw.p50,
+            link.p99 / raw.p99,
+            link.cpu / raw.cpu,
+            link.p50 / (raw.p50 + 2.0 * hop.p50),
+        );
+    }
+}
+
+/// A host with a config for that many robots, and the file of four shards.
+fn of_shards(robots: usize) -> Host {
+    let host = Host::of(robots);
+    let shard = |at: usize| format!("[[shard]]\nname = \"s{at}\"\nworkers = [\"base-{at}\"]\n");
+    let shards: String = (0..SHARDS).map(shard).collect();
+    host.write("shards.toml", &shards);
+    host
+}
+
+const SHARDS: usize = 4;
+
+/// Robots on one host, four workers with a shard each, and planners on a further host.
+#[test]
+#[ignore = "prints figures: docs/scale.md has the command"]
+fn speed_of_a_fleet_on_four_shards() {
+    for robots in [1_000, 4_000, 10_000] {
+        let hosts: Vec<Host> = (0..SHARDS).map(|_| of_shards(robots)).collect();
+        let (edge, desk) = (of_shards(robots), of_shards(robots));
+        let addresses: Vec<String> = (0..SHARDS).map(|_| free_address()).collect();
+        let workers: Vec<_> = hosts.iter().map(Host::worker).collect();
+        let link = |(at, host): (usize, &Host)| {
+            let address = &addresses[at];
+            host.link(&format!(
+                "name = \"base-{at}\"\nshards = \"shards.toml\"\n[network]\nlisten = [\"{address}\"]\n\
+                 [worker]\n[[worker.take]]\nfrom = \"edge\"\n"
+            ))
+        };
+        let links: Vec<_> = hosts.iter().enumerate().map(link).collect();
+        let other = |name: &str, sides: &str| {
+            format!(
+                "name = \"{name}\"\nshards = \"shards.toml\"\n[network]\nconnect = {addresses:?}\n{sides}"
+            )
+        };
+        let gives = edge.link(&other("edge", "[samples]\n"));
+        let reads = desk.link(&other("desk", "[follow]\n"));
+        let _source = edge.robots(&["--robots", &robots.to_string()]);
+        let mut planner = desk.planner();
+        for _ in 0..FIRST {
+            planner.fresh_sample();
+        }
+        let all = || {
+            let of = |children: &[joulebus_testkit::Child]| {
+                spent(&children.iter().map(|it| it.pid()).collect::<Vec<u32>>())
+            };
+            [
+                of(&workers),
+                of(&links),
+                spent(&[gives.pid()]),
+                spent(&[reads.pid()]),
+            ]
+        };
+        let (begin, begin_ns) = (all(), clock::monotonic_ns());
+        let mut age_ns = Vec::new();
+        for _ in 0..FRAMES {
+            let frame = planner.frame();
+            let newest = frame.rows.iter().map(|row| row.stamp_ns).max();
+            age_ns.push(frame.read_ns.saturating_sub(newest.unwrap_or_default()));
+        }
+        let took_s = (clock::monotonic_ns() - begin_ns) as f64 * 1e-9;
+        let share = |at: usize| (all()[at] - begin[at]) as f64 / took_s;
+        let (p50, p99) = spread(age_ns);
+        println!(
+            "figure: {SHARDS} shards, {robots} robots: {:.1} frames a second, newest sample to planner p50 {p50:.0} µs, p99 {p99:.0} µs; \
+             % of a processor: workers {:.1}, their links {:.1}, robots' link {:.1}, planners' link {:.1}",
+            FRAMES as f64 / took_s,
+            share(0),
+            share(1),
+            share(2),
+            share(3),
+        );
+    }
+}

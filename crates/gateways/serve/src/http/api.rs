@@ -1,0 +1,349 @@
+//! Paths and what they answer.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{SyncSender, TrySendError};
+use std::time::Duration;
+
+use axum::Router;
+use axum::body::{Body, Bytes};
+use axum::extract::{Extension, Path, Request, State};
+use axum::http::{HeaderMap, StatusCode, Uri, header};
+use axum::response::{IntoResponse as _, Response};
+use axum::routing::{get, post};
+use futures_util::stream;
+use joulebus_bus::clock;
+use joulebus_config::Config;
+use joulebus_plan::Question;
+use serde::Serialize;
+use tokio::sync::{oneshot, watch};
+use tokio::time::{Instant, MissedTickBehavior, interval_at, timeout};
+
+use super::entry::Object;
+use super::error::{ApiError, json, typed};
+use super::listen::Peer;
+use super::metrics;
+use super::page;
+use super::plan_rows::RowsError;
+use super::questions::{Questions, report};
+use super::reader::Ask;
+use super::snapshot::Snapshot;
+use super::stream::Client;
+use super::stream_places::{StreamPlace, StreamPlaces};
+use super::view::View;
+use super::what_if::Asked;
+
+/// Largest body of a request, bytes.
+const MAX_BODY_BYTES: usize = 1 << 20;
+/// A request's body must have arrived within this time.
+const BODY_LIMIT: Duration = Duration::from_secs(5);
+/// The reading thread must have answered within this time.
+const ANSWER_LIMIT: Duration = Duration::from_secs(5);
+/// Interval after which an idle stream sends a keep-alive.
+const KEEP_ALIVE: Duration = Duration::from_secs(5);
+/// Allowed message rate of a stream, Hz, and the default at its end.
+const HZ: std::ops::RangeInclusive<f64> = 0.2..=10.0;
+const USUAL_HZ: f64 = 5.0;
+
+/// State shared by the handlers.
+pub(super) struct App {
+    pub(super) config: Config,
+    pub(super) snapshots: watch::Receiver<Arc<Snapshot>>,
+    pub(super) asks: SyncSender<Ask>,
+    pub(super) metrics_robots: usize,
+    /// Messages sent on streams.
+    pub(super) messages: AtomicU64,
+    streams: Arc<StreamPlaces>,
+    questions: Questions,
+}
+
+impl App {
+    pub(super) fn new(
+        config: Config,
+        snapshots: watch::Receiver<Arc<Snapshot>>,
+        asks: SyncSender<Ask>,
+        metrics_robots: usize,
+    ) -> Self {
+        Self {
+            config,
+            snapshots,
+            asks,
+            metrics_robots,
+            messages: AtomicU64::new(0),
+            streams: Arc::default(),
+            questions: Questions::new(),
+        }
+    }
+
+    fn newest(&self) -> Arc<Snapshot> {
+        Arc::clone(&self.snapshots.borrow())
+    }
+
+    fn ask(&self, ask: Ask) -> Result<(), ApiError> {
+        self.asks.try_send(ask).map_err(|error| match error {
+            TrySendError::Full(_) => {
+                ApiError::busy("64 requests wait for the reading thread: ask again")
+            }
+            TrySendError::Disconnected(_) => ApiError::busy("the server is ending"),
+        })
+    }
+}
+
+/// The router of all paths.
+pub(super) fn router(app: Arc<App>) -> Router {
+    Router::new()
+        .route("/healthz", get(|| async { "ok\n" }))
+        .route("/readyz", get(ready))
+        .route("/metrics", get(metrics_text))
+        .route(
+            "/api/v1/openapi.json",
+            get(|| async { typed("application/json", OPENAPI) }),
+        )
+        .route("/api/v1/fleet", get(fleet))
+        .route("/api/v1/robots", get(robots))
+        .route("/api/v1/robots/{id}", get(robot))
+        .route("/api/v1/robots/{id}/history", get(history))
+        .route("/api/v1/alarms", get(alarms))
+        .route("/api/v1/stream", get(stream))
+        .route("/api/v1/what_if", post(what_if))
+        .fallback(get(file))
+        .method_not_allowed_fallback(wrong_method)
+        .with_state(app)
+}
+
+/// The API as OpenAPI 3.1.
+static OPENAPI: &[u8] = include_bytes!("openapi.json");
+
+type Answer = Result<Response, ApiError>;
+
+async fn wrong_method(uri: Uri) -> ApiError {
+    let text = format!(
+        "{} does not take this method: see /api/v1/openapi.json",
+        uri.path()
+    );
+    ApiError::new(StatusCode::METHOD_NOT_ALLOWED, text)
+}
+
+async fn file(uri: Uri, headers: HeaderMap) -> Answer {
+    page::file(uri.path(), &headers).ok_or_else(|| {
+        let path: String = uri.path().chars().take(80).collect();
+        let text = format!(
+            "there is nothing at {path:?}: the page is at /, the API in /api/v1/openapi.json"
+        );
+        ApiError::new(StatusCode::NOT_FOUND, text)
+    })
+}
+
+async fn ready(State(app): State<Arc<App>>) -> Answer {
+    match app.newest().why_not_up(clock::monotonic_ns()) {
+        None => Ok("ready\n".into_response()),
+        Some(why) => Err(ApiError::busy(why)),
+    }
+}
+
+async fn metrics_text(State(app): State<Arc<App>>) -> Answer {
+    let now_ns = clock::monotonic_ns();
+    let text = metrics::text(
+        &app.newest(),
+        now_ns,
+        app.config.fleet(),
+        app.metrics_robots,
+    );
+    let text =
+        text.map_err(|error| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))?;
+    Ok(typed(metrics::KIND, text))
+}
+
+async fn fleet(State(app): State<Arc<App>>) -> Response {
+    json(&app.newest().fleet)
+}
+
+async fn alarms(State(app): State<Arc<App>>) -> Response {
+    json(&*app.newest().alarms)
+}
+
+#[derive(Serialize)]
+struct RobotsRecord<'a> {
+    total: usize,
+    matched: usize,
+    from: usize,
+    robots: Vec<&'a Object>,
+}
+
+async fn robots(State(app): State<Arc<App>>, uri: Uri) -> Answer {
+    let mut view = View::default();
+    for (name, value) in parameters(&uri) {
+        if !view.take(&name, &value)? {
+            return Err(unknown_parameter(&name));
+        }
+    }
+    let snapshot = app.newest();
+    let window = view.window(&snapshot);
+    let robots = window.robots.iter();
+    let robots: Vec<Arc<Object>> = robots.filter_map(|robot| snapshot.robot(*robot)).collect();
+    Ok(json(&RobotsRecord {
+        total: window.total,
+        matched: window.matched,
+        from: view.from,
+        robots: robots.iter().map(|robot| &**robot).collect(),
+    }))
+}
+
+async fn robot(State(app): State<Arc<App>>, Path(id): Path<String>) -> Answer {
+    let robot = id_of(&id)?;
+    let found = app.newest().robot(robot);
+    Ok(json(&*found.ok_or_else(|| no_robot(robot))?))
+}
+
+async fn history(State(app): State<Arc<App>>, Path(id): Path<String>) -> Answer {
+    let robot = id_of(&id)?;
+    let (reply, answer) = oneshot::channel();
+    app.ask(Ask::History(robot, reply))?;
+    let record = within(answer).await?;
+    Ok(json(&record.ok_or_else(|| no_robot(robot))?))
+}
+
+/// Waits for the answer of the reading thread.
+async fn within<T>(answer: oneshot::Receiver<T>) -> Result<T, ApiError> {
+    let answered = timeout(ANSWER_LIMIT, answer)
+        .await
+        .ok()
+        .and_then(Result::ok);
+    answered
+        .ok_or_else(|| ApiError::busy("the reading thread has not answered within 5 s: ask again"))
+}
+
+fn id_of(id: &str) -> Result<u32, ApiError> {
+    id.parse()
+        .map_err(|_| ApiError::value("the robot's id", id, "0 to 4294967295"))
+}
+
+fn no_robot(robot: u32) -> ApiError {
+    let text = format!("robot {robot} is not in the fleet: /api/v1/robots lists the robots");
+    ApiError::new(StatusCode::NOT_FOUND, text)
+}
+
+fn unknown_parameter(name: &str) -> ApiError {
+    let allowed = "the parameters in /api/v1/openapi.json";
+    ApiError::value("a parameter", name, allowed)
+}
+
+fn parameters(uri: &Uri) -> impl Iterator<Item = (String, String)> {
+    let query = form_urlencoded::parse(uri.query().unwrap_or_default().as_bytes());
+    query.map(|(name, value)| (name.into_owned(), value.into_owned()))
+}
+
+/// A stream that a client reads.
+struct Flow {
+    app: Arc<App>,
+    client: Client,
+    ticks: tokio::time::Interval,
+    shown: Option<Arc<Snapshot>>,
+    sent: Instant,
+    _place: StreamPlace,
+}
+
+async fn stream(State(app): State<Arc<App>>, Extension(peer): Extension<Peer>, uri: Uri) -> Answer {
+    let (mut view, mut robot, mut hz) = (View::default(), None, USUAL_HZ);
+    for (name, value) in parameters(&uri) {
+        match name.as_str() {
+            "robot" => robot = Some(id_of(&value)?),
+            "hz" => {
+                let found = value.parse().ok().filter(|hz| HZ.contains(hz));
+                hz = found.ok_or_else(|| ApiError::value("hz", &value, "0.2 to 10"))?;
+            }
+            _ if view.take(&name, &value)? => {}
+            _ => return Err(unknown_parameter(&name)),
+        }
+    }
+    let place = app.streams.enter(peer)?;
+    let now = Instant::now();
+    let mut ticks = interval_at(now, Duration::from_secs_f64(1.0 / hz));
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let flow = Flow {
+        client: Client::new(view, robot),
+        app,
+        ticks,
+        shown: None,
+        sent: now,
+        _place: place,
+    };
+    let messages = stream::unfold(flow, |mut flow| async move {
+        let message = flow.message().await?;
+        Some((Ok::<Bytes, std::convert::Infallible>(message), flow))
+    });
+    Ok(typed("text/event-stream", Body::from_stream(messages)))
+}
+
+impl Flow {
+    /// The next message. `None` when the server ends.
+    async fn message(&mut self) -> Option<Bytes> {
+        loop {
+            self.ticks.tick().await;
+            let newest = self.app.newest();
+            if self
+                .shown
+                .as_ref()
+                .is_none_or(|shown| !Arc::ptr_eq(shown, &newest))
+            {
+                let message = self.client.message(&newest);
+                self.shown = Some(newest);
+                self.sent = Instant::now();
+                self.app.messages.fetch_add(1, Ordering::Relaxed);
+                return Some(message.into());
+            }
+            // The reading thread has ended.
+            self.app.snapshots.has_changed().ok()?;
+            if self.sent.elapsed() >= KEEP_ALIVE {
+                self.sent = Instant::now();
+                return Some(Bytes::from_static(b": keep-alive\n\n"));
+            }
+        }
+    }
+}
+
+async fn what_if(State(app): State<Arc<App>>, request: Request) -> Answer {
+    let question = question(request).await?;
+    let turn = app.questions.turn(&app.config).await?;
+    let (reply, answer) = oneshot::channel();
+    app.ask(Ask::Rows(question.plan.robots().to_vec(), reply))?;
+    let rows = within(answer).await?.map_err(|error| match error {
+        RowsError::UnknownRobot(_) => ApiError::new(StatusCode::NOT_FOUND, error.to_string()),
+        error => ApiError::busy(error.to_string()),
+    })?;
+    let (coverage, of) = (question.coverage, rows.first().copied());
+    let reply = app.questions.answer(turn, question, rows).await?;
+    Ok(json(&report(&app.config, coverage, of.as_ref(), &reply)))
+}
+
+async fn question(request: Request) -> Result<Question, ApiError> {
+    let kind = request.headers().get(header::CONTENT_TYPE);
+    let is_json = kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/json"));
+    if !is_json {
+        let text = "a question is JSON: send Content-Type: application/json";
+        return Err(ApiError::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, text));
+    }
+    let body = timeout(
+        BODY_LIMIT,
+        axum::body::to_bytes(request.into_body(), MAX_BODY_BYTES),
+    )
+    .await;
+    let late = || {
+        ApiError::new(
+            StatusCode::REQUEST_TIMEOUT,
+            "the question has not arrived within 5 s",
+        )
+    };
+    let body = body.map_err(|_| late())?.map_err(|_| {
+        let text =
+            format!("the question is longer than {MAX_BODY_BYTES} bytes, or its transfer failed");
+        ApiError::new(StatusCode::PAYLOAD_TOO_LARGE, text)
+    })?;
+    let wrong = |text: String| ApiError::new(StatusCode::BAD_REQUEST, text);
+    let asked: Asked = serde_json::from_slice(&body).map_err(|error| {
+        wrong(format!(
+            "the question is not as in /api/v1/openapi.json: {error}"
+        ))
+    })?;
+    asked.question().map_err(wrong)
+}

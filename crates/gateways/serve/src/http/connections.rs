@@ -1,0 +1,290 @@
+//! Connection limits: how many connections, how long a transfer may take, and which connection is
+//! closed for another.
+//!
+//! A connection without a request is idle. If all slots are taken, the connection that has been
+//! idle longest is closed for the new one. Idle connections therefore keep nobody out, and only
+//! streams and requests in progress keep their slots.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::pin::Pin;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use axum::body::{Body, Bytes, HttpBody};
+use hyper::body::{Frame, SizeHint};
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::sync::Notify;
+use tokio::time::{Instant, Sleep, sleep};
+
+/// Maximum number of connections.
+pub(super) const MAX_CONNECTIONS: usize = 256;
+/// Within `WRITE_LIMIT` a client must take this many bytes of the queued ones, or all of them.
+/// Otherwise it is disconnected.
+const WRITE_BYTES: u64 = 64 << 10;
+const WRITE_LIMIT: Duration = Duration::from_secs(10);
+
+/// A connection.
+#[derive(Debug, Default)]
+pub(super) struct Connection {
+    /// Requests being answered, streams included.
+    busy: AtomicUsize,
+    close: Notify,
+}
+
+impl Connection {
+    /// Waits until the connection has to close.
+    pub(super) async fn closed(&self) {
+        self.close.notified().await;
+    }
+}
+
+/// All connections by a growing number.
+#[derive(Debug, Default)]
+pub(super) struct Connections {
+    open: Mutex<(u64, BTreeMap<u64, Arc<Connection>>)>,
+}
+
+/// The slot of a connection, released when dropped.
+#[derive(Debug)]
+pub(super) struct Place {
+    connections: Arc<Connections>,
+    number: u64,
+    pub(super) connection: Arc<Connection>,
+}
+
+impl Connections {
+    /// Takes a slot for a connection. `None` if requests in progress take all of them.
+    pub(super) fn enter(self: &Arc<Self>) -> Option<Place> {
+        let mut open = self.lock();
+        let (number, connections) = &mut *open;
+        if connections.len() >= MAX_CONNECTIONS {
+            let is_idle = |connection: &Connection| connection.busy.load(Ordering::Relaxed) == 0;
+            let idle = connections
+                .iter()
+                .find(|(_, connection)| is_idle(connection));
+            let idle = *idle?.0;
+            // The closed connection's own slot is no longer in the map, so its later release does
+            // nothing.
+            if let Some(connection) = connections.remove(&idle) {
+                connection.close.notify_one();
+            }
+        }
+        *number += 1;
+        let connection = Arc::new(Connection::default());
+        connections.insert(*number, Arc::clone(&connection));
+        Some(Place {
+            connections: Arc::clone(self),
+            number: *number,
+            connection,
+        })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, (u64, BTreeMap<u64, Arc<Connection>>)> {
+        // Nothing panics while the lock is held.
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.connections.lock().1.remove(&self.number);
+    }
+}
+
+/// Marks a connection as busy for its lifetime.
+#[derive(Debug)]
+pub(super) struct Busy(Arc<Connection>);
+
+impl Busy {
+    pub(super) fn new(connection: &Arc<Connection>) -> Self {
+        connection.busy.fetch_add(1, Ordering::Relaxed);
+        Self(Arc::clone(connection))
+    }
+}
+
+impl Drop for Busy {
+    fn drop(&mut self) {
+        self.0.busy.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// A response body. Its connection is busy until the body has been sent or dropped.
+#[derive(Debug)]
+pub(super) struct Marked {
+    body: Body,
+    _busy: Busy,
+}
+
+impl Marked {
+    pub(super) const fn new(body: Body, busy: Busy) -> Self {
+        Self { body, _busy: busy }
+    }
+}
+
+impl HttpBody for Marked {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        Pin::new(&mut self.body).poll_frame(cx)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}
+
+/// How much a client must take, and by when.
+#[derive(Debug, Default)]
+struct Due {
+    /// Bytes that it has taken.
+    taken: u64,
+    /// Bytes that it must have taken, and when, while some wait.
+    by: Option<(u64, Instant)>,
+}
+
+impl Due {
+    /// Notes that the client took `bytes` of the queued ones.
+    fn take(&mut self, bytes: usize) {
+        self.taken += bytes as u64;
+        if self.by.is_some_and(|(due, _)| self.taken >= due) {
+            self.by = None;
+        }
+    }
+
+    /// Notes that the client takes nothing although `bytes` are queued. Returns the deadline.
+    fn wait(&mut self, bytes: usize, now: Instant) -> Instant {
+        let due = self.taken + WRITE_BYTES.min(bytes as u64);
+        let (_, until) = *self.by.get_or_insert((due, now + WRITE_LIMIT));
+        until
+    }
+}
+
+/// A stream whose writes fail if the client takes too little within [`WRITE_LIMIT`].
+#[derive(Debug)]
+pub(super) struct Watched<S> {
+    stream: S,
+    due: Due,
+    /// Wakes a write that waits, at the time that is due.
+    limit: Pin<Box<Sleep>>,
+}
+
+impl<S> Watched<S> {
+    pub(super) fn new(stream: S) -> Self {
+        Self {
+            stream,
+            due: Due::default(),
+            limit: Box::pin(sleep(WRITE_LIMIT)),
+        }
+    }
+
+    /// The result of writing some of `bytes`, or an error if the client takes too little.
+    fn watch(
+        &mut self,
+        cx: &mut Context<'_>,
+        bytes: usize,
+        written: Poll<io::Result<usize>>,
+    ) -> Poll<io::Result<usize>> {
+        if let Poll::Ready(result) = written {
+            self.due.take(*result.as_ref().unwrap_or(&0));
+            return Poll::Ready(result);
+        }
+        let until = self.due.wait(bytes, Instant::now());
+        if self.limit.deadline() != until {
+            self.limit.as_mut().reset(until);
+        }
+        match self.limit.as_mut().poll(cx) {
+            Poll::Ready(()) => Poll::Ready(Err(io::ErrorKind::TimedOut.into())),
+            Poll::Pending => Poll::Pending,
+        }
+    }
+}
+
+impl<S: AsyncRead + Unpin> AsyncRead for Watched<S> {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_read(cx, buffer)
+    }
+}
+
+impl<S: AsyncWrite + Unpin> AsyncWrite for Watched<S> {
+    fn poll_write(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bytes: &[u8],
+    ) -> Poll<io::Result<usize>> {
+        let written = Pin::new(&mut self.stream).poll_write(cx, bytes);
+        self.watch(cx, bytes.len(), written)
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_flush(cx)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_shutdown(cx)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_longest_idle_connection_gives_way_and_busy_ones_do_not() {
+        let connections = Arc::new(Connections::default());
+        let places: Vec<Place> = (0..MAX_CONNECTIONS)
+            .filter_map(|_| connections.enter())
+            .collect();
+        assert_eq!(places.len(), MAX_CONNECTIONS);
+        let busy: Vec<Busy> = places
+            .iter()
+            .skip(2)
+            .map(|place| Busy::new(&place.connection))
+            .collect();
+        let first = connections.enter().expect("the first is idle");
+        let second = connections.enter().expect("the second is idle");
+        let numbers: Vec<u64> = connections.lock().1.keys().copied().collect();
+        assert!(!numbers.contains(&places[0].number) && !numbers.contains(&places[1].number));
+        let _all = [&first, &second].map(|place| Busy::new(&place.connection));
+        assert!(connections.enter().is_none());
+        drop(busy);
+        // Dropping a closed connection releases no other connection's slot.
+        drop(places);
+        assert_eq!(connections.lock().1.len(), 2);
+    }
+
+    #[test]
+    fn a_client_must_take_what_waits_or_64_kib_of_it_in_ten_seconds() {
+        let begin = Instant::now();
+        let at = |seconds| begin + Duration::from_secs(seconds);
+        let mut due = Due::default();
+        assert_eq!(due.wait(1_000, at(0)), at(10));
+        // A byte now and then does not prolong it.
+        for second in 1..10 {
+            due.take(1);
+            assert_eq!(due.wait(1_000, at(second)), at(10));
+        }
+        // This covers the bytes queued first. Later ones have a deadline of their own.
+        due.take(991);
+        assert_eq!(due.wait(9, at(9)), at(19));
+        due.take(9);
+        assert_eq!(due.wait(1 << 20, at(30)), at(40));
+        // A slow one that takes 64 KiB of much that waits.
+        due.take(64 << 10);
+        assert_eq!(due.wait(15 << 16, at(38)), at(48));
+    }
+}

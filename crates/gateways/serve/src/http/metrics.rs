@@ -1,0 +1,420 @@
+//! A snapshot as OpenMetrics.
+
+use std::fmt;
+use std::sync::Arc;
+
+use joulebus_board::{Counted, UPPER_S};
+use joulebus_wire::{
+    Alarm, Budget, Diagnostic, Forecast, budget_flag, diagnostic_flag, forecast_flag,
+};
+use prometheus_client::collector::Collector;
+use prometheus_client::encoding::{DescriptorEncoder, EncodeLabelSet, NoLabelSet};
+use prometheus_client::metrics::MetricType;
+use prometheus_client::registry::{Registry, Unit};
+
+use super::entry::Entry;
+use super::snapshot::Snapshot;
+
+/// The type of the text.
+pub(super) const KIND: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+/// The metrics at `now_ns` (monotonic). At most `most_robots` robots have series of their own,
+/// those with the smallest ids.
+pub(super) fn text(
+    snapshot: &Arc<Snapshot>,
+    now_ns: u64,
+    fleet: &str,
+    most_robots: usize,
+) -> Result<String, fmt::Error> {
+    let mut registry =
+        Registry::with_labels([("fleet".into(), fleet.to_owned().into())].into_iter());
+    registry.register_collector(Box::new(Metrics {
+        snapshot: Arc::clone(snapshot),
+        now_ns,
+        most_robots,
+    }));
+    let mut text = String::new();
+    prometheus_client::encoding::text::encode(&mut text, &registry)?;
+    Ok(text)
+}
+
+#[derive(Debug)]
+struct Metrics {
+    snapshot: Arc<Snapshot>,
+    now_ns: u64,
+    most_robots: usize,
+}
+
+/// The labels of a metric without labels.
+const NO_LABELS: [(&str, &str); 0] = [];
+
+type Labels = Vec<(&'static str, String)>;
+
+impl Collector for Metrics {
+    fn encode(&self, mut encoder: DescriptorEncoder) -> fmt::Result {
+        self.worker(&mut encoder)?;
+        self.counts(&mut encoder)?;
+        self.fleet(&mut encoder)?;
+        self.robots(&mut encoder)
+    }
+}
+
+impl Metrics {
+    fn worker(&self, encoder: &mut DescriptorEncoder) -> fmt::Result {
+        let mut info =
+            encoder.encode_descriptor("joulebus_build", "This program", None, MetricType::Info)?;
+        info.encode_info(&vec![("version", env!("CARGO_PKG_VERSION"))])?;
+        let up = self.snapshot.why_not_up(self.now_ns).is_none();
+        gauge(
+            encoder,
+            "joulebus_worker_up",
+            "1 while frames of a worker arrive in time",
+            up.into(),
+        )?;
+        let counters = &self.snapshot.accumulated;
+        histogram(
+            encoder,
+            "joulebus_tick",
+            "Time from a tick's begin to its last forecast written",
+            &counters.tick,
+        )?;
+        histogram(
+            encoder,
+            "joulebus_forecast_latency",
+            "Time from a sample sent to its forecast sent",
+            &counters.latency,
+        )
+    }
+
+    fn counts(&self, encoder: &mut DescriptorEncoder) -> fmt::Result {
+        let counters = &self.snapshot.accumulated;
+        for (name, help, count) in [
+            ("joulebus_ticks", "Ticks done", counters.ticks),
+            (
+                "joulebus_tick_deadline_missed",
+                "Ticks that started more than a tenth of a period late",
+                counters.ticks_late,
+            ),
+            (
+                "joulebus_ticks_skipped",
+                "Ticks skipped because the one before took too long",
+                counters.ticks_skipped,
+            ),
+            (
+                "joulebus_samples_accepted",
+                "Samples accepted",
+                counters.samples_accepted,
+            ),
+            (
+                "joulebus_questions_answered",
+                "Questions about plans answered",
+                counters.queries.answered,
+            ),
+        ] {
+            let mut metric = encoder.encode_descriptor(name, help, None, MetricType::Counter)?;
+            metric.encode_counter::<NoLabelSet, u64, f64>(&count, None)?;
+        }
+        let dropped = counters.samples_dropped.iter();
+        let dropped = dropped.map(|(reason, count)| (reason.name(), count));
+        by_reason(
+            encoder,
+            "joulebus_samples_dropped",
+            "Samples dropped",
+            dropped,
+        )?;
+        let refused = counters
+            .queries
+            .iter()
+            .map(|(reason, count)| (reason.name(), count));
+        by_reason(
+            encoder,
+            "joulebus_questions_refused",
+            "Questions about plans refused",
+            refused,
+        )
+    }
+
+    fn fleet(&self, encoder: &mut DescriptorEncoder) -> fmt::Result {
+        let totals = &self.snapshot.fleet.totals;
+        let levels = [
+            ("ok", totals.ok),
+            ("warn", totals.warn),
+            ("error", totals.error),
+            ("stale", totals.stale),
+        ];
+        let levels = levels.map(|(level, count)| (vec![("level", level.to_owned())], count as f64));
+        gauges(
+            encoder,
+            "joulebus_robots",
+            "Robots of the fleet",
+            None,
+            levels,
+        )?;
+        let mut raised = [0_u32; Alarm::ALL.len()];
+        for diagnostic in self
+            .snapshot
+            .entries()
+            .iter()
+            .filter_map(|entry| entry.newest.diagnostic)
+        {
+            for (count, alarm) in raised.iter_mut().zip(Alarm::ALL) {
+                *count += u32::from(diagnostic.alarms().has(alarm));
+            }
+        }
+        let alarms = Alarm::ALL.iter().zip(raised);
+        let alarms =
+            alarms.map(|(alarm, count)| (vec![("alarm", alarm.name().to_owned())], count.into()));
+        gauges(
+            encoder,
+            "joulebus_alarms",
+            "Alarms that are raised",
+            None,
+            alarms,
+        )?;
+        let power_w = totals.power_w.map(|power_w| (NO_LABELS, power_w));
+        gauges(
+            encoder,
+            "joulebus_fleet_power",
+            "Sum of the robots' newest readings",
+            Some(&watts()),
+            power_w,
+        )?;
+        let mut metric = encoder.encode_descriptor(
+            "joulebus_fleet_consumed",
+            "Energy consumed by all robots seen by this program, as their ledgers count it",
+            Some(&Unit::Joules),
+            MetricType::Counter,
+        )?;
+        let consumed_j = self.snapshot.accumulated.consumed_uj as f64 * 1e-6;
+        metric.encode_counter::<NoLabelSet, f64, f64>(&consumed_j, None)
+    }
+
+    fn robots(&self, encoder: &mut DescriptorEncoder) -> fmt::Result {
+        let all = self.snapshot.entries();
+        let robots = &all[..all.len().min(self.most_robots)];
+        let beyond = (all.len() - robots.len()) as f64;
+        gauge(
+            encoder,
+            "joulebus_robots_without_series",
+            "Robots beyond --metrics-robots",
+            beyond,
+        )?;
+        if robots.is_empty() {
+            return Ok(());
+        }
+        consumed(encoder, robots)?;
+        let power = robots.iter().flat_map(|entry| {
+            let kinds = power_w(&entry.newest.forecast);
+            kinds.into_iter().filter_map(|(kind, value)| {
+                let mut labels = of(entry);
+                labels.push(("kind", kind.to_owned()));
+                Some((labels, value?))
+            })
+        });
+        gauges(
+            encoder,
+            "joulebus_power",
+            "Newest reading, forecast of the next and its interval",
+            Some(&watts()),
+            power,
+        )?;
+        let now_ns = self.now_ns;
+        let ratio = Unit::Other("ratio".to_owned());
+        let series = |value: &dyn Fn(&Entry) -> Option<f64>| -> Vec<(Labels, f64)> {
+            let known = |entry| Some((of(entry), value(entry)?));
+            robots.iter().filter_map(known).collect()
+        };
+        let residual = series(&|entry| residual_w(entry.newest.diagnostic.as_ref()?));
+        gauges(
+            encoder,
+            "joulebus_residual",
+            "Reading minus the network's forecast",
+            Some(&watts()),
+            residual,
+        )?;
+        let soc = series(&|entry| {
+            battery(
+                entry.newest.budget.as_ref()?,
+                budget_flag::BATTERY,
+                |budget| budget.soc,
+            )
+        });
+        gauges(
+            encoder,
+            "joulebus_soc",
+            "State of charge",
+            Some(&ratio),
+            soc,
+        )?;
+        let left = series(&|entry| {
+            battery(
+                entry.newest.budget.as_ref()?,
+                budget_flag::TIME_TO_EMPTY,
+                |budget| budget.time_to_empty_s,
+            )
+        });
+        gauges(
+            encoder,
+            "joulebus_time_to_empty",
+            "Expected time until the battery is empty",
+            Some(&Unit::Seconds),
+            left,
+        )?;
+        let age = series(&|entry| Some(entry.sample_age_ns(now_ns)? as f64 * 1e-9));
+        gauges(
+            encoder,
+            "joulebus_sample_age",
+            "Time since the newest sample's stamp",
+            Some(&Unit::Seconds),
+            age,
+        )?;
+        let health = series(&|entry| Some(entry.newest.level().code().into()));
+        gauges(
+            encoder,
+            "joulebus_health_level",
+            "0 ok, 1 warn, 2 error, 3 stale",
+            None,
+            health,
+        )
+    }
+}
+
+fn consumed(encoder: &mut DescriptorEncoder, robots: &[Entry]) -> fmt::Result {
+    let mut metric = encoder.encode_descriptor(
+        "joulebus_consumed",
+        "Energy consumed by the robot, as its ledgers count it",
+        Some(&Unit::Joules),
+        MetricType::Counter,
+    )?;
+    for entry in robots {
+        if let Some(consumed_uj) = entry.consumed_uj {
+            let (labels, consumed_j) = (of(entry), consumed_uj as f64 * 1e-6);
+            let mut series = metric.encode_family(&labels)?;
+            series.encode_counter::<NoLabelSet, f64, f64>(&consumed_j, None)?;
+        }
+    }
+    Ok(())
+}
+
+fn power_w(forecast: &Forecast) -> [(&'static str, Option<f64>); 4] {
+    let read = forecast.flags & forecast_flag::READING != 0;
+    let interval_w = forecast.interval_w();
+    [
+        ("reading", read.then(|| forecast.reading_w.into())),
+        ("forecast", forecast.power_w().map(f64::from)),
+        ("lo", interval_w.map(|(lo_w, _)| lo_w.into())),
+        ("hi", interval_w.map(|(_, hi_w)| hi_w.into())),
+    ]
+}
+
+fn residual_w(diagnostic: &Diagnostic) -> Option<f64> {
+    let scored = diagnostic.flags & diagnostic_flag::RESIDUAL != 0;
+    scored
+        .then(|| f64::from(diagnostic.residual_w))
+        .filter(|value| value.is_finite())
+}
+
+fn battery(budget: &Budget, flag: u32, value: fn(&Budget) -> f32) -> Option<f64> {
+    let known = budget.flags & flag != 0;
+    known
+        .then(|| f64::from(value(budget)))
+        .filter(|value| value.is_finite())
+}
+
+fn of(entry: &Entry) -> Labels {
+    vec![("robot", entry.robot.to_string())]
+}
+
+fn watts() -> Unit {
+    Unit::Other("watts".to_owned())
+}
+
+fn gauge(encoder: &mut DescriptorEncoder, name: &str, help: &str, value: f64) -> fmt::Result {
+    let mut metric = encoder.encode_descriptor(name, help, None, MetricType::Gauge)?;
+    metric.encode_gauge(&value)
+}
+
+fn gauges<S: EncodeLabelSet>(
+    encoder: &mut DescriptorEncoder,
+    name: &str,
+    help: &str,
+    unit: Option<&Unit>,
+    series: impl IntoIterator<Item = (S, f64)>,
+) -> fmt::Result {
+    let mut metric = encoder.encode_descriptor(name, help, unit, MetricType::Gauge)?;
+    for (labels, value) in series {
+        metric.encode_family(&labels)?.encode_gauge(&value)?;
+    }
+    Ok(())
+}
+
+fn by_reason(
+    encoder: &mut DescriptorEncoder,
+    name: &str,
+    help: &str,
+    counts: impl Iterator<Item = (&'static str, u64)>,
+) -> fmt::Result {
+    let mut metric = encoder.encode_descriptor(name, help, None, MetricType::Counter)?;
+    for (reason, count) in counts {
+        let labels = vec![("reason", reason)];
+        let mut series = metric.encode_family(&labels)?;
+        series.encode_counter::<NoLabelSet, u64, f64>(&count, None)?;
+    }
+    Ok(())
+}
+
+fn histogram(
+    encoder: &mut DescriptorEncoder,
+    name: &str,
+    help: &str,
+    counted: &Counted,
+) -> fmt::Result {
+    let mut metric =
+        encoder.encode_descriptor(name, help, Some(&Unit::Seconds), MetricType::Histogram)?;
+    let uppers = UPPER_S.into_iter().chain([f64::INFINITY]);
+    let buckets: Vec<(f64, u64)> = uppers.zip(counted.counts).collect();
+    let count = counted.counts.iter().sum();
+    metric.encode_histogram::<NoLabelSet>(counted.sum_ns as f64 * 1e-9, count, &buckets, None)
+}
+
+#[cfg(test)]
+mod tests {
+    use joulebus_board::{Board, Link, Platforms};
+
+    use super::super::alarms::Alarms;
+    use super::super::fleet::{Around, Distributions, FleetRecord};
+    use super::super::totals::Accumulator;
+    use super::*;
+
+    #[test]
+    fn a_worker_is_not_up_when_the_reading_thread_shows_nothing_more() {
+        let second_ns = 1_000_000_000;
+        let mut board = Board::new(0);
+        board.link = Link::Live;
+        let around = Around {
+            fleet: "lab",
+            period_ns: 33_333_333,
+            now_ns: second_ns,
+            now_unix_ns: second_ns,
+            distributions: &Distributions::default(),
+            recorders: None,
+        };
+        let snapshot = Arc::new(Snapshot::new(
+            &board,
+            FleetRecord::of(&board, &around),
+            Arc::<Alarms>::default(),
+            &mut Accumulator::default(),
+            second_ns,
+            Arc::new(Platforms::default()),
+        ));
+        for (now_ns, up) in [(second_ns, 1), (3 * second_ns, 1), (3 * second_ns + 1, 0)] {
+            let why = snapshot.why_not_up(now_ns);
+            assert_eq!(why.is_none(), up == 1, "{why:?}");
+            let text = text(&snapshot, now_ns, "lab", 0).unwrap();
+            let line = format!("joulebus_worker_up{{fleet=\"lab\"}} {up}");
+            assert!(text.contains(&line), "{now_ns}: {text}");
+        }
+        let why = snapshot.why_not_up(9 * second_ns).unwrap_or_default();
+        assert!(why.contains("for 8.0 s, 2.0 s are allowed"), "{why}");
+    }
+}

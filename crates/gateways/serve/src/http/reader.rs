@@ -1,0 +1,267 @@
+//! The thread that reads shared memory.
+//!
+//! It is a planner that reads as often as clients are updated, so that no tick of the worker has to
+//! wake it. It never waits for a client. It replaces its results in one place, and the few requests
+//! of clients wait in a bounded queue.
+
+use std::cell::RefCell;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use joulebus_board::{Board, OpenError, Platforms, Reading};
+use joulebus_bus::{clock, yield_to_the_worker};
+use joulebus_config::Config;
+use joulebus_connect::ConnectError;
+use joulebus_consumer::{AlarmFeed, ReadError};
+use joulebus_plan::RobotRows;
+use tokio::sync::{oneshot, watch};
+
+use super::alarms::AlarmLog;
+use super::fleet::{Around, Distributions, FleetRecord, Recorder};
+use super::history::{self, History, HistoryRecord};
+use super::plan_rows::{PlanRows, RowsError};
+use super::snapshot::Snapshot;
+use super::totals::Accumulator;
+
+/// Interval between snapshots: as fast as a stream may be.
+const SHOW_EVERY: Duration = Duration::from_millis(100);
+const SHOW_EVERY_NS: u64 = SHOW_EVERY.as_nanos() as u64;
+/// Tolerance of a snapshot's time: it is made at the reading nearest to its due time.
+const EARLY_NS: u64 = SHOW_EVERY_NS / 8;
+/// Maximum wait while a question needs rows of the next tick.
+const ANSWER_EVERY: Duration = Duration::from_millis(10);
+/// Interval between distributions, ns.
+const DISTRIBUTE_EVERY_NS: u64 = 500_000_000;
+/// Nice value of the thread: ahead of the clients' thread, behind the programs that robots wait
+/// for.
+const NICE: u8 = 5;
+/// Questions to this thread that may wait.
+const MAX_QUEUED: usize = 64;
+
+/// A client's request to the thread.
+#[derive(Debug)]
+pub(super) enum Ask {
+    History(u32, oneshot::Sender<Option<HistoryRecord>>),
+    Rows(Vec<u32>, oneshot::Sender<Result<Vec<RobotRows>, RowsError>>),
+}
+
+/// Why the thread ended.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum ReaderError {
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    #[error(transparent)]
+    Alarms(#[from] ConnectError),
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    #[error("cannot start a thread: {0}")]
+    Thread(std::io::Error),
+    #[error("the reading thread panicked")]
+    Panicked,
+}
+
+/// The running thread.
+pub(super) struct Reader {
+    pub(super) snapshots: watch::Receiver<Arc<Snapshot>>,
+    pub(super) asks: SyncSender<Ask>,
+    /// Takes the processes that record, which another thread looks for.
+    pub(super) recorders: watch::Sender<Option<Vec<Recorder>>>,
+    thread: Option<JoinHandle<Result<(), ReaderError>>>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Reader {
+    /// Joins the fleet and starts to read.
+    pub(super) fn start(config: &Config) -> Result<Self, ReaderError> {
+        let (asks, asked) = sync_channel(MAX_QUEUED);
+        let stop = Arc::new(AtomicBool::new(false));
+        let (ready, started) = sync_channel(1);
+        let (config, stopped) = (config.clone(), Arc::clone(&stop));
+        let (recorders, found) = watch::channel(None);
+        let thread = thread::Builder::new()
+            .name("joulebus-reader".to_owned())
+            .spawn(move || {
+                yield_to_the_worker(NICE);
+                let (mut work, snapshots) = Work::open(&config, asked, found)?;
+                // The receiver waits for it.
+                let _ = ready.send(snapshots);
+                while !stopped.load(Ordering::Relaxed) {
+                    work.turn()?;
+                }
+                Ok(())
+            })
+            .map_err(ReaderError::Thread)?;
+        let Ok(snapshots) = started.recv() else {
+            return Err(join(thread).err().unwrap_or(ReaderError::Panicked));
+        };
+        Ok(Self {
+            snapshots,
+            asks,
+            recorders,
+            thread: Some(thread),
+            stop,
+        })
+    }
+
+    pub(super) fn is_over(&self) -> bool {
+        self.thread.as_ref().is_none_or(JoinHandle::is_finished)
+    }
+
+    /// Leaves the fleet.
+    pub(super) fn finish(&mut self) -> Result<(), ReaderError> {
+        self.stop.store(true, Ordering::Relaxed);
+        self.thread.take().map_or(Ok(()), join)
+    }
+}
+
+impl Drop for Reader {
+    fn drop(&mut self) {
+        // `finish` returns the error.
+        let _ = self.finish();
+    }
+}
+
+fn join(thread: JoinHandle<Result<(), ReaderError>>) -> Result<(), ReaderError> {
+    thread.join().unwrap_or(Err(ReaderError::Panicked))
+}
+
+/// State of the thread.
+struct Work {
+    config: Config,
+    board: RefCell<Board>,
+    reading: Reading,
+    alarm_feed: AlarmFeed,
+    alarms: AlarmLog,
+    history: History,
+    accumulator: Accumulator,
+    distributions: Distributions,
+    recorders: watch::Receiver<Option<Vec<Recorder>>>,
+    platforms: Arc<Platforms>,
+    plan_rows: PlanRows,
+    asked: Receiver<Ask>,
+    show: watch::Sender<Arc<Snapshot>>,
+    show_at_ns: u64,
+    distribute_at_ns: u64,
+    history_at_ns: u64,
+}
+
+impl Work {
+    fn open(
+        config: &Config,
+        asked: Receiver<Ask>,
+        recorders: watch::Receiver<Option<Vec<Recorder>>>,
+    ) -> Result<(Self, watch::Receiver<Arc<Snapshot>>), ReaderError> {
+        let now_ns = clock::monotonic_ns();
+        let board = Board::new(now_ns);
+        let (mut accumulator, distributions) = (Accumulator::default(), Distributions::default());
+        let platforms = Arc::new(Platforms::of(config.settings()));
+        let alarms = AlarmLog::default();
+        let around = Around {
+            fleet: config.fleet(),
+            period_ns: config.tick_period_ns(),
+            now_ns,
+            now_unix_ns: clock::unix_ns(),
+            distributions: &distributions,
+            recorders: None,
+        };
+        let first = Snapshot::new(
+            &board,
+            FleetRecord::of(&board, &around),
+            alarms.newest(),
+            &mut accumulator,
+            now_ns,
+            Arc::clone(&platforms),
+        );
+        let (show, snapshots) = watch::channel(Arc::new(first));
+        let work = Self {
+            reading: Reading::polling(config, "page", SHOW_EVERY)?,
+            alarm_feed: AlarmFeed::with_config(config, "page")?,
+            config: config.clone(),
+            board: RefCell::new(board),
+            alarms,
+            history: History::default(),
+            accumulator,
+            distributions,
+            recorders,
+            platforms,
+            plan_rows: PlanRows::default(),
+            asked,
+            show,
+            show_at_ns: 0,
+            distribute_at_ns: 0,
+            history_at_ns: now_ns,
+        };
+        Ok((work, snapshots))
+    }
+
+    /// Waits until the next look at the fleet is due, at most 100 ms, and does what is due.
+    fn turn(&mut self) -> Result<(), ReaderError> {
+        let Self { reading, board, .. } = self;
+        let longest = if self.plan_rows.are_asked() {
+            ANSWER_EVERY
+        } else {
+            SHOW_EVERY
+        };
+        reading.turn_within(longest, || board.borrow_mut())?;
+        let alarms = &mut self.alarms;
+        match self.alarm_feed.changes(|change| alarms.add(change)) {
+            // The next call may succeed, as with forecasts.
+            Ok(()) | Err(ReadError::Receive(_)) => {}
+            Err(error) => return Err(error.into()),
+        }
+        let (now_ns, now_unix_ns) = (clock::monotonic_ns(), clock::unix_ns());
+        let unix_of = |at_ns: u64| now_unix_ns.saturating_sub(now_ns.saturating_sub(at_ns));
+        self.alarms.update(self.alarm_feed.history(), unix_of);
+        if now_ns >= self.history_at_ns {
+            self.history.add(&self.board.borrow(), now_unix_ns);
+            // After a long pause points are not made up.
+            let next_ns = self.history_at_ns + history::STEP_NS;
+            self.history_at_ns = next_ns.max(now_ns);
+        }
+        if now_ns + EARLY_NS >= self.show_at_ns {
+            self.show_at_ns = now_ns + SHOW_EVERY_NS;
+            self.show(now_ns, now_unix_ns);
+        }
+        self.answer(now_ns);
+        Ok(())
+    }
+
+    fn show(&mut self, now_ns: u64, now_unix_ns: u64) {
+        let board = self.board.borrow();
+        if now_ns >= self.distribute_at_ns {
+            self.distribute_at_ns = now_ns + DISTRIBUTE_EVERY_NS;
+            self.distributions = Distributions::of(&board);
+        }
+        let around = Around {
+            fleet: self.config.fleet(),
+            period_ns: self.config.tick_period_ns(),
+            now_ns,
+            now_unix_ns,
+            distributions: &self.distributions,
+            recorders: self.recorders.borrow().clone(),
+        };
+        let snapshot = Snapshot::new(
+            &board,
+            FleetRecord::of(&board, &around),
+            self.alarms.newest(),
+            &mut self.accumulator,
+            now_ns,
+            Arc::clone(&self.platforms),
+        );
+        self.show.send_replace(Arc::new(snapshot));
+    }
+
+    fn answer(&mut self, now_ns: u64) {
+        for ask in self.asked.try_iter().take(MAX_QUEUED) {
+            match ask {
+                // A client that has left does not wait for its answer.
+                Ask::History(robot, reply) => drop(reply.send(self.history.of(robot))),
+                Ask::Rows(robots, reply) => self.plan_rows.ask(robots, reply, now_ns),
+            }
+        }
+        self.plan_rows.turn(self.reading.planner(), now_ns);
+    }
+}

@@ -1,0 +1,113 @@
+//! Questions about plans, as `joulebus ask` asks them, and its answers.
+
+use joulebus_plan::{MAX_STEPS, Path, Plan, Point, Question};
+use serde::Deserialize;
+
+/// Maximum number of robots in a question.
+const MAX_ROBOTS: usize = 64;
+/// Maximum number of points of a path.
+const MAX_POINTS: usize = 10_000;
+
+/// A question as JSON.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Asked {
+    /// One robot.
+    robot: Option<u32>,
+    /// Several robots, answered the best first.
+    #[serde(default)]
+    rank: Vec<u32>,
+    /// Stand still for this time, s.
+    idle_s: Option<f32>,
+    /// Follow this path.
+    path: Option<Vec<Place>>,
+    /// Return afterwards.
+    #[serde(rename = "return")]
+    back: Option<ReturnTo>,
+    /// Coverage of the intervals.
+    #[serde(default = "usual_coverage")]
+    coverage: f32,
+}
+
+/// A point, and the maximum speed towards it. Without one the platform's maximum applies.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Place {
+    x_m: f64,
+    y_m: f64,
+    speed_mps: Option<f64>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(untagged)]
+enum ReturnTo {
+    /// "dock": where the path begins.
+    Named(Dock),
+    Place(Place),
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Dock {
+    Dock,
+}
+
+const fn usual_coverage() -> f32 {
+    0.9
+}
+
+impl Asked {
+    /// The question.
+    ///
+    /// # Errors
+    /// What is wrong with it, in words.
+    pub(super) fn question(self) -> Result<Question, String> {
+        let robots: Vec<u32> = self.robot.into_iter().chain(self.rank).collect();
+        if !(1..=MAX_ROBOTS).contains(&robots.len()) {
+            let found = robots.len();
+            return Err(format!(
+                "{found} robots in robot and rank, allowed: 1 to {MAX_ROBOTS}"
+            ));
+        }
+        let plan = match (self.path, self.idle_s) {
+            (Some(places), None) => follow(robots, &places, self.back.as_ref())?,
+            (None, Some(duration_s)) if self.back.is_none() => Plan::Idle { robots, duration_s },
+            _ => return Err("give either path, and return if wanted, or idle_s".to_owned()),
+        };
+        Ok(Question {
+            plan,
+            coverage: self.coverage,
+            power: false,
+        })
+    }
+}
+
+fn follow(robots: Vec<u32>, places: &[Place], back: Option<&ReturnTo>) -> Result<Plan, String> {
+    if !(2..=MAX_POINTS).contains(&places.len()) {
+        let found = places.len();
+        return Err(format!(
+            "path has {found} points, allowed: 2 to {MAX_POINTS}; the first is where the robot is"
+        ));
+    }
+    let point = |place: &Place| Point::new(place.x_m, place.y_m);
+    let path = Path {
+        points: places.iter().map(point).collect(),
+        speed_mps: places
+            .iter()
+            .map(|place| place.speed_mps.unwrap_or(f64::INFINITY))
+            .collect(),
+        heading_rad: None,
+    };
+    let back_to = back.map(|back| match back {
+        ReturnTo::Named(Dock::Dock) => path.points[0],
+        ReturnTo::Place(place) => point(place),
+    });
+    Ok(Plan::Follow {
+        robots,
+        path,
+        back_to,
+    })
+}
+
+/// Maximum length of a path, steps. The server computes one question at a time.
+pub(super) const MAX_PATH_STEPS: usize = MAX_STEPS;

@@ -1,0 +1,133 @@
+//! `joulebus serve`: runs the page, Foxglove and the webhook in one process.
+
+use std::fmt;
+use std::time::Duration;
+
+use crate::arguments::ServeArguments;
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::{Output, say};
+use joulebus_program::stop::Stop;
+use serde::Serialize;
+
+use crate::foxglove::{Foxglove, FoxgloveReport};
+use crate::http::{HttpReport, HttpServer, Options};
+use crate::webhook::{Webhook, WebhookReport};
+
+/// Interval of checking whether to stop.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
+
+#[derive(Debug, Serialize)]
+struct ServeReport {
+    fleet: String,
+    #[serde(flatten)]
+    foxglove: Option<FoxgloveReport>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    http: Option<HttpReport>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    webhook: Option<WebhookReport>,
+}
+
+pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outcome> {
+    let stop = Stop::on_signals()?;
+    let config = args.config.load()?;
+    let is_http = args.http.is_some() || args.socket.is_some();
+    let http = is_http.then(|| {
+        let options = Options {
+            address: args.http,
+            socket: args.socket.clone(),
+            token_file: args.token_file.clone(),
+            allow_host: args.allow_host.clone(),
+            metrics_robots: args.metrics_robots,
+        };
+        HttpServer::start(&config, &options)
+    });
+    let http = http.transpose()?;
+    let foxglove = args.foxglove.then(|| Foxglove::start(args, &config));
+    let foxglove = foxglove.transpose()?;
+    let webhook = args
+        .webhook
+        .as_deref()
+        .map(|to| Webhook::start(&config, to, args.webhook_ca.as_deref()));
+    let webhook = webhook.transpose()?;
+    let fleet = config.fleet();
+    for place in http.iter().flat_map(HttpServer::places) {
+        say(&format!("serving fleet {fleet} at {place}"));
+    }
+    if let Some(foxglove) = &foxglove {
+        say(&format!("serving fleet {fleet} at {}", foxglove.address()));
+    }
+    if let Some(webhook) = &webhook {
+        say(&format!(
+            "telling {} of alarms of fleet {fleet}",
+            webhook.host()
+        ));
+    }
+    let is_over = || {
+        webhook.as_ref().is_some_and(Webhook::is_over)
+            || http.as_ref().is_some_and(HttpServer::is_over)
+            || foxglove.as_ref().is_some_and(Foxglove::is_over)
+    };
+    while !stop.is_asked() && !is_over() {
+        std::thread::sleep(POLL_INTERVAL);
+    }
+    let foxglove = foxglove.map(Foxglove::finish).transpose()?;
+    let http = http.map(HttpServer::finish).transpose()?;
+    let webhook = webhook.map(Webhook::finish).transpose()?;
+    let lost = foxglove.as_ref().is_some_and(|foxglove| foxglove.lost > 0)
+        || webhook.as_ref().is_some_and(|webhook| webhook.lost > 0);
+    output.report(&ServeReport {
+        fleet: fleet.to_owned(),
+        foxglove,
+        http,
+        webhook,
+    })?;
+    Ok(Outcome::unless_lost(lost))
+}
+
+impl fmt::Display for ServeReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let fleet = &self.fleet;
+        if let Some(foxglove) = &self.foxglove {
+            let FoxgloveReport {
+                address,
+                messages,
+                lost,
+            } = foxglove;
+            writeln!(
+                out,
+                "served fleet {fleet} at {address}: {messages} messages, {lost} lost"
+            )?;
+        }
+        if let Some(http) = &self.http {
+            let HttpReport {
+                address,
+                socket,
+                requests,
+                refused,
+                messages,
+            } = http;
+            let socket = socket.as_ref().map(|socket| socket.display().to_string());
+            let places: Vec<&str> = address.iter().chain(&socket).map(String::as_str).collect();
+            let places = places.join(" and ");
+            writeln!(
+                out,
+                "served fleet {fleet} at {places}: {requests} requests, {refused} refused, {messages} messages"
+            )?;
+        }
+        if let Some(webhook) = &self.webhook {
+            let WebhookReport {
+                host,
+                told,
+                failed,
+                lost,
+                ticks_missed,
+            } = webhook;
+            writeln!(
+                out,
+                "told {host} of alarms of fleet {fleet}: {told} changes, {lost} lost ({ticks_missed} of them ticks without diagnostics), \
+                 {failed} requests failed"
+            )?;
+        }
+        Ok(())
+    }
+}

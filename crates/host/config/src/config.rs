@@ -1,0 +1,496 @@
+//! A checked config.
+
+use std::path::{Path, PathBuf};
+
+use joulebus_domain::Scheduling;
+use joulebus_settings::{
+    AlarmLimits, AlarmSettings, Battery, ChargeReading, FleetSettings, Intake, IntervalSettings,
+    OpenCircuit, Platform, Policy,
+};
+
+use crate::consistency;
+use crate::document::{FleetFile, Source};
+use crate::key::{ValueKind, voltages};
+use crate::model_source::ModelSource;
+use crate::problem::{ConfigError, Problem};
+use crate::template::Assignment;
+use crate::values::Values;
+use crate::{cpus, files, keys, show};
+
+/// Where the energy ledger and the batteries are saved.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Checkpoint {
+    /// Nowhere.
+    Off,
+    /// In the state directory, if a platform has a battery.
+    Auto,
+    /// In this file.
+    File(PathBuf),
+}
+
+/// The threads of the worker's tick.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Threads {
+    /// Number of threads, the worker's own included: at least 1.
+    pub count: usize,
+    /// Minimum number of robots for parallel ticks.
+    pub from: usize,
+}
+
+/// The thread that answers questions about plans.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Queries {
+    /// Whether it runs.
+    pub answer: bool,
+    /// Its nice value, 0 to 19.
+    pub nice: u8,
+}
+
+impl Threads {
+    /// Maximum number of threads chosen automatically: beyond it, memory bandwidth is the limit.
+    const MAX_UNASKED: usize = 8;
+
+    /// Processors that this process may use.
+    fn processors() -> usize {
+        std::thread::available_parallelism().map_or(1, std::num::NonZeroUsize::get)
+    }
+}
+
+/// A config that was read completely and found consistent.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Config {
+    fleet: String,
+    root: PathBuf,
+    prefix: String,
+    settings: FleetSettings,
+    policy: Policy,
+    tick_period_ns: u64,
+    models: Vec<ModelSource>,
+    buffer_frames: usize,
+    max_planners: usize,
+    checkpoint: Checkpoint,
+    checkpoint_every_ns: u64,
+    scheduling: Scheduling,
+    threads: Threads,
+    queries: Queries,
+    shown: String,
+    platform_keys: Vec<Vec<Assignment>>,
+    warnings: Vec<Problem>,
+}
+
+impl Config {
+    /// Reads a fleet's file and the platform files that it names.
+    ///
+    /// # Errors
+    /// The file cannot be read, or it or a platform's file is refused: lists all errors, each with
+    /// file, line and remedy.
+    pub fn load(path: impl AsRef<Path>) -> Result<Self, ConfigError> {
+        Self::load_within(path.as_ref(), None)
+    }
+
+    /// Same as [`Config::load`], for a config that was attached to a capture. Platform files
+    /// outside its folder are refused, and not read.
+    ///
+    /// # Errors
+    /// Same as [`Config::load`], or such a file.
+    pub fn load_attached(path: impl AsRef<Path>) -> Result<Self, ConfigError> {
+        let path = path.as_ref();
+        Self::load_within(path, path.parent())
+    }
+
+    fn load_within(path: &Path, within: Option<&Path>) -> Result<Self, ConfigError> {
+        let text = files::read(path).map_err(|source| ConfigError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        let directory = path.parent().unwrap_or(Path::new(""));
+        Self::read(&text, &path.display().to_string(), directory, within)
+    }
+
+    /// Reads the text of a fleet's file; paths in it are relative to `base_dir`.
+    ///
+    /// # Errors
+    /// As [`Config::load`]; messages call the text `<config>`.
+    pub fn parse(text: &str, base_dir: &Path) -> Result<Self, ConfigError> {
+        Self::read(text, "<config>", base_dir, None)
+    }
+
+    /// Reads a config. Platform files must be below `within`, if it is set.
+    fn read(
+        text: &str,
+        name: &str,
+        directory: &Path,
+        within: Option<&Path>,
+    ) -> Result<Self, ConfigError> {
+        let source = Source::new(text, name, Some(directory));
+        let mut problems = Vec::new();
+        let mut warnings = Vec::new();
+        let mut read = source.fleet(&mut problems);
+        if !read.cut_short {
+            files::platforms(&mut read, within, &mut problems);
+            consistency::check(&read, &source.name, &mut problems, &mut warnings);
+        }
+        let built = if problems.is_empty() {
+            Self::build(&read, &mut problems)
+        } else {
+            None
+        };
+        match built {
+            Some(config) if problems.is_empty() => Ok(Self { warnings, ..config }),
+            _ => {
+                problems
+                    .sort_by(|one, other| (&one.file, one.line).cmp(&(&other.file, other.line)));
+                Err(ConfigError::Refused(problems))
+            }
+        }
+    }
+
+    /// `None` only together with a problem: every key has been checked before.
+    fn build(read: &FleetFile, problems: &mut Vec<Problem>) -> Option<Self> {
+        let values = &read.values;
+        let built = Builder::config(read);
+        let complaint = match &built {
+            Some(config) => config.complaint(),
+            None => Some(("fleet.name", "a value is missing".to_owned())),
+        };
+        if let Some((key, what)) = complaint {
+            let place = values.place(key).or_else(|| values.place("fleet.name"));
+            problems.push(Problem {
+                file: place.map_or_else(String::new, |place| place.file.to_string()),
+                line: place.map(|place| place.line),
+                key: key.to_owned(),
+                what,
+                remedy: "See `config explain`".to_owned(),
+            });
+        }
+        built
+    }
+
+    /// Errors of the tick's or the bus's own checks of values that are individually valid, with the
+    /// key to look at.
+    fn complaint(&self) -> Option<(&'static str, String)> {
+        let tick = self.settings.check().err();
+        let tick = tick.map(|error| ("fleet.name", error.to_string()));
+        tick.or_else(|| Some(("domain.root", self.domain().err()?.to_string())))
+    }
+
+    /// Name of the fleet.
+    #[must_use]
+    pub fn fleet(&self) -> &str {
+        &self.fleet
+    }
+
+    /// Private directory of the fleet's shared memory, absolute, `{uid}` replaced.
+    #[must_use]
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// Prefix of every name in shared memory.
+    #[must_use]
+    pub fn prefix(&self) -> &str {
+        &self.prefix
+    }
+
+    /// Settings of the tick; they have passed [`FleetSettings::check`].
+    #[must_use]
+    pub const fn settings(&self) -> &FleetSettings {
+        &self.settings
+    }
+
+    /// When a tick is due.
+    #[must_use]
+    pub const fn policy(&self) -> Policy {
+        self.policy
+    }
+
+    /// Minimum time between two ticks, ns.
+    #[must_use]
+    pub const fn tick_period_ns(&self) -> u64 {
+        self.tick_period_ns
+    }
+
+    /// The model of each platform of [`Config::settings`], in the same order.
+    #[must_use]
+    pub fn models(&self) -> &[ModelSource] {
+        &self.models
+    }
+
+    /// The keys that a platform of [`Config::settings`] sets, each value with its origin, for
+    /// [`platform_file`](crate::platform_file). Empty if there is no such platform.
+    #[must_use]
+    pub fn platform_keys(&self, platform: usize) -> &[Assignment] {
+        self.platform_keys.get(platform).map_or(&[], Vec::as_slice)
+    }
+
+    /// Frames of each source buffered in shared memory.
+    #[must_use]
+    pub const fn buffer_frames(&self) -> usize {
+        self.buffer_frames
+    }
+
+    /// Planners, live views and recorders that can be connected at the same time.
+    #[must_use]
+    pub const fn max_planners(&self) -> usize {
+        self.max_planners
+    }
+
+    /// Where the energy ledger and the batteries are saved.
+    #[must_use]
+    pub const fn checkpoint(&self) -> &Checkpoint {
+        &self.checkpoint
+    }
+
+    /// Time between two checkpoints, ns.
+    #[must_use]
+    pub const fn checkpoint_every_ns(&self) -> u64 {
+        self.checkpoint_every_ns
+    }
+
+    /// Scheduling of the tick threads.
+    #[must_use]
+    pub const fn scheduling(&self) -> &Scheduling {
+        &self.scheduling
+    }
+
+    /// The threads of the worker's tick.
+    #[must_use]
+    pub const fn threads(&self) -> Threads {
+        self.threads
+    }
+
+    /// The thread that answers questions about plans.
+    #[must_use]
+    pub const fn queries(&self) -> Queries {
+        self.queries
+    }
+
+    /// Values that are allowed but doubtful.
+    #[must_use]
+    pub fn warnings(&self) -> &[Problem] {
+        &self.warnings
+    }
+
+    /// The whole config as one file: defaults, platforms and paths resolved, each value with its
+    /// origin. Reading it gives the same config.
+    #[must_use]
+    pub fn to_toml(&self) -> &str {
+        &self.shown
+    }
+}
+
+/// Seconds to ns; every time in a config is positive and below 2^63 ns.
+fn ns(seconds: f64) -> u64 {
+    (seconds * 1e9).round() as u64
+}
+
+/// Converts checked keys to plain values. `None` for a missing one, which the checks exclude.
+struct Builder<'a>(&'a Values);
+
+impl Builder<'_> {
+    fn config(read: &FleetFile) -> Option<Config> {
+        let fleet = Builder(&read.values);
+        let platforms: Option<Vec<Platform>> = read
+            .platforms
+            .iter()
+            .map(|listed| Builder(&listed.values).platform(&fleet))
+            .collect();
+        let models: Option<Vec<ModelSource>> = read
+            .platforms
+            .iter()
+            .map(|listed| files::model(&listed.values))
+            .collect();
+        let checkpoint = fleet.checkpoint()?;
+        Some(Config {
+            fleet: fleet.0.text("fleet.name")?,
+            root: files::root(&fleet.0.text("domain.root")?),
+            prefix: fleet.0.text("domain.prefix")?,
+            settings: fleet.settings(platforms?)?,
+            platform_keys: read.platforms.iter().map(show::platform).collect(),
+            policy: fleet.policy()?,
+            tick_period_ns: ns(1.0 / fleet.0.number("tick.rate_hz")?),
+            models: models?,
+            buffer_frames: fleet.0.integer("intake.buffer_frames")?,
+            max_planners: fleet.0.integer("readers.max_planners")?,
+            checkpoint,
+            checkpoint_every_ns: ns(fleet.0.number("ledger.every_s")?),
+            scheduling: fleet.scheduling()?,
+            threads: fleet.threads()?,
+            queries: Queries {
+                answer: fleet.0.text("queries.answer")? == "on",
+                nice: fleet.0.integer("queries.nice")?,
+            },
+            shown: show::toml(read),
+            warnings: Vec::new(),
+        })
+    }
+
+    fn settings(&self, platforms: Vec<Platform>) -> Option<FleetSettings> {
+        let number = |path| self.single(path);
+        Some(FleetSettings {
+            capacity: self.0.integer("fleet.capacity")?,
+            intake: Intake {
+                max_samples_per_tick: self.0.integer("intake.max_samples_per_tick")?,
+                max_jump_ns: ns(self.0.number("intake.max_jump_s")?),
+                leave_after_ns: ns(self.0.number("intake.leave_after_s")?),
+                max_sources: self.0.integer("intake.max_sources")?,
+            },
+            interval: IntervalSettings {
+                coverage: number("interval.coverage")?,
+                rate: number("interval.rate")?,
+            },
+            alarms: AlarmSettings {
+                bias_weight: number("alarms.bias_weight")?,
+                cusum_slack: number("alarms.cusum_slack")?,
+                cusum_limit: number("alarms.cusum_limit")?,
+                noise_weight: number("alarms.noise_weight")?,
+                noise_limit: number("alarms.noise_limit")?,
+                mismatch_limit: number("alarms.mismatch_limit")?,
+                settle_samples: self.0.integer("alarms.settle_samples")?,
+                raise_samples: self.0.integer("alarms.raise_samples")?,
+                clear_samples: self.0.integer("alarms.clear_samples")?,
+                training_margin: number("alarms.training_margin")?,
+            },
+            platforms,
+        })
+    }
+
+    /// A number in single precision. A bound such as 0.99 is between two `f32`, of which the one
+    /// inside the range is taken.
+    fn single(&self, path: &str) -> Option<f32> {
+        let value = self.0.number(path)?;
+        let narrow = value as f32;
+        match keys::find(path)?.kind {
+            ValueKind::Number { max, .. } if f64::from(narrow) > max => Some(narrow.next_down()),
+            ValueKind::Number { min, .. } if f64::from(narrow) < min => Some(narrow.next_up()),
+            _ => Some(narrow),
+        }
+    }
+
+    fn policy(&self) -> Option<Policy> {
+        let deadline_ns = ns(self.0.number("tick.deadline_ms")? * 1e-3);
+        match self.0.text("tick.policy")?.as_str() {
+            "timer" => Some(Policy::Timer),
+            _ => Some(Policy::OnFrame { deadline_ns }),
+        }
+    }
+
+    fn scheduling(&self) -> Option<Scheduling> {
+        Some(Scheduling {
+            cpus: cpus::parse(&self.0.text("worker.cpus")?)?,
+            priority: self.0.integer("worker.priority")?,
+            lock_memory: self.0.text("worker.memory")? == "locked",
+            required: self.0.text("worker.if_refused")? == "stop",
+        })
+    }
+
+    fn threads(&self) -> Option<Threads> {
+        let asked: usize = self.0.integer("worker.threads")?;
+        let from = self.0.integer("worker.threads_from")?;
+        let capacity: usize = self.0.integer("fleet.capacity")?;
+        let cpus = cpus::parse(&self.0.text("worker.cpus")?)?.len();
+        let count = match (asked, cpus) {
+            // No threads without work.
+            _ if capacity < from => 1,
+            (0, 0) => Threads::processors().min(Threads::MAX_UNASKED),
+            (0, cpus) => cpus,
+            (asked, _) => asked,
+        };
+        Some(Threads { count, from })
+    }
+
+    fn checkpoint(&self) -> Option<Checkpoint> {
+        Some(match self.0.text("ledger.checkpoint")?.as_str() {
+            "" => Checkpoint::Off,
+            "auto" => Checkpoint::Auto,
+            _ => Checkpoint::File(files::resolve(self.0, "ledger.checkpoint")?),
+        })
+    }
+
+    fn platform(&self, fleet: &Self) -> Option<Platform> {
+        let number = |path| self.single(path);
+        let time_ns = |path| Some(ns(self.0.number(path)?));
+        let battery = if self.0.names_any("platform.battery.") {
+            Some(self.battery()?)
+        } else {
+            None
+        };
+        let alarms = if self.0.names_any("platform.alarms.") {
+            Some(self.limits(fleet)?)
+        } else {
+            None
+        };
+        Some(Platform {
+            name: self.0.text("platform.name")?,
+            robots: self.0.robots(),
+            period_ns: ns(1.0 / self.0.number("platform.rate_hz")?),
+            stale_after_ns: time_ns("platform.stale_after_s")?,
+            hold_max_ns: time_ns("platform.hold_max_s")?,
+            stuck_after_ns: time_ns("platform.stuck_after_s")?,
+            power_min_w: number("platform.power_min_w")?,
+            power_max_w: number("platform.power_max_w")?,
+            v_max_mps: number("platform.v_max_mps")?,
+            omega_max_radps: number("platform.omega_max_radps")?,
+            power_resolution_w: number("platform.power_resolution_w")?,
+            battery,
+            alarms,
+            online: self.0.text("platform.forecast")? == "online",
+            energy_online: self.0.text("platform.energy")? == "online",
+        })
+    }
+
+    /// The platform's limits; of those that it does not set, the fleet's.
+    fn limits(&self, fleet: &Self) -> Option<AlarmLimits> {
+        let limit = |name: &str| {
+            let own = self.single(&format!("platform.alarms.{name}"));
+            own.or_else(|| fleet.single(&format!("alarms.{name}")))
+        };
+        Some(AlarmLimits {
+            cusum_limit: limit("cusum_limit")?,
+            noise_limit: limit("noise_limit")?,
+            mismatch_limit: limit("mismatch_limit")?,
+        })
+    }
+
+    fn battery(&self) -> Option<Battery> {
+        let number = |name: &str| self.0.number(&format!("platform.battery.{name}"));
+        let known = |value: f64| (value > 0.0).then_some(value);
+        Some(Battery {
+            capacity_j: number("capacity_wh")? * 3600.0,
+            reserve: number("reserve")?,
+            initial_soc: number("initial_soc")?,
+            initial_soc_lo: number("initial_soc_lo")?,
+            counting_sd: number("counting_sd")?,
+            charge_reading: self.charge_reading()?,
+            charge_efficiency: number("charge_efficiency")?,
+            charge_power_w: known(number("charge_power_w")?),
+            on_full_soc: number("on_full_soc")?,
+            sensor_sd: number("sensor_sd")?,
+            sensor_step: number("sensor_step")?,
+            open_circuit: self.open_circuit()?,
+            low: number("low")?,
+            critical: number("critical")?,
+            level_band: number("level_band")?,
+            return_j: known(number("return_wh")? * 3600.0),
+        })
+    }
+
+    fn charge_reading(&self) -> Option<ChargeReading> {
+        let word = self.0.text("platform.battery.charge_reading")?;
+        Some(match word.as_str() {
+            "battery" => ChargeReading::Battery,
+            "charger" => ChargeReading::Charger,
+            _ => ChargeReading::Load,
+        })
+    }
+
+    /// The table, or `Some(None)` if there is none.
+    #[allow(clippy::option_option, reason = "the outer one is that of every key")]
+    fn open_circuit(&self) -> Option<Option<OpenCircuit>> {
+        let resistance_ohm = self.0.number("platform.battery.resistance_ohm")?;
+        let sd = self.0.number("platform.battery.open_circuit_sd")?;
+        let text = self.0.text("platform.battery.open_circuit_v")?;
+        let volts = voltages(&text).unwrap_or_default();
+        Some(OpenCircuit::new(&volts, resistance_ohm, sd))
+    }
+}

@@ -1,0 +1,158 @@
+//! Files that a config refers to.
+
+use std::io;
+use std::path::{Component, Path, PathBuf};
+
+use crate::builtin;
+use crate::document::{FleetFile, Source};
+use crate::model_source::ModelSource;
+use crate::problem::Problem;
+use crate::values::Values;
+
+/// Maximum size of a config or a model: larger files were named by mistake.
+pub(crate) const MAX_BYTES: u64 = 4 << 20;
+
+/// The text of a config file.
+pub(crate) fn read(path: &Path) -> io::Result<String> {
+    joulebus_files::read_to_string(path, MAX_BYTES)
+}
+
+/// Whether `path` is below `folder`, and by its text alone: one with `..` is not.
+#[must_use]
+pub fn is_below(path: &Path, folder: &Path) -> bool {
+    path.starts_with(folder) && path.components().all(|part| part != Component::ParentDir)
+}
+
+/// Reads the file of each platform. Keys in the fleet's file override it. The files must be below
+/// `within`, if it is set.
+pub(crate) fn platforms(fleet: &mut FleetFile, within: Option<&Path>, problems: &mut Vec<Problem>) {
+    for listed in &mut fleet.platforms {
+        if !listed.values.names("platform.file") {
+            continue;
+        }
+        match platform(&listed.values, within, problems) {
+            Ok(Some(mut of_file)) => {
+                of_file.override_with(std::mem::take(&mut listed.values));
+                listed.values = of_file;
+            }
+            Ok(None) => listed.cut_short = true,
+            Err((what, remedy)) => {
+                listed.cut_short = true;
+                problems.push(complaint(&listed.values, "platform.file", what, remedy));
+            }
+        }
+    }
+    // Problems of a file that two platforms share are reported once.
+    let mut seen = Vec::new();
+    problems.retain(|problem| {
+        let new = !seen.contains(problem);
+        seen.push(problem.clone());
+        new
+    });
+}
+
+/// The values of the platform's file; `None` together with a problem.
+fn platform(
+    values: &Values,
+    within: Option<&Path>,
+    problems: &mut Vec<Problem>,
+) -> Result<Option<Values>, (String, String)> {
+    let Some(file) = values.text("platform.file") else {
+        return Ok(None);
+    };
+    if let Some(name) = file.strip_prefix("builtin:") {
+        let text = builtin::builtin_platform(name).ok_or_else(|| {
+            let known: Vec<&str> = builtin::builtin_platforms().collect();
+            let what = format!("is {file:?}, and there is no such built-in platform");
+            (what, format!("Built-in platforms: {}", known.join(", ")))
+        })?;
+        return Ok(Source::new(text, &file, None).platform(problems));
+    }
+    let path = resolve(values, "platform.file").unwrap_or_else(|| PathBuf::from(&file));
+    if within.is_some_and(|folder| !is_below(&path, folder)) {
+        let what = format!("is {file:?}, which is not attached");
+        return Err((what, "Give a config with --config".to_owned()));
+    }
+    let text = read(&path).map_err(|error| {
+        let what = format!("names {}, which cannot be read: {error}", path.display());
+        (
+            what,
+            "The path is relative to the file that names it".to_owned(),
+        )
+    })?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let source = Source::new(&text, &path.display().to_string(), Some(folder));
+    Ok(source.platform(problems))
+}
+
+/// The path of a key, relative to the directory of the file that sets it; `None` if empty.
+pub(crate) fn resolve(values: &Values, path: &str) -> Option<PathBuf> {
+    let text = values.text(path)?;
+    let directory = values.place(path).and_then(|place| place.directory.clone());
+    match directory {
+        Some(directory) if !text.is_empty() => Some(directory.join(text)),
+        _ => Some(PathBuf::from(text)),
+    }
+}
+
+/// The platform's model; `None` if the keys do not determine it.
+pub(crate) fn model(values: &Values) -> Option<ModelSource> {
+    let text = values.text("platform.model")?;
+    if text == "persistence" {
+        let residual_std_w = values.number("platform.residual_std_w")? as f32;
+        return Some(ModelSource::Persistence { residual_std_w });
+    }
+    if let Some(name) = text.strip_prefix("builtin:") {
+        let (name, bytes) = builtin::builtin_model(name)?;
+        return Some(ModelSource::Builtin(name, bytes));
+    }
+    Some(ModelSource::File(resolve(values, "platform.model")?))
+}
+
+/// Reports a model that does not exist.
+pub(crate) fn check_model(values: &Values, problems: &mut Vec<Problem>) {
+    let Some(text) = values.text("platform.model") else {
+        return;
+    };
+    let (what, remedy) = match (model(values), text.strip_prefix("builtin:")) {
+        (None, Some(_)) => {
+            let known: Vec<&str> = builtin::builtin_models().collect();
+            let what = format!("is {text:?}, and there is no such built-in model");
+            (what, format!("Built-in models: {}", known.join(", ")))
+        }
+        (Some(ModelSource::File(path)), _) => {
+            let Err(error) = joulebus_files::look(&path) else {
+                return;
+            };
+            let why = match error.kind() {
+                io::ErrorKind::NotFound => ", and there is no such file".to_owned(),
+                _ => format!(", which {error}"),
+            };
+            (
+                format!("names {}{why}", path.display()),
+                "Give \"persistence\", \"builtin:<name>\", or a path relative to this file"
+                    .to_owned(),
+            )
+        }
+        _ => return,
+    };
+    problems.push(complaint(values, "platform.model", what, remedy));
+}
+
+/// A problem of a key that a file sets.
+pub(crate) fn complaint(values: &Values, key: &str, what: String, remedy: String) -> Problem {
+    let place = values.place(key);
+    Problem {
+        file: place.map_or_else(String::new, |place| place.file.to_string()),
+        line: place.map(|place| place.line),
+        key: key.to_owned(),
+        what,
+        remedy,
+    }
+}
+
+/// The root directory, with the uid substituted.
+pub(crate) fn root(text: &str) -> PathBuf {
+    let uid = rustix::process::geteuid().as_raw();
+    PathBuf::from(text.replace("{uid}", &uid.to_string()))
+}

@@ -1,0 +1,222 @@
+//! Description of a key of a config file.
+
+use std::fmt::Write as _;
+
+use joulebus_settings::{OpenCircuit, bounds};
+use serde::Serialize;
+
+use crate::cpus;
+
+/// A key of a config file: its meaning and allowed values.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Key {
+    /// Its path, sections separated by dots. Keys of a platform file begin with `platform.`, which
+    /// is omitted in that file.
+    pub path: &'static str,
+    /// The file that it belongs to.
+    pub file: File,
+    /// Kind and range of its value.
+    pub kind: ValueKind,
+    /// Unit of the value. Empty if there is none.
+    pub unit: &'static str,
+    /// Its default.
+    pub default: DefaultValue,
+    /// Its effect, in a sentence.
+    pub doc: &'static str,
+}
+
+/// A kind of config file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum File {
+    /// The file of the fleet.
+    Fleet,
+    /// A platform's file. The fleet's file may set the key too, under `[[platform]]`, and then
+    /// overrides the platform's file.
+    Platform,
+}
+
+/// Kind and range of a value; bounds are included.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum ValueKind {
+    /// An integer.
+    Integer {
+        /// Minimum.
+        min: i64,
+        /// Maximum.
+        max: i64,
+    },
+    /// A number; the decimal point is optional.
+    Number {
+        /// Minimum.
+        min: f64,
+        /// Maximum.
+        max: f64,
+    },
+    /// One of a few words.
+    Choice(&'static [&'static str]),
+    /// Text.
+    Text(TextRule),
+    /// A list of robot ids (`7`) and ranges of them, both ends included (`"0-99"`).
+    Robots,
+}
+
+/// Format of a text.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum TextRule {
+    /// 1 to 32 letters, digits, `-` and `_`.
+    Name,
+    /// 1 to 8 lower-case letters, digits and `_`.
+    Prefix,
+    /// An absolute path of at most 60 bytes; `{uid}` is replaced by the uid.
+    Root,
+    /// `auto`, a path, relative to the file that contains it, or empty.
+    StateFile,
+    /// Rising voltages, separated by commas, or empty.
+    Voltages,
+    /// A platform file: a path, or `builtin:` and a name.
+    PlatformFile,
+    /// `persistence`, `builtin:` and a name, or the path of a model file.
+    Model,
+    /// CPUs and ranges of them, each once, or empty.
+    Cpus,
+}
+
+/// Default of a key.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum DefaultValue {
+    /// None: the key is required (battery keys: if any of them is set).
+    Required,
+    /// None: the key is optional.
+    Unset,
+    /// An integer.
+    Integer(i64),
+    /// A number.
+    Number(f64),
+    /// A text or a word.
+    Text(&'static str),
+}
+
+impl Key {
+    /// The key's name without its section.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        self.path.rsplit('.').next().unwrap_or(self.path)
+    }
+
+    /// The path as written in the key's own file: without `platform.` in a platform file.
+    #[must_use]
+    pub fn path_in_file(&self) -> &'static str {
+        match self.file {
+            File::Fleet => self.path,
+            File::Platform => self.path.strip_prefix("platform.").unwrap_or(self.path),
+        }
+    }
+
+    /// Allowed values, as text.
+    #[must_use]
+    pub fn range(&self) -> String {
+        match self.kind {
+            ValueKind::Integer { min, max } => format!("whole number, {min} to {max}"),
+            ValueKind::Number { min, max } => format!("{min} to {max}"),
+            ValueKind::Choice(words) => {
+                let quoted: Vec<String> = words.iter().map(|word| format!("{word:?}")).collect();
+                quoted.join(" or ")
+            }
+            ValueKind::Text(rule) => rule.words().to_owned(),
+            ValueKind::Robots => {
+                "list of ids 0 to 4294967295 and ranges of them, like [\"0-99\", 120]".to_owned()
+            }
+        }
+    }
+
+    /// The default, as text.
+    #[must_use]
+    pub fn default_words(&self) -> String {
+        match self.default {
+            DefaultValue::Required => "required".to_owned(),
+            DefaultValue::Unset => "default: not set".to_owned(),
+            DefaultValue::Integer(value) => format!("default {value}"),
+            DefaultValue::Number(value) => format!("default {value}"),
+            DefaultValue::Text(text) => format!("default {text:?}"),
+        }
+    }
+
+    /// Unit, range and default on one line, as in the comments of the shipped files.
+    #[must_use]
+    pub fn facts(&self) -> String {
+        let mut facts = String::new();
+        if !self.unit.is_empty() {
+            // Writing to a String cannot fail.
+            let _ = write!(facts, "{}; ", self.unit);
+        }
+        facts + &format!("{}; {}", self.range(), self.default_words())
+    }
+}
+
+/// The voltages that a text lists, if they are a table of open-circuit voltages.
+pub(crate) fn voltages(text: &str) -> Option<Vec<f64>> {
+    let volts: Option<Vec<f64>> = text
+        .split(',')
+        .map(|volts| volts.trim().parse().ok())
+        .collect();
+    let inside = |volts: &Vec<f64>| volts.iter().all(|it| bounds::OPEN_CIRCUIT_V.contains(it));
+    let volts = volts.filter(inside)?;
+    // Resistance and deviation are checked as keys of their own.
+    OpenCircuit::new(&volts, 0.0, 0.1).map(|_| volts)
+}
+
+impl TextRule {
+    /// The format as text.
+    #[must_use]
+    pub const fn words(self) -> &'static str {
+        match self {
+            Self::Name => "1 to 32 letters, digits, - and _",
+            Self::Prefix => "1 to 8 lower-case letters, digits and _",
+            Self::Root => "absolute path of at most 60 bytes; {uid} is replaced by the user id",
+            Self::StateFile => "\"auto\", a path relative to this file, or empty",
+            Self::Voltages => "2 to 21 rising voltages like \"3.0, 3.6, 4.2\", or empty",
+            Self::PlatformFile => "path, relative to this file, or \"builtin:<name>\"",
+            Self::Cpus => "CPUs like \"1\" or \"2-3,6\", each once, or empty",
+            Self::Model => "\"persistence\", \"builtin:<name>\", or a path relative to this file",
+        }
+    }
+
+    /// Whether `text` has this format.
+    #[must_use]
+    pub fn allows(self, text: &str) -> bool {
+        let made_of = |allowed: fn(char) -> bool, most: usize| {
+            !text.is_empty() && text.len() <= most && text.chars().all(allowed)
+        };
+        match self {
+            Self::Name => made_of(
+                |letter| letter.is_ascii_alphanumeric() || matches!(letter, '-' | '_'),
+                32,
+            ),
+            Self::Prefix => made_of(
+                |letter| letter.is_ascii_lowercase() || letter.is_ascii_digit() || letter == '_',
+                8,
+            ),
+            Self::Root => {
+                text.starts_with('/')
+                    && text.len() <= 60
+                    && !text.contains('\0')
+                    && !text.split('/').any(|part| part == "..")
+                    && text
+                        .replace("{uid}", "")
+                        .chars()
+                        .all(|letter| !matches!(letter, '{' | '}'))
+            }
+            Self::StateFile => !text.contains('\0'),
+            Self::Voltages => text.is_empty() || voltages(text).is_some(),
+            Self::Cpus => cpus::parse(text).is_some(),
+            Self::PlatformFile | Self::Model => !text.is_empty() && !text.contains('\0'),
+        }
+    }
+}

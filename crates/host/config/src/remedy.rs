@@ -1,0 +1,265 @@
+//! Suggestions: nearest keys, and numbers converted from other units.
+
+use crate::key::{File, Key, ValueKind};
+use crate::keys::KEYS;
+
+/// Units by quantity, with their size in the first unit of the group.
+const UNITS: &[(&str, &[(&str, f64)])] = &[
+    (
+        "time",
+        &[
+            ("s", 1.0),
+            ("ms", 1e-3),
+            ("us", 1e-6),
+            ("µs", 1e-6),
+            ("ns", 1e-9),
+            ("min", 60.0),
+            ("h", 3600.0),
+        ],
+    ),
+    ("rate", &[("hz", 1.0), ("khz", 1e3)]),
+    ("power", &[("w", 1.0), ("mw", 1e-3), ("kw", 1e3)]),
+    (
+        "energy",
+        &[
+            ("wh", 1.0),
+            ("mwh", 1e-3),
+            ("kwh", 1e3),
+            ("j", 1.0 / 3600.0),
+            ("kj", 1.0 / 3.6),
+        ],
+    ),
+    (
+        "speed",
+        &[
+            ("m/s", 1.0),
+            ("mps", 1.0),
+            ("mm/s", 1e-3),
+            ("cm/s", 1e-2),
+            ("km/h", 1.0 / 3.6),
+        ],
+    ),
+    (
+        "turn rate",
+        &[
+            ("rad/s", 1.0),
+            ("radps", 1.0),
+            ("deg/s", std::f64::consts::PI / 180.0),
+            ("degps", std::f64::consts::PI / 180.0),
+        ],
+    ),
+    ("share", &[("share", 1.0), ("%", 0.01), ("percent", 0.01)]),
+];
+
+/// The quantity of a unit, and its size.
+fn unit(name: &str) -> Option<(&'static str, f64)> {
+    let name = name.trim().to_lowercase();
+    UNITS.iter().find_map(|(what, units)| {
+        let (_, size) = units.iter().find(|(unit, _)| *unit == name)?;
+        Some((*what, *size))
+    })
+}
+
+/// `value` converted from unit `from` to unit `to`; times and rates are converted to each other's
+/// reciprocal.
+fn convert(value: f64, from: &str, to: &str) -> Option<f64> {
+    let (from_what, from_size) = unit(from)?;
+    let (to_what, to_size) = unit(to)?;
+    let plain = value * from_size;
+    let converted = match (from_what, to_what) {
+        (same, other) if same == other => plain / to_size,
+        ("time", "rate") | ("rate", "time") if plain != 0.0 => 1.0 / plain / to_size,
+        _ => return None,
+    };
+    // Rounded to nine digits, to hide rounding errors of the conversion.
+    converted
+        .is_finite()
+        .then(|| format!("{converted:.9e}").parse().ok())
+        .flatten()
+}
+
+fn within(key: &Key, value: f64) -> bool {
+    match key.kind {
+        ValueKind::Integer { min, max } => {
+            value.fract() == 0.0 && min as f64 <= value && value <= max as f64
+        }
+        ValueKind::Number { min, max } => min <= value && value <= max,
+        ValueKind::Choice(_) | ValueKind::Text(_) | ValueKind::Robots => false,
+    }
+}
+
+/// A text such as `33ms` in place of a number: the number to write instead.
+pub(crate) fn number_in_text(key: &Key, text: &str) -> Option<String> {
+    let text = text.trim();
+    let end = text
+        .find(|letter: char| !(letter.is_ascii_digit() || matches!(letter, '.' | '-' | '+')))
+        .unwrap_or(text.len());
+    let (number, suffix) = text.split_at(end);
+    let value: f64 = number.parse().ok()?;
+    let suffix = suffix.trim();
+    if suffix.is_empty() {
+        return within(key, value).then(|| format!("Write {value} without quotes"));
+    }
+    let converted = convert(value, suffix, key.unit)?;
+    if !within(key, converted) {
+        return None;
+    }
+    Some(format!(
+        "{text} is {converted} {unit}: write {converted}, without quotes; the unit is always {unit}",
+        unit = key.unit
+    ))
+}
+
+/// A number out of range that would be in range in another unit.
+pub(crate) fn other_unit(key: &Key, value: f64) -> Option<String> {
+    let candidates: &[&str] = match key.unit {
+        "s" => &["ms", "Hz", "us", "ns"],
+        "ms" => &["s", "us", "ns", "Hz"],
+        "Hz" => &["s", "ms"],
+        "W" => &["mW", "kW"],
+        "Wh" => &["mWh", "J"],
+        "m/s" => &["mm/s"],
+        "rad/s" => &["deg/s"],
+        "share" => &["%"],
+        _ => &[],
+    };
+    candidates.iter().find_map(|from| {
+        let converted =
+            convert(value, from, key.unit).filter(|converted| within(key, *converted))?;
+        Some(format!(
+            "If {value} was meant in {from}, write {converted}: the unit is {}",
+            key.unit
+        ))
+    })
+}
+
+/// Suffixes of key names that state a unit.
+const SUFFIXES: &[(&str, &str)] = &[
+    ("_s", "s"),
+    ("_ms", "ms"),
+    ("_us", "us"),
+    ("_ns", "ns"),
+    ("_hz", "Hz"),
+    ("_w", "W"),
+    ("_mw", "mW"),
+    ("_kw", "kW"),
+    ("_wh", "Wh"),
+    ("_kwh", "kWh"),
+    ("_j", "J"),
+    ("_mps", "m/s"),
+    ("_radps", "rad/s"),
+    ("_degps", "deg/s"),
+];
+
+fn split_unit(name: &str) -> (&str, Option<&'static str>) {
+    SUFFIXES
+        .iter()
+        .find_map(|(suffix, unit)| Some((name.strip_suffix(suffix)?, Some(*unit))))
+        .unwrap_or((name, None))
+}
+
+/// Maximum length of a path that is compared with keys, bytes, because the work grows with the
+/// length.
+const MAX_PATH_BYTES: usize = 100;
+
+/// The key of `file` nearest to `path`, if one is similar.
+pub(crate) fn nearest(file: Option<File>, path: &str) -> Option<&'static Key> {
+    if path.len() > MAX_PATH_BYTES {
+        return None;
+    }
+    let wanted = path.to_lowercase();
+    KEYS.iter()
+        .filter(|key| file.is_none_or(|file| key.file == file))
+        .map(|key| (likeness(key, &wanted), key))
+        .filter(|(likeness, _)| *likeness >= 0.5)
+        .max_by(|(one, _), (other, _)| one.total_cmp(other))
+        .map(|(_, key)| key)
+}
+
+/// Similarity of the key's path to another, about 0 to 1.
+fn likeness(key: &Key, wanted: &str) -> f64 {
+    let alike = strsim::normalized_damerau_levenshtein;
+    let (section, name) = wanted.rsplit_once('.').unwrap_or(("", wanted));
+    let key_section = key.path.rsplit_once('.').map_or("", |(section, _)| section);
+    let sorted = |name: &str| {
+        let mut words: Vec<&str> = name.split('_').collect();
+        words.sort_unstable();
+        words.join("_")
+    };
+    let whole = alike(key.path, wanted);
+    // The right name with reordered words or another unit counts as very similar.
+    let best = alike(key.name(), name)
+        .max(0.95 * alike(&sorted(key.name()), &sorted(name)))
+        .max(0.95 * alike(split_unit(key.name()).0, split_unit(name).0))
+        .max(0.9 * whole);
+    // The section, then the whole path, decide between similar names.
+    let same_section = if section == key_section { 0.05 } else { 0.0 };
+    best + same_section + 0.01 * whole
+}
+
+/// Keys and words of earlier versions, with their replacements.
+const REPLACED: &[(&str, &str)] = &[
+    (
+        "platform.adapt",
+        "Remove it: `platform.forecast` = \"online\", the default, learns an offset and a gain per robot",
+    ),
+    (
+        "platform.forecast = mixture",
+        "\"online\", the default, replaces it",
+    ),
+];
+
+/// The replacement of a key.
+fn replaced_key(path: &str) -> Option<&'static str> {
+    let (_, by) = REPLACED.iter().find(|(old, _)| *old == path)?;
+    Some(by)
+}
+
+/// The replacement of a word that a key once allowed.
+pub(crate) fn replaced_word(key: &Key, word: &str) -> Option<&'static str> {
+    replaced_key(&format!("{} = {word}", key.path))
+}
+
+/// The remedy for an unknown key.
+pub(crate) fn unknown_key(file: Option<File>, path: &str, value: Option<f64>) -> String {
+    if let Some(by) = replaced_key(path) {
+        return by.to_owned();
+    }
+    // A period is called a rate here, and converted.
+    let path = &path.replace("period", "rate");
+    let Some(key) = nearest(file, path) else {
+        return "There is no similar key: remove it, or see `config explain`".to_owned();
+    };
+    let mut advice = format!("The nearest key is `{}`", key.path);
+    let name = path.rsplit('.').next().unwrap_or(path);
+    let (stem, given) = split_unit(name);
+    let (key_stem, _) = split_unit(key.name());
+    if let (Some(given), Some(value), true) = (given, value, stem == key_stem)
+        && let Some(converted) = convert(value, given, key.unit)
+    {
+        advice += &format!(
+            ", in {}: {value} {given} is {converted} {}",
+            key.unit, key.unit
+        );
+    } else if name == key.name() {
+        advice += ": move it there";
+    }
+    advice + &format!(" ({})", key.facts())
+}
+
+/// The remedy for an unknown section.
+pub(crate) fn unknown_section(file: Option<File>, path: &str) -> String {
+    let sections = KEYS
+        .iter()
+        .filter(|key| file.is_none_or(|file| key.file == file))
+        .filter_map(|key| Some(key.path.rsplit_once('.')?.0));
+    let alike = |section: &&str| strsim::normalized_damerau_levenshtein(section, path);
+    let nearest = sections
+        .filter(|_| path.len() <= MAX_PATH_BYTES)
+        .max_by(|one, other| alike(one).total_cmp(&alike(other)))
+        .filter(|section| alike(section) >= 0.5);
+    match nearest {
+        Some(section) => format!("The nearest section is `{section}`"),
+        None => unknown_key(file, path, None),
+    }
+}

@@ -1,0 +1,106 @@
+//! The effective config as a file.
+
+use std::fmt::Write as _;
+
+use crate::document::{FleetFile, Listed};
+use crate::files;
+use crate::key::{File, Key};
+use crate::keys::KEYS;
+use crate::model_source::ModelSource;
+use crate::template::Assignment;
+use crate::values::{Place, Value, Values};
+
+/// Every key with its value and origin, as a valid config file.
+pub(crate) fn toml(read: &FleetFile) -> String {
+    let mut text =
+        "# The effective config: every key, with where its value comes from.\n".to_owned();
+    let mut section = "";
+    for key in KEYS.iter().filter(|key| !key.path.starts_with("platform.")) {
+        let of_key = section_of(key);
+        if of_key != section {
+            section = of_key;
+            // Writing to a String cannot fail, here and below.
+            let _ = writeln!(text, "\n[{section}]");
+        }
+        line(&mut text, &read.values, key);
+    }
+    for values in read.platforms.iter().map(|listed| &listed.values) {
+        text += "\n[[platform]]\n";
+        let mut section = "platform.";
+        for key in keys_of(values).filter(|key| key.path != "platform.file") {
+            let of_key = key.path.trim_end_matches(key.name());
+            if of_key != section {
+                section = of_key;
+                let _ = writeln!(text, "\n[{}]", section.trim_end_matches('.'));
+            }
+            line(&mut text, values, key);
+        }
+    }
+    text
+}
+
+/// The keys of a platform, without those of sections that it does not have.
+fn keys_of(values: &Values) -> impl Iterator<Item = &'static Key> {
+    let given = |section: &str| values.names_any(section);
+    let (battery, alarms) = (given("platform.battery."), given("platform.alarms."));
+    KEYS.iter().filter(move |key| match key.path {
+        path if path.starts_with("platform.battery.") => battery,
+        path if path.starts_with("platform.alarms.") => alarms,
+        path => path.starts_with("platform."),
+    })
+}
+
+/// The keys that a platform sets, each value with its origin, as in a platform's file.
+pub(crate) fn platform(listed: &Listed) -> Vec<Assignment> {
+    let values = &listed.values;
+    let set = keys_of(values).filter(|key| key.file == File::Platform);
+    set.filter_map(|key| {
+        let place = values.place(key.path)?;
+        Some(Assignment {
+            key: key.path_in_file(),
+            value: resolved(values, key)?.to_string(),
+            note: format!("From {place}."),
+        })
+    })
+    .collect()
+}
+
+fn section_of(key: &Key) -> &'static str {
+    key.path.split('.').next().unwrap_or(key.path)
+}
+
+fn line(text: &mut String, values: &Values, key: &Key) {
+    let place = values
+        .place(key.path)
+        .map_or_else(|| "default".to_owned(), Place::to_string)
+        // A control character in a file's name would end the comment.
+        .replace(char::is_control, "?");
+    let _ = match resolved(values, key) {
+        Some(value) => writeln!(text, "{} = {value} # {place}", key.name()),
+        None => writeln!(text, "# {} is not set", key.name()),
+    };
+}
+
+/// The value with paths made independent of the file that contains them.
+fn resolved(values: &Values, key: &Key) -> Option<Value> {
+    let path = match key.path {
+        "domain.root" => files::root(&values.text(key.path)?),
+        "ledger.checkpoint" => match values.text(key.path)?.as_str() {
+            "auto" => return values.get(key.path),
+            _ => files::resolve(values, key.path)?,
+        },
+        "platform.model" => match files::model(values)? {
+            ModelSource::File(path) => path,
+            ModelSource::Builtin(..) | ModelSource::Persistence { .. } => {
+                return values.get(key.path);
+            }
+        },
+        _ => return values.get(key.path),
+    };
+    if path.as_os_str().is_empty() {
+        return values.get(key.path);
+    }
+    // Without a current directory the path is left unchanged.
+    let path = std::path::absolute(&path).unwrap_or(path);
+    Some(Value::Text(path.to_string_lossy().into_owned()))
+}

@@ -1,0 +1,148 @@
+//! Opens files given by the user.
+//!
+//! Opening a pipe blocks, reading a device never ends, and opening some devices has side effects.
+//! Therefore only regular files are opened, also through symbolic links, and whole files are read
+//! into memory only up to a limit set by the reader. [`create`] and [`replace`] write files that a
+//! user names. [`disk`] writes files that must survive a crash.
+#![forbid(unsafe_code)]
+
+pub mod disk;
+mod whole;
+
+use std::fs::{File, Metadata, OpenOptions};
+use std::io::{self, Read as _};
+use std::os::unix::fs::{FileTypeExt as _, OpenOptionsExt as _, PermissionsExt as _};
+use std::path::Path;
+
+use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
+
+pub use whole::{check_kind, create, replace};
+
+/// Reason that a file is refused, as the cause of an [`io::Error`].
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Refused {
+    /// It is not a regular file.
+    #[error("is {found}; allowed are regular files")]
+    Kind {
+        /// Its kind.
+        found: &'static str,
+    },
+    /// It would replace a file that no program of joulebus has written.
+    #[error(
+        "begins with {found:?}, which is not what would be written there, and is not overwritten; move it away, or name \
+         another file"
+    )]
+    Foreign {
+        /// Its first bytes.
+        found: String,
+    },
+    /// It is longer than the limit.
+    #[error("has {found} bytes; allowed are {allowed}")]
+    TooLong {
+        /// Length of the file, at least, bytes.
+        found: u64,
+        /// Limit, bytes.
+        allowed: u64,
+    },
+    /// Others may read a secret.
+    #[error("has mode {mode:04o}: others may read it; chmod 600 makes it its owner's alone")]
+    Readable {
+        /// Its permissions.
+        mode: u32,
+    },
+}
+
+impl From<Refused> for io::Error {
+    fn from(refused: Refused) -> Self {
+        let kind = match refused {
+            Refused::Kind { .. } => io::ErrorKind::InvalidInput,
+            Refused::Foreign { .. } => io::ErrorKind::AlreadyExists,
+            Refused::TooLong { .. } => io::ErrorKind::FileTooLarge,
+            Refused::Readable { .. } => io::ErrorKind::PermissionDenied,
+        };
+        Self::new(kind, refused)
+    }
+}
+
+/// Metadata of a regular file.
+///
+/// # Errors
+/// The error of the system, or [`Refused::Kind`].
+pub fn look(path: &Path) -> io::Result<Metadata> {
+    regular(std::fs::metadata(path)?)
+}
+
+/// Opens a regular file for reading; does not block on a pipe.
+///
+/// # Errors
+/// The error of the system, or [`Refused::Kind`].
+pub fn open(path: &Path) -> io::Result<File> {
+    // Before opening, because of devices; and again after, because the path may refer to another
+    // file by then.
+    look(path)?;
+    let flags = OFlags::NONBLOCK | OFlags::NOCTTY;
+    let file = OpenOptions::new()
+        .read(true)
+        .custom_flags(flags.bits().cast_signed())
+        .open(path)?;
+    regular(file.metadata()?)?;
+    fcntl_setfl(&file, fcntl_getfl(&file)? - OFlags::NONBLOCK)?;
+    Ok(file)
+}
+
+/// All bytes of a regular file of at most `most_bytes`.
+///
+/// # Errors
+/// As of [`open`]; [`Refused::TooLong`].
+pub fn read(path: &Path, most_bytes: u64) -> io::Result<Vec<u8>> {
+    let file = open(path)?;
+    let allowed = |found: u64| match found > most_bytes {
+        true => Err(Refused::TooLong {
+            found,
+            allowed: most_bytes,
+        }),
+        false => Ok(()),
+    };
+    allowed(file.metadata()?.len())?;
+    let mut bytes = Vec::new();
+    // The file may grow, or the system may not know its length.
+    file.take(most_bytes.saturating_add(1))
+        .read_to_end(&mut bytes)?;
+    allowed(bytes.len() as u64)?;
+    Ok(bytes)
+}
+
+/// The text of a regular file of at most `most_bytes`.
+///
+/// # Errors
+/// As of [`read`]; the text is not UTF-8.
+pub fn read_to_string(path: &Path, most_bytes: u64) -> io::Result<String> {
+    String::from_utf8(read(path, most_bytes)?)
+        .map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error.utf8_error()))
+}
+
+/// Same as [`read_to_string`], for a file that only its owner can read.
+///
+/// # Errors
+/// Those of [`read_to_string`], and [`Refused::Readable`].
+pub fn read_secret(path: &Path, most_bytes: u64) -> io::Result<String> {
+    let mode = look(path)?.permissions().mode() & 0o777;
+    if mode & 0o077 != 0 {
+        return Err(Refused::Readable { mode }.into());
+    }
+    read_to_string(path, most_bytes)
+}
+
+fn regular(about: Metadata) -> io::Result<Metadata> {
+    let kind = about.file_type();
+    let found = match () {
+        () if kind.is_file() => return Ok(about),
+        () if kind.is_dir() => "a directory",
+        () if kind.is_fifo() => "a named pipe",
+        () if kind.is_socket() => "a socket",
+        () if kind.is_char_device() || kind.is_block_device() => "a device",
+        () => "no regular file",
+    };
+    Err(Refused::Kind { found }.into())
+}

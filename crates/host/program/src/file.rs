@@ -1,0 +1,16 @@
+//! Files that a program writes.
+
+use std::io::Write as _;
+use std::path::Path;
+
+use anyhow::Context as _;
+
+/// Writes a file as a whole, in place of the one that may be there. Pipes and devices are not
+/// replaced.
+///
+/// # Errors
+/// As of [`joulebus_files::replace`].
+pub fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    joulebus_files::replace(path, |mut file| file.write_all(bytes))
+        .with_context(|| format!("cannot write {}", path.display()))
+}

@@ -1,0 +1,197 @@
+//! Output to stdout and stderr. Neither panics when the reader has closed it.
+
+use std::borrow::Cow;
+use std::fmt::{Display, Write as _};
+use std::io::{self, Write as _};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::Context as _;
+use serde::Serialize;
+
+/// The reader has closed stdout, so the program can stop.
+#[derive(Debug, thiserror::Error)]
+#[error("stdout was closed")]
+pub struct StdoutClosed;
+
+/// Output format.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// Text
+    Text,
+    /// JSON; unknown numbers are null
+    Json,
+}
+
+/// Value of `--format`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum OutputFormat {
+    /// Text
+    Text,
+    /// JSON; unknown numbers are null
+    Json,
+    /// JSON, one object per line (`cat`)
+    Ndjson,
+    /// A CSV table (`cat`)
+    Csv,
+}
+
+/// Writes results to stdout.
+#[derive(Debug, Clone, Copy)]
+pub struct Output {
+    asked: OutputFormat,
+}
+
+impl Output {
+    /// With the requested format.
+    #[must_use]
+    pub const fn new(asked: OutputFormat) -> Self {
+        Self { asked }
+    }
+
+    /// The requested format, for verbs with more than two formats.
+    #[must_use]
+    pub const fn asked(self) -> OutputFormat {
+        self.asked
+    }
+
+    /// Text or JSON.
+    #[must_use]
+    pub const fn format(self) -> Format {
+        match self.asked {
+            OutputFormat::Text => Format::Text,
+            OutputFormat::Json | OutputFormat::Ndjson | OutputFormat::Csv => Format::Json,
+        }
+    }
+
+    /// Writes a report: as text or as indented JSON.
+    ///
+    /// # Errors
+    /// [`StdoutClosed`], or the operating system's error.
+    pub fn report<R: Serialize + Display>(self, report: &R) -> anyhow::Result<()> {
+        match self.format() {
+            Format::Text => text(&report.to_string()),
+            Format::Json => {
+                let json = serde_json::to_string_pretty(report).context("cannot write as JSON")?;
+                text(&json)
+            }
+        }
+    }
+
+    /// Writes a line of a stream of reports: as text or as JSON in one line.
+    ///
+    /// # Errors
+    /// [`StdoutClosed`], or the operating system's error.
+    pub fn line<R: Serialize + Display>(self, report: &R) -> anyhow::Result<()> {
+        match self.format() {
+            Format::Text => text(&report.to_string()),
+            Format::Json => text(&serde_json::to_string(report).context("cannot write as JSON")?),
+        }
+    }
+}
+
+/// Writes text to stdout, followed by a newline.
+///
+/// # Errors
+/// [`StdoutClosed`], or the operating system's error.
+pub fn text(text: &str) -> anyhow::Result<()> {
+    let text = printable(text);
+    let mut stdout = io::stdout().lock();
+    let line_break = if text.ends_with('\n') { "" } else { "\n" };
+    let written = write!(stdout, "{text}{line_break}").and_then(|()| stdout.flush());
+    match written {
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Err(StdoutClosed.into()),
+        written => written.context("cannot write to stdout"),
+    }
+}
+
+/// Target of a program's messages in a log whose lines are objects.
+pub(crate) const SAID: &str = "joulebus::program";
+/// Whether messages go to the log, whose lines are objects.
+static TO_LOG: AtomicBool = AtomicBool::new(false);
+
+/// Lets [`say`] write to the log from now on.
+pub(crate) fn say_in_log() {
+    TO_LOG.store(true, Ordering::Relaxed);
+}
+
+/// Writes a line to stderr, or to the log if its lines are objects; errors are ignored, because it
+/// is not a result.
+pub fn say(line: &str) {
+    let line = printable(line);
+    if TO_LOG.load(Ordering::Relaxed) {
+        tracing::info!(target: SAID, "{line}");
+    } else {
+        let _ = writeln!(io::stderr(), "{line}");
+    }
+}
+
+/// The text with control characters escaped, except tabs and line breaks, and with Unicode's
+/// directional ones escaped: a terminal would execute or reorder them. The form `\u001b` is valid
+/// in JSON and TOML. Names of files, topics and schemas may contain any character, so joulebus
+/// prints everything through this function.
+#[must_use]
+pub fn printable(text: &str) -> Cow<'_, str> {
+    if !text.contains(is_unprintable) {
+        return Cow::Borrowed(text);
+    }
+    let mut shown = String::with_capacity(text.len() + 16);
+    for letter in text.chars() {
+        if is_unprintable(letter) {
+            // Writing to a String cannot fail.
+            let _ = write!(shown, "\\u{:04x}", u32::from(letter));
+        } else {
+            shown.push(letter);
+        }
+    }
+    Cow::Owned(shown)
+}
+
+fn is_unprintable(letter: char) -> bool {
+    match letter {
+        '\t' | '\n' => false,
+        '\u{200e}' | '\u{200f}' | '\u{061c}' => true,
+        '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' => true,
+        letter => letter.is_control(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn control_characters_are_escaped() {
+        for (text, shown) in [
+            (
+                "plain: größe, 3 µs, €\n\tnext",
+                "plain: größe, 3 µs, €\n\tnext",
+            ),
+            ("\u{1b}[2Jred\r", "\\u001b[2Jred\\u000d"),
+            (
+                "bell\u{7} null\0 delete\u{7f}",
+                "bell\\u0007 null\\u0000 delete\\u007f",
+            ),
+            // A single character that some terminals interpret as ESC [.
+            ("\u{9b}31m", "\\u009b31m"),
+            ("a\u{202e}lmth.exe", "a\\u202elmth.exe"),
+        ] {
+            assert_eq!(printable(text), shown);
+            // Escaping is idempotent: a supervisor repeats the output of its children.
+            assert_eq!(printable(&printable(text)), shown);
+        }
+    }
+
+    #[test]
+    fn json_stays_the_same_json() {
+        let names = [
+            "\u{1b}]0;x\u{7}",
+            "\u{9b}31m",
+            "a\u{202e}b",
+            "line\nbreak",
+            "\\u001b",
+        ];
+        let json = serde_json::to_string_pretty(&names).unwrap();
+        let read: Vec<String> = serde_json::from_str(&printable(&json)).unwrap();
+        assert_eq!(read, names);
+    }
+}

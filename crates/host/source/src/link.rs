@@ -1,0 +1,129 @@
+//! Connection to a worker: publishing, and detecting a reader.
+
+use joulebus_bus::{Domain, WorkerLock, clock};
+use joulebus_config::Config;
+use joulebus_program::output::say;
+use joulebus_program::stop::Stop;
+use joulebus_publisher::{PublishError, Publisher};
+use joulebus_wire::Sample;
+
+use crate::report::PublishReport;
+
+/// Interval of checks for a worker, ns.
+const POLL_INTERVAL_NS: u64 = 100_000_000;
+
+/// A source of the fleet.
+#[derive(Debug)]
+pub struct Link {
+    publisher: Publisher,
+    domain: Domain,
+}
+
+/// Result of sending a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fate {
+    /// A worker can read it.
+    Sent,
+    /// There was no reader.
+    Unheard,
+    /// It could not be sent.
+    Failed,
+}
+
+impl Link {
+    /// Opens the source `name` of the config's fleet.
+    ///
+    /// # Errors
+    /// The fleet cannot be joined.
+    pub fn open(config: &Config, name: &str) -> anyhow::Result<Self> {
+        Ok(Self {
+            publisher: Publisher::with_config(config, name)?,
+            domain: config.domain()?,
+        })
+    }
+
+    /// The fleet's domain.
+    #[must_use]
+    pub const fn domain(&self) -> &Domain {
+        &self.domain
+    }
+
+    /// Maximum number of samples per frame.
+    #[must_use]
+    pub const fn capacity(&self) -> usize {
+        self.publisher.capacity()
+    }
+
+    /// When this run of the source began, monotonic ns.
+    #[must_use]
+    pub const fn epoch(&self) -> u64 {
+        self.publisher.source_epoch()
+    }
+
+    /// Sends a frame and counts it. A frame that the bus refuses does not end the program, like a
+    /// controller.
+    ///
+    /// # Errors
+    /// The frame is invalid.
+    pub fn send(
+        &mut self,
+        intended_ns: u64,
+        frame: &[Sample],
+        report: &mut PublishReport,
+    ) -> Result<Fate, PublishError> {
+        match self.publisher.publish_samples(intended_ns, frame) {
+            Ok(sent) => {
+                report.frames_sent += 1;
+                report.samples_sent += frame.len() as u64;
+                if sent.readers > 0 {
+                    return Ok(Fate::Sent);
+                }
+                report.frames_unheard += 1;
+                Ok(Fate::Unheard)
+            }
+            Err(PublishError::Send(error)) if !error.is_final() => {
+                report.frames_failed += 1;
+                tracing::warn!(%error, "a frame was not sent");
+                Ok(Fate::Failed)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Whether a worker runs and reads, checked by a frame without samples.
+    ///
+    /// # Errors
+    /// The lock or the service cannot be used.
+    pub fn has_worker(&mut self) -> anyhow::Result<bool> {
+        if WorkerLock::owner(&self.domain)?.is_none() {
+            return Ok(false);
+        }
+        match self.publisher.publish_samples(clock::monotonic_ns(), &[]) {
+            Ok(sent) => Ok(sent.readers > 0),
+            Err(PublishError::Send(error)) if !error.is_final() => Ok(false),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Waits for a worker. Returns `false` at a signal.
+    ///
+    /// # Errors
+    /// Same as [`Link::has_worker`].
+    pub fn wait_for_worker(&mut self, stop: &Stop) -> anyhow::Result<bool> {
+        if self.has_worker()? {
+            return Ok(true);
+        }
+        say("no worker runs; waiting for one (`joulebus run` starts it)");
+        while !self.has_worker()? {
+            if !stop.sleep_until(clock::monotonic_ns() + POLL_INTERVAL_NS) {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+}
+
+/// Warns that frames have no reader.
+pub fn warn_without_worker() {
+    say("no worker runs: samples sent before one starts are lost (`joulebus run` starts it)");
+}

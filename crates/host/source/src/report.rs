@@ -1,0 +1,119 @@
+//! The report of a source.
+
+use std::fmt;
+
+use serde::Serialize;
+
+/// Maximum number of notes shown as text.
+const MAX_NOTES: usize = 5;
+
+/// Report of a source.
+#[derive(Debug, Default, Serialize)]
+pub struct PublishReport {
+    /// Name of the fleet.
+    pub fleet: String,
+    /// Name of the source.
+    pub source: String,
+    /// Robots of the source.
+    pub robots: usize,
+    /// Time from the first frame to the end, s.
+    pub duration_s: f64,
+    /// Frames sent.
+    pub frames_sent: u64,
+    /// Samples sent: the sum of those that the worker accepts and drops.
+    pub samples_sent: u64,
+    /// Frames sent while no worker was connected.
+    pub frames_unheard: u64,
+    /// Frames that could not be sent.
+    pub frames_failed: u64,
+    /// Frames that a worker did not answer.
+    pub frames_unanswered: u64,
+    /// Grid times skipped because the source stalled.
+    pub ticks_skipped: u64,
+    /// Time by which the playback was delayed, s.
+    pub held_up_s: f64,
+    /// Recorded time over playback time; `None` for a simulation.
+    pub speed: Option<f64>,
+    /// The recordings.
+    pub trials: Vec<PlayedTrial>,
+}
+
+/// One recording.
+#[derive(Debug, Serialize)]
+pub struct PlayedTrial {
+    /// Id of its robot.
+    pub robot: u32,
+    /// The file.
+    pub file: String,
+    /// Its samples sent.
+    pub samples: u64,
+    /// Notes on it.
+    pub notes: String,
+    /// Whether there are no notes on faults.
+    pub clean: bool,
+}
+
+impl PublishReport {
+    /// Whether samples did not reach a worker that should have.
+    #[must_use]
+    pub const fn has_lost(&self) -> bool {
+        self.frames_failed > 0 || self.frames_unanswered > 0
+    }
+}
+
+impl fmt::Display for PublishReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            fleet,
+            source,
+            robots,
+            duration_s,
+            frames_sent,
+            samples_sent,
+            ..
+        } = self;
+        writeln!(
+            out,
+            "{source} to fleet {fleet}: {samples_sent} samples of {robots} robots in {frames_sent} \
+             frames, {duration_s:.1} s"
+        )?;
+        for (count, what) in [
+            (
+                self.frames_unheard,
+                "frames sent while no worker was connected",
+            ),
+            (self.frames_failed, "frames could not be sent"),
+            (
+                self.frames_unanswered,
+                "frames were not answered by the worker",
+            ),
+            (self.ticks_skipped, "ticks skipped: the source was stalled"),
+        ] {
+            if count > 0 {
+                writeln!(out, "{count} {what}")?;
+            }
+        }
+        if let Some(speed) = self.speed {
+            writeln!(out, "played at {speed:.2} times the recorded speed")?;
+        }
+        if self.held_up_s > 0.0 {
+            writeln!(out, "delayed by {:.1} s", self.held_up_s)?;
+        }
+        let questionable = self.trials.iter().filter(|trial| !trial.clean);
+        let more = questionable.clone().count().saturating_sub(MAX_NOTES);
+        for trial in questionable.take(MAX_NOTES) {
+            writeln!(
+                out,
+                "robot {}: {}: {}",
+                trial.robot, trial.file, trial.notes
+            )?;
+        }
+        if more > 0 {
+            writeln!(
+                out,
+                "{more} more recordings have gaps or other oddities: see --format json"
+            )?;
+        }
+        Ok(())
+    }
+}

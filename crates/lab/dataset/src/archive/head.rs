@@ -1,0 +1,41 @@
+//! The metadata of an archive's file, beside the values of its trial.
+
+use serde::{Deserialize, Serialize};
+
+/// The metadata of a trial in its file, beside the rows.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Head {
+    /// Name of the recording: the file that was exported.
+    pub recording: String,
+    /// Number of the recording in its archive, from 0.
+    pub ordinal: u32,
+    /// Number of the trial in its recording, from 0.
+    pub trial: u32,
+    /// Name of the robot, if the recording has one.
+    pub robot: Option<String>,
+    /// Name of the fleet; captures only.
+    pub fleet: Option<String>,
+    /// Names of the recording's columns that the trial has, maybe without a value.
+    pub columns: Vec<String>,
+    /// Columns of the recording that are not in the archive.
+    pub ignored_columns: Vec<String>,
+    /// The recording, a CSV, does not end with a newline.
+    pub no_final_line_break: bool,
+    /// Rows without a robot's name, while others have one.
+    pub unnamed_rows: usize,
+}
+
+/// Exact integers of a row of a capture.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RowStamp {
+    /// When the sample with the row's reading was recorded, Unix ns.
+    pub unix_ns: u64,
+    /// Time of the row, monotonic ns.
+    pub stamp_ns: u64,
+    /// When the row's power was measured, monotonic ns; 0 if that is unknown.
+    pub measured_ns: u64,
+    /// Number of the sample with the row's reading, within the epoch of its source.
+    pub seq: u64,
+    /// Flags of that sample ([`joulebus_wire::sample_flag`]).
+    pub flags: u32,
+}

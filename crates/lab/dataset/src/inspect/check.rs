@@ -1,0 +1,391 @@
+//! Faults of recordings, counted, with their first occurrences.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::path::{Path, PathBuf};
+
+use rayon::iter::{IntoParallelRefIterator as _, ParallelIterator as _};
+use serde::Serialize;
+use sha2::{Digest as _, Sha256};
+
+use super::constant::only_value;
+use super::finding::{Finding, FindingKind, Place};
+use super::hold::runs;
+use super::limits::Limits;
+use super::units::{power_check, suspicions};
+use crate::trial::{Column, ColumnMap, Trial};
+
+/// Result of checking a set of files.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Check {
+    /// Files checked.
+    pub files: usize,
+    /// Trials in them: one per robot and file.
+    pub trials: usize,
+    /// Distinct robot names.
+    pub robots: usize,
+    /// Rows of the trials.
+    pub rows: usize,
+    /// Number of faults.
+    pub faults: usize,
+    /// All findings, faults first, one per kind.
+    pub findings: Vec<Finding>,
+}
+
+impl Check {
+    /// Whether there is no fault.
+    #[must_use]
+    pub const fn is_sound(&self) -> bool {
+        self.faults == 0
+    }
+
+    /// The finding of a kind, if there is one.
+    #[must_use]
+    pub fn finding(&self, kind: FindingKind) -> Option<&Finding> {
+        self.findings.iter().find(|finding| finding.kind == kind)
+    }
+}
+
+/// Checks files in parallel. A file that cannot be read is a finding, not an error. Of each kind,
+/// `places` occurrences are kept, in the order of the files and rows. The result is the same for
+/// any number of threads.
+#[must_use]
+pub fn check_files(files: &[PathBuf], map: &ColumnMap, limits: &Limits, places: usize) -> Check {
+    let looked: Vec<Looked> = files
+        .par_iter()
+        .map(|file| look(file, map, limits, places))
+        .collect();
+    let mut all = Findings::new(places);
+    let mut first_with = HashMap::new();
+    for (file, looked) in files.iter().zip(&looked) {
+        for finding in &looked.findings {
+            all.merge(finding);
+        }
+        for digest in &looked.digests {
+            if let Some(first) = first_with.insert(*digest, file) {
+                let what = format!("the rows of {}", first.display());
+                all.merge(&single(FindingKind::Copy, file, what));
+                first_with.insert(*digest, first);
+            }
+        }
+    }
+    let names = looked.iter().flat_map(|looked| &looked.robots);
+    let findings = all.finish();
+    Check {
+        files: files.len(),
+        trials: looked.iter().map(|looked| looked.digests.len()).sum(),
+        robots: names.collect::<BTreeSet<_>>().len(),
+        rows: looked.iter().map(|looked| looked.rows).sum(),
+        faults: findings
+            .iter()
+            .filter(|finding| finding.fault)
+            .map(|finding| finding.count)
+            .sum(),
+        findings,
+    }
+}
+
+/// Result for one file.
+#[derive(Default)]
+struct Looked {
+    findings: Vec<Finding>,
+    digests: Vec<[u8; 32]>,
+    robots: Vec<String>,
+    rows: usize,
+}
+
+fn look(file: &Path, map: &ColumnMap, limits: &Limits, places: usize) -> Looked {
+    match Trial::read_mapped(file, map) {
+        Err(error) => {
+            let text = error.to_string();
+            let prefix = format!("{}: ", file.display());
+            let what = text.strip_prefix(&prefix).unwrap_or(&text).to_owned();
+            Looked {
+                findings: vec![single(FindingKind::Unreadable, file, what)],
+                ..Looked::default()
+            }
+        }
+        Ok(trials) => Looked {
+            findings: check_robots(&trials, limits, places),
+            digests: trials.iter().map(digest).collect(),
+            robots: trials
+                .iter()
+                .filter_map(|trial| trial.robot_name().map(str::to_owned))
+                .collect(),
+            rows: trials.iter().map(Trial::rows).sum(),
+        },
+    }
+}
+
+/// The trials of one file.
+fn check_robots(trials: &[Trial], limits: &Limits, places: usize) -> Vec<Finding> {
+    let mut all = Findings::new(places);
+    for finding in trials
+        .iter()
+        .flat_map(|trial| check_trial(trial, limits, places))
+    {
+        all.merge(&finding);
+    }
+    in_one_file(all.finish())
+}
+
+fn in_one_file(mut findings: Vec<Finding>) -> Vec<Finding> {
+    for finding in &mut findings {
+        finding.files = 1;
+    }
+    findings
+}
+
+fn single(kind: FindingKind, file: &Path, what: String) -> Finding {
+    let mut finding = Finding::new(kind);
+    (finding.count, finding.files) = (1, 1);
+    finding.places = vec![Place {
+        file: file.to_owned(),
+        row: None,
+        column: None,
+        what,
+    }];
+    finding
+}
+
+/// Digest of times and values. Two recordings of the same run have the same digest, whatever the
+/// names of their robots.
+fn digest(trial: &Trial) -> [u8; 32] {
+    let mut digest = Sha256::new();
+    for offset_ns in trial.offset_ns() {
+        digest.update(offset_ns.to_le_bytes());
+    }
+    for column in Column::ALL {
+        digest.update([u8::from(trial.column(column).is_some())]);
+        for value in trial.column(column).unwrap_or_default() {
+            digest.update(value.to_le_bytes());
+        }
+    }
+    digest.finalize().into()
+}
+
+/// Findings by kind, with their first places.
+struct Findings {
+    places: usize,
+    kinds: BTreeMap<FindingKind, Finding>,
+}
+
+impl Findings {
+    const fn new(places: usize) -> Self {
+        Self {
+            places,
+            kinds: BTreeMap::new(),
+        }
+    }
+
+    fn add(&mut self, kind: FindingKind, count: usize, place: impl FnOnce() -> Place) {
+        if count == 0 {
+            return;
+        }
+        let finding = self.kinds.entry(kind).or_insert(Finding::new(kind));
+        finding.count += count;
+        if finding.places.len() < self.places {
+            finding.places.push(place());
+        }
+    }
+
+    /// Adds a finding of other files and their number.
+    fn merge(&mut self, other: &Finding) {
+        let finding = self
+            .kinds
+            .entry(other.kind)
+            .or_insert(Finding::new(other.kind));
+        finding.count += other.count;
+        finding.files += other.files;
+        let room = self.places.saturating_sub(finding.places.len());
+        finding
+            .places
+            .extend(other.places.iter().take(room).cloned());
+    }
+
+    /// Faults first, each in the order of [`FindingKind`].
+    fn finish(self) -> Vec<Finding> {
+        let (faults, others): (Vec<_>, Vec<_>) =
+            self.kinds.into_values().partition(|finding| finding.fault);
+        faults.into_iter().chain(others).collect()
+    }
+}
+
+/// Checks one trial. Of each kind, the first `places` occurrences are kept.
+#[must_use]
+pub fn check_trial(trial: &Trial, limits: &Limits, places: usize) -> Vec<Finding> {
+    let mut found = Findings::new(places);
+    check_times(trial, &mut found);
+    check_readings(trial, limits, &mut found);
+    check_columns(trial, limits, &mut found);
+    check_power(trial, limits, &mut found);
+    for (column, what) in suspicions(trial) {
+        found.add(FindingKind::Unit, 1, || whole(trial, column, what));
+    }
+    check_file(trial, &mut found);
+    in_one_file(found.finish())
+}
+
+fn at(trial: &Trial, row: usize, column: Option<Column>, what: String) -> Place {
+    Place {
+        file: trial.path().to_owned(),
+        row: Some(trial.file_row(row)),
+        column: column.map(|column| column.name().to_owned()),
+        what,
+    }
+}
+
+fn whole(trial: &Trial, column: Option<Column>, what: String) -> Place {
+    Place {
+        row: None,
+        ..at(trial, 0, column, what)
+    }
+}
+
+fn check_times(trial: &Trial, found: &mut Findings) {
+    let offset_ns = trial.offset_ns();
+    let mut latest = 0;
+    for (row, now_ns) in offset_ns.iter().enumerate().skip(1) {
+        let step_ns = now_ns - offset_ns[latest];
+        let (now_s, latest_row) = (trial.timestamp_s()[row], trial.file_row(latest));
+        match step_ns {
+            0 => found.add(FindingKind::TimeRepeated, 1, || {
+                at(trial, row, None, format!("{now_s} s, as row {latest_row}"))
+            }),
+            ..0 => found.add(FindingKind::TimeBackward, 1, || {
+                let back_s = -step_ns as f64 / 1e9;
+                let what = format!("{now_s} s, {back_s:.6} s before row {latest_row}");
+                at(trial, row, None, what)
+            }),
+            1.. => latest = row,
+        }
+    }
+    let row_of = |file_row: usize| {
+        // `file_row` increases; the notes refer to rows of the file.
+        (0..trial.rows()).find(|row| trial.file_row(*row) == file_row)
+    };
+    for gap in &trial.notes().gaps {
+        found.add(FindingKind::Gap, 1, || {
+            let length_s = gap.length_ns as f64 / 1e9;
+            let periods = gap.length_ns as f64 / trial.period_ns() as f64;
+            let what = format!("{length_s:.3} s without a row, {periods:.1} periods");
+            at(trial, row_of(gap.row).unwrap_or_default(), None, what)
+        });
+    }
+}
+
+fn check_readings(trial: &Trial, limits: &Limits, found: &mut Findings) {
+    let runs = runs(trial);
+    let mut lengths: Vec<f64> = runs.iter().map(|run| run.rows as f64).collect();
+    let usual = super::units::median(&mut lengths).unwrap_or(1.0) as usize;
+    let time_s = trial.timestamp_s();
+    for run in &runs {
+        if run.rows > 1 {
+            found.add(FindingKind::Held, run.rows - 1, || {
+                at(trial, run.from, None, format!("for {} rows", run.rows))
+            });
+        }
+        let held_s = time_s[run.from + run.rows - 1] - time_s[run.from];
+        if held_s > limits.stuck_s && run.rows > limits.stuck_holds * usual {
+            found.add(FindingKind::Stuck, 1, || {
+                let what = format!("for {held_s:.1} s, {} rows; usually {usual}", run.rows);
+                at(trial, run.from, Some(Column::Power), what)
+            });
+        }
+    }
+    let power_w = trial.column(Column::Power);
+    let missing = |row: &usize| power_w.is_none_or(|values| values[*row].is_nan());
+    for row in (0..trial.rows()).filter(missing) {
+        found.add(FindingKind::MissingReading, 1, || {
+            at(trial, row, Some(Column::Power), "not recorded".to_owned())
+        });
+    }
+}
+
+fn check_columns(trial: &Trial, limits: &Limits, found: &mut Findings) {
+    for column in Column::ALL {
+        let Some(values) = trial.column(column) else {
+            found.add(FindingKind::MissingColumn, 1, || {
+                whole(trial, Some(column), "no value in any row".to_owned())
+            });
+            continue;
+        };
+        let range = limits.range(column);
+        for (row, value) in values.iter().enumerate() {
+            if value.is_nan() {
+                // Missing power has its own kind, and no capture has the command of its first
+                // reading.
+                let is_first = row == 0 && matches!(column, Column::V | Column::Omega);
+                let counts = usize::from(column != Column::Power && !is_first);
+                found.add(FindingKind::MissingValue, counts, || {
+                    at(trial, row, Some(column), "not recorded".to_owned())
+                });
+            } else if let Some(range) = range.filter(|range| !range.holds(*value)) {
+                found.add(FindingKind::OutOfRange, 1, || {
+                    let what = format!(
+                        "{value} in SI units; allowed: {} to {}",
+                        range.least, range.greatest
+                    );
+                    at(trial, row, Some(column), what)
+                });
+            }
+        }
+        if let Some(value) = only_value(trial, column) {
+            found.add(FindingKind::ConstantColumn, 1, || {
+                whole(trial, Some(column), format!("always {value} in SI units"))
+            });
+        }
+    }
+}
+
+/// Signs are a convention, so only magnitudes are compared. If the units are wrong, every row
+/// differs; that is reported once, by the unit check.
+fn check_power(trial: &Trial, limits: &Limits, found: &mut Findings) {
+    let columns = [Column::Power, Column::Voltage, Column::Current].map(|c| trial.column(c));
+    let [Some(power_w), Some(voltage_v), Some(current_a)] = columns else {
+        return;
+    };
+    let off = power_check(trial).map_or(0.0, |check| check.median_ratio.log10().abs());
+    if off > 1.5 {
+        return;
+    }
+    for row in 0..trial.rows() {
+        let (power_w, product_w) = (power_w[row], voltage_v[row] * current_a[row]);
+        let away_w = (power_w.abs() - product_w.abs()).abs();
+        let allowed_w = limits
+            .power_step_w
+            .max(limits.power_share * product_w.abs());
+        if away_w > allowed_w {
+            found.add(FindingKind::PowerMismatch, 1, || {
+                let what = format!("{power_w:.4} W; voltage times current is {product_w:.4} W");
+                at(trial, row, Some(Column::Power), what)
+            });
+        }
+    }
+}
+
+fn check_file(trial: &Trial, found: &mut Findings) {
+    let notes = trial.notes();
+    let name = |name: &String| Place {
+        column: Some(name.clone()),
+        ..whole(trial, None, "not read".to_owned())
+    };
+    for column in &notes.ignored_columns {
+        found.add(FindingKind::UnknownColumn, 1, || name(column));
+    }
+    found.add(
+        FindingKind::CutOff,
+        usize::from(notes.no_final_line_break),
+        || {
+            let last = trial.rows() - 1;
+            at(trial, last, None, "the last line has no newline".to_owned())
+        },
+    );
+    found.add(FindingKind::UnnamedRow, notes.unnamed_rows, || {
+        let robot = trial.robot_name().unwrap_or_default();
+        let what = format!(
+            "{} rows; the others name robot {robot:?}",
+            notes.unnamed_rows
+        );
+        whole(trial, None, what)
+    });
+}

@@ -1,0 +1,188 @@
+//! Expands files, directories and patterns into a list of recordings.
+
+use std::collections::HashSet;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use crate::archive::{is_archive, listings};
+use crate::trial::{Form, is_capture};
+
+/// Recordings found.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Found {
+    /// Recordings in the order of the arguments. Those of a directory are sorted by name.
+    pub files: Vec<PathBuf>,
+    /// Other files in the directories: not `.npy`, `.csv`, `.csv.gz` or a capture, ignored.
+    pub others: Vec<PathBuf>,
+    /// Files named more than once; each is used once.
+    pub repeated: Vec<PathBuf>,
+}
+
+impl Found {
+    /// Ignored and repeated files, as messages.
+    pub fn remarks(&self) -> impl Iterator<Item = String> {
+        let remark = |files: &[PathBuf], what: &str| {
+            let first = files.first()?.display().to_string();
+            Some(format!("{} {what}, the first {first}", files.len()))
+        };
+        let others = remark(&self.others, "other files in the directories are ignored");
+        let repeated = remark(
+            &self.repeated,
+            "files are named more than once; each is used once",
+        );
+        others.into_iter().chain(repeated)
+    }
+}
+
+/// Why recordings could not be found.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FindError {
+    /// The operating system reported an error.
+    #[error("{path}: {source}", path = path.display())]
+    Io {
+        /// The path.
+        path: PathBuf,
+        /// The operating system's error.
+        source: io::Error,
+    },
+    /// A directory without recordings.
+    #[error("{path} holds no recordings (.npy, .csv, .csv.gz, .mcap of joulebus, archives)", path = path.display())]
+    NoRecordings {
+        /// The directory.
+        path: PathBuf,
+    },
+    /// A pattern without a match.
+    #[error("nothing matches {pattern:?}; * and ? match within a name, ** matches directories")]
+    NoMatch {
+        /// The pattern.
+        pattern: String,
+    },
+    /// An invalid pattern.
+    #[error("the pattern {pattern:?} is invalid at character {at}: {reason}")]
+    Pattern {
+        /// The pattern.
+        pattern: String,
+        /// Position of the error, from 0.
+        at: usize,
+        /// The error.
+        reason: &'static str,
+    },
+}
+
+impl FindError {
+    /// Whether the arguments are at fault.
+    #[must_use]
+    pub const fn is_usage(&self) -> bool {
+        !matches!(self, Self::Io { .. })
+    }
+}
+
+/// Recordings named by the arguments: files, directories (searched recursively), and patterns
+/// (`runs/**/*.npy`). An archive yields its listings, in the order of the exported recordings. A
+/// file named explicitly is included whatever its extension.
+///
+/// # Errors
+/// [`FindError`]: a path does not exist or cannot be read, or a directory or pattern yields
+/// nothing.
+pub fn find<P: AsRef<Path>>(arguments: &[P]) -> Result<Found, FindError> {
+    let mut found = Found::default();
+    for argument in arguments {
+        let argument = argument.as_ref();
+        match argument.to_str() {
+            Some(pattern) if !argument.exists() && pattern.contains(['*', '?', '[']) => {
+                take_pattern(pattern, &mut found)?;
+            }
+            _ => take(argument, &mut found)?,
+        }
+    }
+    let mut seen = HashSet::new();
+    let (files, repeated) = found.files.into_iter().partition(|path| {
+        let real = path.canonicalize();
+        seen.insert(real.unwrap_or_else(|_| path.clone()))
+    });
+    found.files = files;
+    found.repeated = repeated;
+    Ok(found)
+}
+
+fn take(path: &Path, found: &mut Found) -> Result<(), FindError> {
+    let metadata = fs::metadata(path).map_err(|source| io_error(path, source))?;
+    if !metadata.is_dir() {
+        joulebus_files::look(path).map_err(|source| io_error(path, source))?;
+        found.files.push(path.to_owned());
+        return Ok(());
+    }
+    let before = found.files.len();
+    walk(path, found)?;
+    if found.files.len() == before {
+        return Err(FindError::NoRecordings {
+            path: path.to_owned(),
+        });
+    }
+    Ok(())
+}
+
+fn take_pattern(pattern: &str, found: &mut Found) -> Result<(), FindError> {
+    let matches = glob::glob(pattern).map_err(|error| FindError::Pattern {
+        pattern: pattern.to_owned(),
+        at: error.pos,
+        reason: error.msg,
+    })?;
+    let before = found.files.len();
+    for path in matches {
+        let path = path.map_err(|error| {
+            let at = error.path().to_owned();
+            io_error(&at, error.into())
+        })?;
+        take(&path, found)?;
+    }
+    if found.files.len() == before {
+        return Err(FindError::NoMatch {
+            pattern: pattern.to_owned(),
+        });
+    }
+    Ok(())
+}
+
+/// Whether a file of a directory is a recording. Its name decides (`.parquet` belongs to an
+/// archive's partitions), for an `.mcap` also its first record, because those of other programs
+/// have to be converted.
+#[must_use]
+pub fn is_recording(path: &Path) -> bool {
+    let is_parquet = || path.extension().is_some_and(|ending| ending == "parquet");
+    ((Form::of(path).is_some() || is_parquet()) && path.is_file()) || is_capture(path)
+}
+
+/// Symbolic links to directories are not followed, so the walk terminates.
+fn walk(directory: &Path, found: &mut Found) -> Result<(), FindError> {
+    let failed = |source| io_error(directory, source);
+    if is_archive(directory) {
+        found.files.extend(listings(directory).map_err(failed)?);
+        return Ok(());
+    }
+    let mut entries = Vec::new();
+    for entry in fs::read_dir(directory).map_err(failed)? {
+        entries.push(entry.map_err(failed)?.path());
+    }
+    entries.sort();
+    for path in entries {
+        let metadata = fs::symlink_metadata(&path).map_err(|source| io_error(&path, source))?;
+        if metadata.is_dir() {
+            walk(&path, found)?;
+        } else if is_recording(&path) {
+            found.files.push(path);
+        } else {
+            found.others.push(path);
+        }
+    }
+    Ok(())
+}
+
+fn io_error(path: &Path, source: io::Error) -> FindError {
+    FindError::Io {
+        path: path.to_owned(),
+        source,
+    }
+}

@@ -1,0 +1,186 @@
+//! Recorded trials: reading them, notes on their quality, and their samples.
+//!
+//! A trial is the recording of one robot in one run. Its file has the published layout as a NumPy
+//! array, or the same table as CSV with a header, plain or compressed by gzip. Or it is a capture
+//! of joulebus, with the samples of each robot. Units are converted here, once: everything inside
+//! is SI, and values that were not recorded are NaN or a missing column. A [`Table`] holds the same
+//! in the units of the file, for writing it again.
+
+mod capture;
+mod error;
+mod fleet;
+mod limits;
+mod names;
+mod note;
+mod npy;
+mod read;
+mod resample;
+mod sample;
+mod stored;
+mod table;
+mod text;
+mod write;
+
+use std::path::{Path, PathBuf};
+
+pub use capture::{CaptureRun, each_run, is_capture};
+pub use error::TrialError;
+pub use fleet::{Playback, TrialFleet, TrialFleetError};
+pub use limits::MAX_ROWS;
+pub use names::{ColumnMap, MapError, MappedColumn, Quantity, column_names};
+pub use note::{Gap, TrialNotes};
+pub use resample::{Method, Resample, ResampleError, Resampled};
+pub use stored::Stored;
+pub use table::{Column, Table};
+pub use write::{Form, Row, WriteError};
+
+pub(crate) use table::Cell;
+
+use table::Columns;
+
+/// One robot's recorded run: at least two rows, in file order, in SI units.
+#[derive(Debug, Clone)]
+pub struct Trial {
+    path: PathBuf,
+    robot_name: Option<String>,
+    file_row: Vec<u32>,
+    timestamp_s: Vec<f64>,
+    offset_ns: Vec<i64>,
+    period_ns: u64,
+    columns: Columns,
+    notes: TrialNotes,
+}
+
+impl Trial {
+    /// Reads a trial from a file.
+    ///
+    /// The format is detected from the first bytes: a NumPy array of shape (n, 11) with floats of 4
+    /// or 8 bytes in either byte order and either memory order; gzip with CSV in it; CSV. CSV
+    /// columns are found by name, in any order ([`column_names`]); time and power are required, or
+    /// voltage and current instead of power. `NaN` and an empty field mean "not recorded". A
+    /// capture (MCAP) gives the rows whose samples it holds.
+    ///
+    /// # Errors
+    /// [`TrialError`] names the file and, where there is one, row and column, with what was found
+    /// and what is allowed. A truncated file is an error; a CSV that only lacks its final newline
+    /// is read, and [`TrialNotes::no_final_line_break`] is set.
+    pub fn read(path: impl AsRef<Path>) -> Result<Self, TrialError> {
+        Table::read(path)?.into_trial()
+    }
+
+    /// The trial of a table whose values are already in SI units.
+    fn from_si(table: Table) -> Result<Self, TrialError> {
+        let Table {
+            path,
+            robot_name,
+            file_row,
+            timestamp_s,
+            mut columns,
+            ignored_columns,
+            no_final_line_break,
+            unnamed_rows,
+        } = table;
+        for column in &mut columns {
+            if column
+                .as_ref()
+                .is_some_and(|values| values.iter().all(|value| value.is_nan()))
+            {
+                *column = None;
+            }
+        }
+        let offset_ns = note::offsets_ns(&timestamp_s);
+        let Some(period_ns) = note::median_step_ns(&offset_ns) else {
+            return Err(TrialError::NoPeriod {
+                path,
+                rows: timestamp_s.len(),
+            });
+        };
+        let mut trial = Self {
+            path,
+            robot_name,
+            file_row,
+            timestamp_s,
+            offset_ns,
+            period_ns,
+            columns,
+            notes: TrialNotes::default(),
+        };
+        trial.notes = TrialNotes {
+            ignored_columns,
+            no_final_line_break,
+            unnamed_rows,
+            ..note::take(&trial.offset_ns, period_ns, &trial.columns, |row| {
+                trial.file_row(row)
+            })
+        };
+        Ok(trial)
+    }
+
+    /// The file that the trial was read from.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The robot's name as recorded, if any: text in a CSV, a number in an array.
+    #[must_use]
+    pub fn robot_name(&self) -> Option<&str> {
+        self.robot_name.as_deref()
+    }
+
+    /// The file's row (from 1, without a CSV's header) of row `row` (from 0). It differs from
+    /// `row + 1` if several robots share a file.
+    #[must_use]
+    pub fn file_row(&self, row: usize) -> usize {
+        self.file_row.get(row).map_or(row + 1, |row| *row as usize)
+    }
+
+    /// Rows; at least two.
+    #[must_use]
+    pub fn rows(&self) -> usize {
+        self.timestamp_s.len()
+    }
+
+    /// Time of each row as recorded, s; finite, not always increasing (see [`TrialNotes`]).
+    #[must_use]
+    pub fn timestamp_s(&self) -> &[f64] {
+        &self.timestamp_s
+    }
+
+    /// Time of each row after the first one, rounded to whole ns.
+    #[must_use]
+    pub fn offset_ns(&self) -> &[i64] {
+        &self.offset_ns
+    }
+
+    /// One value per row in the SI unit of the [`Column`], NaN if it was not recorded. `None` if
+    /// the column is missing or all NaN.
+    #[must_use]
+    pub fn column(&self, column: Column) -> Option<&[f64]> {
+        self.columns[column as usize].as_deref()
+    }
+
+    /// Whether the reading of `row` (from 0) equals the previous row's: power, voltage and current,
+    /// to the bit.
+    #[must_use]
+    pub fn is_held(&self, row: usize) -> bool {
+        table::is_held(&self.columns, row)
+    }
+
+    /// Median step between rows whose time advances, ns; at least 1.
+    #[must_use]
+    pub fn period_ns(&self) -> u64 {
+        self.period_ns
+    }
+
+    /// Quality notes on the trial.
+    #[must_use]
+    pub fn notes(&self) -> &TrialNotes {
+        &self.notes
+    }
+
+    /// The value at `row`, if it was recorded.
+    fn value(&self, column: Column, row: usize) -> Option<f64> {
+        table::value(&self.columns, column, row)
+    }
+}

@@ -1,0 +1,359 @@
+//! Rows of the samples in a capture: the inverse of
+//! [`Trial::to_samples`](super::Trial::to_samples).
+//!
+//! A sample has the reading of one row and the command and time of the next, so row *k* gets its
+//! time and command from sample *k* − 1 and its reading from sample *k*. The command of the first
+//! row is not in the capture.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, BufWriter, Read as _, Write as _};
+use std::os::unix::fs::FileExt as _;
+use std::path::Path;
+use std::sync::Arc;
+
+use joulebus_capture_format::{Frame, ReadError, Reader};
+use joulebus_wire::{Sample, Samples, sample_flag};
+
+use super::limits::MCAP_MAGIC;
+use super::table::{Cell, Column, Table};
+use super::{MAX_ROWS, TrialError};
+use crate::archive::RowStamp;
+
+/// Bytes within which the first record of a capture names its writer.
+const HEAD_BYTES: u64 = 64;
+
+/// Whether a file is named `.mcap` and written by joulebus, by its first record.
+#[must_use]
+pub fn is_capture(path: &Path) -> bool {
+    if path.extension().is_none_or(|extension| extension != "mcap") {
+        return false;
+    }
+    let mut head = Vec::new();
+    let read =
+        joulebus_files::open(path).and_then(|file| file.take(HEAD_BYTES).read_to_end(&mut head));
+    let name = b"joulebus";
+    read.is_ok() && head.starts_with(MCAP_MAGIC) && head.windows(name.len()).any(|at| at == name)
+}
+
+/// One run of a robot's source: samples whose time advances, without a discontinuity.
+#[derive(Debug)]
+pub struct CaptureRun {
+    /// Name of the fleet.
+    pub fleet: String,
+    /// The rows of the run. The robot's name is its id, after the fleet's name if the capture has
+    /// several.
+    pub table: Table,
+    /// Exact integers of each row.
+    pub stamps: Vec<RowStamp>,
+}
+
+/// A table for each robot and run, in SI units converted to those of files.
+pub(super) fn read(path: &Path) -> Result<Vec<Table>, TrialError> {
+    let mut tables = Vec::new();
+    each_run(path, |run| {
+        tables.push(run.table);
+        Ok::<_, TrialError>(())
+    })?;
+    Ok(tables)
+}
+
+/// Calls `take` with each run of a capture: by fleet, robot and time. Only one run and a fixed
+/// number of samples are in memory at a time. The others wait in a temporary file.
+///
+/// # Errors
+/// [`TrialError`], and those of `take`.
+pub fn each_run<E: From<TrialError>>(
+    path: &Path,
+    mut take: impl FnMut(CaptureRun) -> Result<(), E>,
+) -> Result<(), E> {
+    let refused = |detail: String| TrialError::Capture {
+        path: path.to_owned(),
+        detail,
+    };
+    let mut store = collect(path)?;
+    let several_fleets = {
+        let mut fleets: Vec<&str> = store.robots.keys().map(|robot| robot.0.as_ref()).collect();
+        fleets.dedup();
+        fleets.len() > 1
+    };
+    let mut found = 0;
+    for ((fleet, robot), runs) in std::mem::take(&mut store.robots) {
+        let name = match several_fleets {
+            true => format!("{fleet}/{robot}"),
+            false => robot.to_string(),
+        };
+        for run in runs {
+            let samples = store
+                .samples(run)
+                .map_err(|error| refused(spilled(&error)))?;
+            if samples.len() < 2 {
+                continue;
+            }
+            found += 1;
+            let (table, stamps) = table(path, &name, &samples)?;
+            let fleet = fleet.to_string();
+            take(CaptureRun {
+                fleet,
+                table,
+                stamps,
+            })?;
+        }
+    }
+    match found {
+        0 => Err(refused("no robot has two samples in a row".to_owned()).into()),
+        _ => Ok(()),
+    }
+}
+
+/// Sorts the samples of a capture by run.
+fn collect(path: &Path) -> Result<Store, TrialError> {
+    let refused = |detail: String| TrialError::Capture {
+        path: path.to_owned(),
+        detail,
+    };
+    let failed = |error: ReadError| refused(error.to_string());
+    let mut reader = Reader::open(path).map_err(failed)?;
+    let mut store = Store::default();
+    let mut frames = 0_u64;
+    // The run of a source that each robot's last sample came from.
+    let mut sources: BTreeMap<Robot, (u64, u64)> = BTreeMap::new();
+    while let Some(entry) = reader.next_entry().map_err(failed)? {
+        let Ok(Frame { header, rows }) = entry.message.into_frame::<Samples>() else {
+            continue;
+        };
+        frames += 1;
+        for sample in rows {
+            let robot = (Arc::clone(&entry.fleet), sample.robot);
+            let source = (header.source_id, header.source_epoch);
+            let is_same = sources.insert(robot.clone(), source) == Some(source);
+            let goes_on = is_same && !sample.has(sample_flag::DISCONTINUITY);
+            let kept = Recorded {
+                sample,
+                unix_ns: entry.log_time_ns,
+            };
+            let run = store.run(robot, goes_on);
+            // Ingest refuses a time that does not advance.
+            if store.runs[run].rows > 0 && sample.stamp_ns <= store.runs[run].stamp_ns {
+                continue;
+            }
+            store
+                .push(run, kept)
+                .map_err(|error| refused(spilled(&error)))?;
+            if store.runs[run].rows > MAX_ROWS {
+                let path = path.to_owned();
+                return Err(TrialError::TooManyRows { path });
+            }
+        }
+    }
+    if frames == 0 {
+        let detail = "no samples of joulebus in this MCAP file; a capture of another host's planners has none: record \
+                      beside the worker; convert recordings of other programs: joulebus import";
+        return Err(refused(detail.to_owned()));
+    }
+    Ok(store)
+}
+
+fn spilled(error: &io::Error) -> String {
+    let folder = std::env::temp_dir();
+    let folder = folder.display();
+    format!(
+        "cannot keep samples in a temporary file in {folder}: {error}; TMPDIR names another folder"
+    )
+}
+
+/// A robot: its fleet and id.
+type Robot = (Arc<str>, u32);
+
+/// A sample, and when it was recorded.
+#[derive(Clone, Copy)]
+struct Recorded {
+    sample: Sample,
+    unix_ns: u64,
+}
+
+/// Bytes of a [`Recorded`] in the temporary file.
+const RECORDED_BYTES: usize = size_of::<Sample>() + size_of::<u64>();
+/// Samples in memory before they go to the temporary file: 75 MB.
+const MAX_PENDING: usize = 1 << 20;
+
+/// Samples sorted by run: some in memory, others in a temporary file that has no name.
+#[derive(Default)]
+struct Store {
+    /// Runs of each robot, as places in `runs`.
+    robots: BTreeMap<Robot, Vec<usize>>,
+    runs: Vec<Run>,
+    pending: usize,
+    file: Option<File>,
+    written_bytes: u64,
+}
+
+/// One run.
+#[derive(Default)]
+struct Run {
+    /// Positions of samples in the temporary file, and their numbers.
+    blocks: Vec<(u64, usize)>,
+    pending: Vec<Recorded>,
+    rows: usize,
+    /// Stamp of the last sample.
+    stamp_ns: u64,
+}
+
+impl Store {
+    /// The robot's last run, or a new one.
+    fn run(&mut self, robot: Robot, goes_on: bool) -> usize {
+        let own = self.robots.entry(robot).or_default();
+        if let Some(last) = own.last().filter(|_| goes_on) {
+            return *last;
+        }
+        own.push(self.runs.len());
+        self.runs.push(Run::default());
+        self.runs.len() - 1
+    }
+
+    fn push(&mut self, run: usize, recorded: Recorded) -> io::Result<()> {
+        let run = &mut self.runs[run];
+        run.rows += 1;
+        run.stamp_ns = recorded.sample.stamp_ns;
+        run.pending.push(recorded);
+        self.pending += 1;
+        match self.pending >= MAX_PENDING {
+            true => self.spill(),
+            false => Ok(()),
+        }
+    }
+
+    /// Writes all samples in memory to the file, grouped by run.
+    fn spill(&mut self) -> io::Result<()> {
+        let mut file = match self.file.take() {
+            Some(file) => file,
+            None => tempfile::tempfile()?,
+        };
+        let mut out = BufWriter::new(&mut file);
+        for run in &mut self.runs {
+            if run.pending.is_empty() {
+                continue;
+            }
+            run.blocks.push((self.written_bytes, run.pending.len()));
+            for Recorded { sample, unix_ns } in std::mem::take(&mut run.pending) {
+                out.write_all(bytemuck::bytes_of(&sample))?;
+                out.write_all(&unix_ns.to_ne_bytes())?;
+                self.written_bytes += RECORDED_BYTES as u64;
+            }
+        }
+        out.flush()?;
+        drop(out);
+        self.file = Some(file);
+        self.pending = 0;
+        Ok(())
+    }
+
+    /// The samples of a run, which is then empty.
+    fn samples(&mut self, run: usize) -> io::Result<Vec<Recorded>> {
+        let Run {
+            blocks,
+            mut pending,
+            rows,
+            ..
+        } = std::mem::take(&mut self.runs[run]);
+        let mut samples = Vec::with_capacity(rows);
+        for (place, count) in blocks {
+            let mut bytes = vec![0; count * RECORDED_BYTES];
+            if let Some(file) = &self.file {
+                file.read_exact_at(&mut bytes, place)?;
+            }
+            samples.extend(bytes.chunks_exact(RECORDED_BYTES).map(|bytes| {
+                let (sample, unix_ns) = bytes.split_at(size_of::<Sample>());
+                Recorded {
+                    sample: bytemuck::pod_read_unaligned(sample),
+                    unix_ns: bytemuck::pod_read_unaligned(unix_ns),
+                }
+            }));
+        }
+        samples.append(&mut pending);
+        Ok(samples)
+    }
+}
+
+/// The rows of one run; there are at least two samples.
+fn table(
+    path: &Path,
+    name: &str,
+    samples: &[Recorded],
+) -> Result<(Table, Vec<RowStamp>), TrialError> {
+    let mut table = Table {
+        path: path.to_owned(),
+        robot_name: Some(name.to_owned()),
+        ..Table::default()
+    };
+    let start_ns = start_ns(samples);
+    let mut command: Option<&Sample> = None;
+    let mut stamp_ns = start_ns;
+    let mut stamps = Vec::with_capacity(samples.len());
+    for (Recorded { sample, unix_ns }, row) in samples.iter().zip(1..) {
+        let cell = Cell { path, row };
+        table.push_time(cell, stamp_ns.saturating_sub(start_ns) as f64 * 1e-9)?;
+        let known = |flag, value: f32, from: Option<&Sample>| match from {
+            Some(from) if from.has(flag) => f64::from(value),
+            _ => f64::NAN,
+        };
+        let own = Some(sample);
+        let v_mps = command.map_or(f32::NAN, |command| command.v_mps);
+        let omega_radps = command.map_or(f32::NAN, |command| command.omega_radps);
+        for (column, value) in [
+            (Column::V, known(sample_flag::V, v_mps, command)),
+            (
+                Column::Omega,
+                known(sample_flag::OMEGA, omega_radps, command),
+            ),
+            (
+                Column::Voltage,
+                known(sample_flag::VOLTAGE, sample.voltage_v, own),
+            ),
+            (
+                Column::Current,
+                known(sample_flag::CURRENT, sample.current_a, own),
+            ),
+            (
+                Column::Power,
+                known(sample_flag::POWER, sample.power_w, own),
+            ),
+            (Column::Soc, known(sample_flag::SOC, sample.soc, own)),
+        ] {
+            table.push(cell, column, column.recorded(value))?;
+        }
+        stamps.push(RowStamp {
+            unix_ns: *unix_ns,
+            stamp_ns,
+            measured_ns: sample.measured_ns,
+            seq: sample.seq,
+            flags: sample.flags,
+        });
+        command = Some(sample);
+        stamp_ns = sample.stamp_ns;
+    }
+    Ok((table, stamps))
+}
+
+/// Time of the first row: when its reading was measured, if that is within the step before the
+/// first sample, else a median step before it.
+fn start_ns(samples: &[Recorded]) -> u64 {
+    let mut steps: Vec<u64> = samples
+        .windows(2)
+        .map(|pair| {
+            let [before, after] = [pair[0].sample.stamp_ns, pair[1].sample.stamp_ns];
+            after.saturating_sub(before)
+        })
+        .collect();
+    steps.sort_unstable();
+    let median_ns = steps.get(steps.len() / 2).copied().unwrap_or(1);
+    let Some(Recorded { sample: first, .. }) = samples.first() else {
+        return 0;
+    };
+    let is_new = first.has(sample_flag::POWER) && !first.has(sample_flag::HELD);
+    let measured_ns = first.measured_ns;
+    match is_new && measured_ns > 0 && measured_ns < first.stamp_ns {
+        true => measured_ns,
+        false => first.stamp_ns.saturating_sub(median_ns),
+    }
+}

@@ -1,0 +1,287 @@
+//! Errors of reading a trial.
+
+use std::io;
+use std::path::PathBuf;
+
+use super::limits::{
+    FREE_TEXT_BYTES, MAX_EXPANSION, MAX_ROBOTS, MAX_ROW_BYTES, MAX_ROWS, MAX_TEXT_BYTES,
+};
+
+/// Why a trial could not be read. Rows count from 1, the header of a CSV not included.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum TrialError {
+    /// The operating system could not open or read the file.
+    #[error("{path}: {source}", path = path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The operating system's error.
+        source: io::Error,
+    },
+    /// The file is empty.
+    #[error("{path}: empty; expected a .npy array or a CSV with a header", path = path.display())]
+    Empty {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file has another format.
+    #[error(
+        "{path}: found {found}; expected a .npy array of shape (n, 11), a CSV, plain or .gz, a capture \
+         (.mcap), or an archive of `joulebus export`",
+        path = path.display()
+    )]
+    Kind {
+        /// The file.
+        path: PathBuf,
+        /// The format it seems to have.
+        found: &'static str,
+    },
+    /// The file is truncated.
+    #[error(
+        "{path}: truncated: {missing} after {rows} complete rows; copy the file again",
+        path = path.display()
+    )]
+    Truncated {
+        /// The file.
+        path: PathBuf,
+        /// The missing data.
+        missing: String,
+        /// Complete rows before the end.
+        rows: usize,
+    },
+    /// The gzip data are corrupt.
+    #[error("{path}: damaged gzip data after {rows} complete rows: {detail}", path = path.display())]
+    Gzip {
+        /// The file.
+        path: PathBuf,
+        /// Complete rows before the corruption.
+        rows: usize,
+        /// The decoder's error.
+        detail: String,
+    },
+    /// Too many rows.
+    #[error("{path}: more than {MAX_ROWS} rows; split the recording", path = path.display())]
+    TooManyRows {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Too much text.
+    #[error(
+        "{path}: more than {MAX_TEXT_BYTES} bytes of text; split the recording",
+        path = path.display()
+    )]
+    TooLong {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Too much text for the size of the compressed file.
+    #[error(
+        "{path}: more than {allowed} bytes of text in {found} bytes of gzip; allowed are {MAX_EXPANSION} \
+         for each, and {FREE_TEXT_BYTES} in any case; decompress it first",
+        path = path.display()
+    )]
+    Expands {
+        /// The file.
+        path: PathBuf,
+        /// Bytes of the file.
+        found: u64,
+        /// Allowed bytes of text.
+        allowed: u64,
+    },
+    /// A row is too long.
+    #[error(
+        "{path}: more than {MAX_ROW_BYTES} bytes in the row after {rows} whole rows",
+        path = path.display()
+    )]
+    RowTooLong {
+        /// The file.
+        path: PathBuf,
+        /// Complete rows before it.
+        rows: usize,
+    },
+    /// The header of the array is not that of a plain array.
+    #[error("{path}: array header: {detail}", path = path.display())]
+    NpyHeader {
+        /// The file.
+        path: PathBuf,
+        /// The problem with the expected value.
+        detail: String,
+    },
+    /// The array holds Python objects: reading them would execute code.
+    #[error(
+        "{path}: found an array of Python objects, which is never read; save the table \
+         as a plain float64 array",
+        path = path.display()
+    )]
+    ObjectArray {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The elements of the array are not floats.
+    #[error("{path}: found elements of type {found}; allowed: f4 or f8", path = path.display())]
+    ElementType {
+        /// The file.
+        path: PathBuf,
+        /// The type in NumPy's notation.
+        found: String,
+    },
+    /// The array does not have eleven columns.
+    #[error("{path}: found shape ({found}); allowed: (n, 11) with n ≥ 2", path = path.display())]
+    Shape {
+        /// The file.
+        path: PathBuf,
+        /// The shape.
+        found: String,
+    },
+    /// The file is longer than its header states.
+    #[error(
+        "{path}: {found_bytes} bytes, but the header's {rows} rows end at {expected_bytes}; \
+         another file may have been appended",
+        path = path.display()
+    )]
+    TrailingBytes {
+        /// The file.
+        path: PathBuf,
+        /// Rows that the header states.
+        rows: usize,
+        /// Bytes in the file.
+        found_bytes: u64,
+        /// Bytes of header and rows.
+        expected_bytes: u64,
+    },
+    /// Fields are not separated by commas.
+    #[error(
+        "{path}: the header's fields are separated by {found:?}, allowed are commas: save the table as CSV with commas, \
+         and with a point in its numbers",
+        path = path.display()
+    )]
+    Separator {
+        /// The file.
+        path: PathBuf,
+        /// The separator found.
+        found: char,
+    },
+    /// Required columns are missing.
+    #[error(
+        "{path}: no column for {missing}; found {found}; name them with --map, such as \
+         --map time=t,power_W=p (`joulebus data check --help` lists the accepted names)",
+        path = path.display()
+    )]
+    MissingColumns {
+        /// The file.
+        path: PathBuf,
+        /// The missing columns with their accepted names.
+        missing: String,
+        /// The columns of the header.
+        found: String,
+    },
+    /// A capture could not be read.
+    #[error("{path}: {detail}", path = path.display())]
+    Capture {
+        /// The file.
+        path: PathBuf,
+        /// The problem with its remedy.
+        detail: String,
+    },
+    /// A file of an archive could not be read.
+    #[error("{path}: {detail}", path = path.display())]
+    Archive {
+        /// The file.
+        path: PathBuf,
+        /// The problem with the expected value and the remedy.
+        detail: String,
+    },
+    /// A file that is read a second time has other contents than before.
+    #[error(
+        "{path}: changed while it was used: {found} rows, or other ones, where {before} were read before; run the \
+         command again when it is complete",
+        path = path.display()
+    )]
+    Changed {
+        /// The file.
+        path: PathBuf,
+        /// Rows now.
+        found: usize,
+        /// Rows before.
+        before: usize,
+    },
+    /// Two columns have the same meaning.
+    #[error(
+        "{path}: columns {first} and {second} are synonyms; keep one, or name it with --map",
+        path = path.display()
+    )]
+    DuplicateColumn {
+        /// The file.
+        path: PathBuf,
+        /// Name of the first.
+        first: String,
+        /// Name of the second.
+        second: String,
+    },
+    /// A row has more or fewer fields than the header.
+    #[error(
+        "{path}: row {row}: found {found} fields, the header has {expected}",
+        path = path.display()
+    )]
+    FieldCount {
+        /// The file.
+        path: PathBuf,
+        /// Row, from 1.
+        row: usize,
+        /// Fields in the row.
+        found: usize,
+        /// Fields in the header.
+        expected: usize,
+    },
+    /// A value is not allowed.
+    #[error(
+        "{path}: row {row}, column {column}: found {found:?}; allowed: {allowed}",
+        path = path.display()
+    )]
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// Row, from 1.
+        row: usize,
+        /// Name of the column.
+        column: &'static str,
+        /// The value.
+        found: String,
+        /// Allowed values.
+        allowed: &'static str,
+    },
+    /// More than one robot in the file.
+    #[error(
+        "{path}: row {row}: robot {found:?} after robot {first:?}; a trial holds one robot: \
+         `joulebus data convert` splits the file",
+        path = path.display()
+    )]
+    SecondRobot {
+        /// The file.
+        path: PathBuf,
+        /// Row, from 1.
+        row: usize,
+        /// The first robot.
+        first: String,
+        /// The other robot.
+        found: String,
+    },
+    /// More robots in one file than plausible.
+    #[error("{path}: more than {MAX_ROBOTS} robots; split the recording", path = path.display())]
+    TooManyRobots {
+        /// The file.
+        path: PathBuf,
+    },
+    /// No timestamp advances.
+    #[error(
+        "{path}: {rows} rows, and no timestamp advances; a trial needs two rows at increasing times",
+        path = path.display()
+    )]
+    NoPeriod {
+        /// The file.
+        path: PathBuf,
+        /// Rows in the file.
+        rows: usize,
+    },
+}

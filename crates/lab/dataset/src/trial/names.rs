@@ -1,0 +1,484 @@
+//! Names of columns in a CSV: the published layout's, usual spellings in several units, and those
+//! that the caller maps.
+
+use std::fmt;
+use std::str::FromStr;
+
+use super::table::Column;
+
+/// The quantity of a file's column.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Quantity {
+    /// The robot's name.
+    Robot,
+    /// The time of a row.
+    Time,
+    /// One of the columns of a trial.
+    Column(Column),
+}
+
+/// A quantity with its spellings.
+struct Spelling {
+    quantity: Quantity,
+    /// Its name in [`ColumnMap`] and in messages.
+    name: &'static str,
+    /// The names of the published layout, which take precedence.
+    layout: &'static [&'static str],
+    /// Other names, in lower case, without the unit.
+    others: &'static [&'static str],
+    /// Units in lower case with the factor to the layout's unit. The first one applies to a mapped
+    /// column without a unit in its name, "" to a name without a unit.
+    units: &'static [(&'static str, f64)],
+}
+
+const fn of(column: Column) -> Quantity {
+    Quantity::Column(column)
+}
+
+const MPS: &[(&str, f64)] = &[("mps", 1.0), ("m_s", 1.0), ("", 1.0)];
+const RADPS: &[(&str, f64)] = &[("radps", 1.0), ("rad_s", 1.0), ("", 1.0)];
+const METRE: &[(&str, f64)] = &[("m", 1.0), ("", 1.0)];
+
+/// Every quantity; the units of voltage, current and power have to be in the name, except where
+/// the layout's names have none.
+const SPELLINGS: [Spelling; 14] = [
+    Spelling {
+        quantity: Quantity::Robot,
+        name: "robot",
+        layout: &["robot_id"],
+        others: &["robot", "robot_name"],
+        units: &[("", 1.0)],
+    },
+    Spelling {
+        quantity: Quantity::Time,
+        name: "time",
+        layout: &["timestamp_s", "timestamp"],
+        others: &["time", "t", "stamp", "timestamp", "elapsed"],
+        units: &[
+            ("s", 1.0),
+            ("sec", 1.0),
+            ("seconds", 1.0),
+            ("ms", 1e-3),
+            ("us", 1e-6),
+            ("ns", 1e-9),
+            ("", 1.0),
+        ],
+    },
+    Spelling {
+        quantity: of(Column::Power),
+        name: "power",
+        layout: &["power_mW"],
+        others: &["power", "p", "pwr", "electrical_power"],
+        units: &[("w", 1e3), ("mw", 1.0), ("kw", 1e6)],
+    },
+    Spelling {
+        quantity: of(Column::V),
+        name: "v",
+        layout: &["v_cmd_mps", "v_cmd"],
+        others: &[
+            "v",
+            "vx",
+            "linear_velocity",
+            "v_linear",
+            "cmd_v",
+            "linear_x",
+            "cmd_vel_linear_x",
+        ],
+        units: MPS,
+    },
+    Spelling {
+        quantity: of(Column::Omega),
+        name: "omega",
+        layout: &["omega_cmd_radps", "omega_cmd"],
+        others: &[
+            "omega",
+            "w",
+            "wz",
+            "w_cmd",
+            "angular_velocity",
+            "omega_z",
+            "cmd_omega",
+            "angular_z",
+            "cmd_vel_angular_z",
+            "yaw_rate",
+        ],
+        units: RADPS,
+    },
+    Spelling {
+        quantity: of(Column::Voltage),
+        name: "voltage",
+        layout: &["voltage_mV", "voltage"],
+        others: &["voltage", "battery_voltage", "bus_voltage"],
+        units: &[("v", 1e3), ("mv", 1.0)],
+    },
+    Spelling {
+        quantity: of(Column::Current),
+        name: "current",
+        layout: &["current_mA", "current"],
+        others: &["current", "battery_current", "bus_current"],
+        units: &[("a", 1e3), ("ma", 1.0)],
+    },
+    Spelling {
+        quantity: of(Column::VMeasured),
+        name: "v_meas",
+        layout: &["v_meas_mps", "v_meas"],
+        others: &["v_measured", "measured_v", "odom_v"],
+        units: MPS,
+    },
+    Spelling {
+        quantity: of(Column::OmegaMeasured),
+        name: "omega_meas",
+        layout: &["omega_meas_radps", "omega_meas"],
+        others: &["omega_measured", "measured_omega", "odom_omega"],
+        units: RADPS,
+    },
+    Spelling {
+        quantity: of(Column::Soc),
+        name: "soc",
+        layout: &["soc"],
+        others: &["soc", "state_of_charge", "battery_soc"],
+        units: &[("percent", 0.01), ("pct", 0.01), ("", 1.0)],
+    },
+    Spelling {
+        quantity: of(Column::X),
+        name: "x",
+        layout: &["x_m", "x"],
+        others: &["pos_x", "position_x"],
+        units: METRE,
+    },
+    Spelling {
+        quantity: of(Column::Y),
+        name: "y",
+        layout: &["y_m", "y"],
+        others: &["pos_y", "position_y"],
+        units: METRE,
+    },
+    Spelling {
+        quantity: of(Column::Theta),
+        name: "theta",
+        layout: &["theta_rad", "theta"],
+        others: &["heading", "yaw"],
+        units: &[("rad", 1.0), ("", 1.0)],
+    },
+    Spelling {
+        quantity: of(Column::Phase),
+        name: "phase",
+        layout: &["phase"],
+        others: &[],
+        units: &[("", 1.0)],
+    },
+];
+
+fn spelling(quantity: Quantity) -> &'static Spelling {
+    let found = SPELLINGS
+        .iter()
+        .find(|spelling| spelling.quantity == quantity);
+    // A test checks that every quantity is in the table.
+    found.unwrap_or(&SPELLINGS[0])
+}
+
+impl Spelling {
+    /// The factor of a name other than the layout's.
+    fn factor(&self, name: &str) -> Option<f64> {
+        // V and W alone are units more often than velocities.
+        if name.chars().count() == 1 && name.chars().any(char::is_uppercase) {
+            return None;
+        }
+        let name = plain(name);
+        self.units.iter().find_map(|(unit, factor)| {
+            let bare = match unit.is_empty() {
+                true => name.as_str(),
+                false => name.strip_suffix(unit)?.strip_suffix('_')?,
+            };
+            self.others.contains(&bare).then_some(*factor)
+        })
+    }
+
+    /// The factor of a mapped column: by the unit at the end of its name, if it has one.
+    fn mapped_factor(&self, name: &str) -> f64 {
+        let name = plain(name);
+        let by_unit = self.units.iter().find(|(unit, _)| {
+            !unit.is_empty()
+                && name
+                    .strip_suffix(unit)
+                    .is_some_and(|rest| rest.ends_with('_'))
+        });
+        by_unit
+            .or(self.units.first())
+            .map_or(1.0, |(_, factor)| *factor)
+    }
+}
+
+/// A name in lower case; brackets, dots, slashes, spaces and hyphens count as an underscore.
+fn plain(name: &str) -> String {
+    let mut plain = String::with_capacity(name.len());
+    for letter in name.chars() {
+        match letter {
+            ' ' | '[' | ']' | '(' | ')' | '/' | '.' | '-' | '_' => {
+                if !plain.ends_with('_') && !plain.is_empty() {
+                    plain.push('_');
+                }
+            }
+            'µ' | 'μ' => plain.push('u'),
+            'ω' => plain.push_str("omega"),
+            letter => plain.extend(letter.to_lowercase()),
+        }
+    }
+    plain.trim_end_matches('_').to_owned()
+}
+
+/// One column of a file under a name of its own: `power=battery_W`, or with the unit of a name
+/// that states none, `power_mW=p1`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MappedColumn {
+    quantity: Quantity,
+    /// The name in the file.
+    name: String,
+    /// Factor to the unit of the layout.
+    factor: f64,
+}
+
+/// Why a mapping is invalid.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum MapError {
+    /// There is no name on one of the sides.
+    #[error("{found:?} is no mapping; an example: power=battery_W or power_mW=p1")]
+    Form {
+        /// The found name.
+        found: String,
+    },
+    /// The quantity is unknown.
+    #[error(
+        "{found:?} is no quantity; allowed: {allowed}, each with a unit if it is not in the column's name"
+    )]
+    Quantity {
+        /// The found name.
+        found: String,
+        /// The quantities.
+        allowed: String,
+    },
+}
+
+impl FromStr for MappedColumn {
+    type Err = MapError;
+
+    fn from_str(text: &str) -> Result<Self, MapError> {
+        let sides = text
+            .split_once('=')
+            .map(|(left, right)| (left.trim(), right.trim()));
+        let Some((quantity, name)) = sides.filter(|(a, b)| !a.is_empty() && !b.is_empty()) else {
+            return Err(MapError::Form {
+                found: text.to_owned(),
+            });
+        };
+        let wanted = plain(quantity);
+        for spelling in &SPELLINGS {
+            if wanted == spelling.name {
+                return Ok(Self {
+                    quantity: spelling.quantity,
+                    name: name.to_owned(),
+                    factor: spelling.mapped_factor(name),
+                });
+            }
+            let unit = wanted
+                .strip_prefix(spelling.name)
+                .and_then(|rest| rest.strip_prefix('_'));
+            let factor = spelling.units.iter().find(|(name, _)| Some(*name) == unit);
+            if let Some((_, factor)) = factor {
+                return Ok(Self {
+                    quantity: spelling.quantity,
+                    name: name.to_owned(),
+                    factor: *factor,
+                });
+            }
+        }
+        Err(MapError::Quantity {
+            found: quantity.to_owned(),
+            allowed: SPELLINGS.map(|spelling| spelling.name).join(", "),
+        })
+    }
+}
+
+/// The columns that the caller names; the others are found by their spelling.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ColumnMap {
+    columns: Vec<MappedColumn>,
+}
+
+impl From<Vec<MappedColumn>> for ColumnMap {
+    fn from(columns: Vec<MappedColumn>) -> Self {
+        Self { columns }
+    }
+}
+
+impl ColumnMap {
+    /// The mapped columns: `(quantity, name in the file)`.
+    pub(super) fn named(&self) -> impl Iterator<Item = (Quantity, &str)> {
+        self.columns
+            .iter()
+            .map(|column| (column.quantity, column.name.as_str()))
+    }
+
+    /// Positions of a quantity among a file's columns, with the factor to the layout's unit: mapped
+    /// columns, else the layout's names, else other spellings. A file should have at most one.
+    pub(super) fn positions(&self, quantity: Quantity, names: &[String]) -> Vec<(usize, f64)> {
+        let mapped: Vec<&MappedColumn> = self
+            .columns
+            .iter()
+            .filter(|column| column.quantity == quantity)
+            .collect();
+        let taken = |name: &String| self.columns.iter().any(|column| column.name == *name);
+        let each = || names.iter().enumerate();
+        if !mapped.is_empty() {
+            let found = mapped.iter().flat_map(|column| {
+                let same = each().filter(|(_, name)| **name == column.name);
+                same.map(|(at, _)| (at, column.factor))
+            });
+            return found.collect();
+        }
+        let spelling = spelling(quantity);
+        let layout: Vec<(usize, f64)> = each()
+            .filter(|(_, name)| spelling.layout.contains(&name.as_str()) && !taken(name))
+            .map(|(at, _)| (at, 1.0))
+            .collect();
+        if !layout.is_empty() {
+            return layout;
+        }
+        each()
+            .filter(|(_, name)| !taken(name))
+            .filter_map(|(at, name)| Some((at, spelling.factor(name)?)))
+            .collect()
+    }
+}
+
+/// Accepted names of a quantity, for messages.
+pub(super) fn accepted(quantity: Quantity) -> String {
+    let spelling = spelling(quantity);
+    let unit = spelling.units.first().map_or("", |(unit, _)| unit);
+    let mut names: Vec<String> = spelling
+        .layout
+        .iter()
+        .map(|name| (*name).to_owned())
+        .collect();
+    if let (Some(other), false) = (spelling.others.first(), unit.is_empty()) {
+        names.push(format!("{other}_{}", shown(unit)));
+    }
+    format!("{} ({}, …)", spelling.name, names.join(", "))
+}
+
+/// The usual case of a unit.
+fn shown(unit: &str) -> &str {
+    match unit {
+        "w" => "W",
+        "mw" => "mW",
+        "kw" => "kW",
+        "v" => "V",
+        "mv" => "mV",
+        "a" => "A",
+        "ma" => "mA",
+        unit => unit,
+    }
+}
+
+/// The table of accepted names, one line for each quantity.
+#[must_use]
+pub fn column_names() -> String {
+    let mut table = String::new();
+    for Spelling {
+        name,
+        layout,
+        others,
+        units,
+        ..
+    } in &SPELLINGS
+    {
+        let listed: Vec<&str> = units
+            .iter()
+            .map(|(unit, _)| shown(unit))
+            .filter(|unit| !unit.is_empty())
+            .collect();
+        let mut line = format!("  {name:10} {}", layout.join(" "));
+        if !others.is_empty() {
+            line.push_str(&format!("; {}", others.join(" ")));
+        }
+        if !listed.is_empty() {
+            let bare = units.iter().any(|(unit, _)| unit.is_empty());
+            let with = if bare { ", also with" } else { ", with" };
+            line.push_str(&format!("{with} _{}", listed.join(" _")));
+        }
+        table.push_str(&line);
+        table.push('\n');
+    }
+    table
+}
+
+impl fmt::Display for Quantity {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(spelling(*self).name)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_column_has_its_spellings_and_the_layout_its_names() {
+        for column in Column::ALL {
+            let spelling = spelling(of(column));
+            assert_eq!(spelling.quantity, of(column));
+            assert_eq!(spelling.layout[0], column.name());
+        }
+    }
+
+    #[test]
+    fn usual_spellings_are_found_with_their_units() {
+        let map = ColumnMap::default();
+        for (name, quantity, factor) in [
+            ("time", Quantity::Time, 1.0),
+            ("t_ms", Quantity::Time, 1e-3),
+            ("Timestamp [ns]", Quantity::Time, 1e-9),
+            ("power_W", of(Column::Power), 1e3),
+            ("Power (mW)", of(Column::Power), 1.0),
+            ("P_w", of(Column::Power), 1e3),
+            ("v", of(Column::V), 1.0),
+            ("linear.x", of(Column::V), 1.0),
+            ("omega_rad/s", of(Column::Omega), 1.0),
+            ("yaw_rate", of(Column::Omega), 1.0),
+            ("battery_voltage_V", of(Column::Voltage), 1e3),
+            ("current_A", of(Column::Current), 1e3),
+        ] {
+            let found = map.positions(quantity, &[name.to_owned()]);
+            assert_eq!(found, [(0, factor)], "{name}");
+        }
+        // Neither watt nor milliwatt: not guessed.
+        assert!(
+            map.positions(of(Column::Power), &["power".to_owned()])
+                .is_empty()
+        );
+    }
+
+    #[test]
+    fn mapped_columns_take_precedence_and_state_their_unit() {
+        for (mapping, factor) in [
+            ("power=load_W", 1e3),
+            ("power=load", 1e3),
+            ("power_mW=load", 1.0),
+            ("power_mW=load_W", 1.0),
+        ] {
+            let mapped: MappedColumn = mapping.parse().expect(mapping);
+            let name = mapped.name.clone();
+            let map = ColumnMap::from(vec![mapped]);
+            let names = ["power_mW".to_owned(), name];
+            assert_eq!(
+                map.positions(of(Column::Power), &names),
+                [(1, factor)],
+                "{mapping}"
+            );
+        }
+        for wrong in ["power", "=a", "power=", "speed=a", "power_hp=a"] {
+            assert!(wrong.parse::<MappedColumn>().is_err(), "{wrong}");
+        }
+    }
+}

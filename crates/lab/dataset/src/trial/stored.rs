@@ -1,0 +1,93 @@
+//! Recorded trials that are read whenever they are needed: more of them than memory holds.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::{ColumnMap, Table, Trial, TrialError};
+use crate::archive::{self, Listing};
+
+/// Bytes of a row in the smallest files: Parquet with three columns and gzip have about as many.
+const BYTES_A_ROW: u64 = 16;
+
+/// A file with recorded trials, or one trial of an archive.
+#[derive(Debug, Clone)]
+pub struct Stored {
+    path: PathBuf,
+    place: Place,
+}
+
+#[derive(Debug, Clone)]
+enum Place {
+    File(ColumnMap),
+    /// Number of the trial in the listing, from 0.
+    Listed(Arc<Listing>, usize),
+}
+
+impl Stored {
+    /// The trials of a file: of the file itself, or of an archive's recording. `map` names the
+    /// columns of a CSV.
+    ///
+    /// # Errors
+    /// [`TrialError`]: a listing of an archive that cannot be read. Other files are not opened.
+    pub fn find(path: &Path, map: &ColumnMap) -> Result<Vec<Self>, TrialError> {
+        let stored = |place| Self {
+            path: path.to_owned(),
+            place,
+        };
+        if !archive::is_listing(path) {
+            return Ok(vec![stored(Place::File(map.clone()))]);
+        }
+        let listing = Arc::new(archive::open(path)?);
+        let trials = 0..listing.trials.len();
+        let each = trials.map(|number| stored(Place::Listed(Arc::clone(&listing), number)));
+        Ok(each.collect())
+    }
+
+    /// Reads the trials: those of all robots in the file, or the one of an archive.
+    ///
+    /// # Errors
+    /// [`TrialError`], as [`Trial::read_mapped`].
+    pub fn read(&self) -> Result<Vec<Trial>, TrialError> {
+        match &self.place {
+            Place::File(map) => Trial::read_mapped(&self.path, map),
+            Place::Listed(listing, number) => {
+                let table = archive::listed(&self.path, listing, *number)?;
+                Ok(vec![table.into_trial()?])
+            }
+        }
+    }
+
+    /// Reads the trial again, of a file that had one robot.
+    ///
+    /// # Errors
+    /// [`TrialError`], also if the file has several robots now.
+    pub fn read_again(&self) -> Result<Trial, TrialError> {
+        match &self.place {
+            Place::File(map) => Table::only_of(&self.path, map)?.into_trial(),
+            Place::Listed(listing, number) => {
+                archive::listed(&self.path, listing, *number)?.into_trial()
+            }
+        }
+    }
+
+    /// Whether the recording has other trials.
+    #[must_use]
+    pub fn is_one_of_several(&self) -> bool {
+        match &self.place {
+            Place::File(_) => false,
+            Place::Listed(listing, _) => listing.trials.len() > 1,
+        }
+    }
+
+    /// Rows that it has, or the most that a file of its size has.
+    #[must_use]
+    pub fn most_rows(&self) -> u64 {
+        match &self.place {
+            Place::File(_) => self
+                .path
+                .metadata()
+                .map_or(0, |about| about.len().div_ceil(BYTES_A_ROW)),
+            Place::Listed(listing, number) => listing.trials[*number].rows,
+        }
+    }
+}

@@ -1,0 +1,395 @@
+//! The columns of a trial: their names, their units, and the table that both readers fill.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use super::error::TrialError;
+use super::limits::{MAX_ROBOTS, MAX_ROWS};
+
+/// A column of a trial, without robot and time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Column {
+    /// Phase of the experiment, a number.
+    Phase,
+    /// Commanded linear velocity, m/s.
+    V,
+    /// Commanded angular velocity, rad/s.
+    Omega,
+    /// Position, m.
+    X,
+    /// Position, m.
+    Y,
+    /// Heading, rad.
+    Theta,
+    /// Battery voltage, V.
+    Voltage,
+    /// Battery current, A.
+    Current,
+    /// Electrical power, W.
+    Power,
+    /// Measured linear velocity, m/s; not in the array layout.
+    VMeasured,
+    /// Measured angular velocity, rad/s; not in the array layout.
+    OmegaMeasured,
+    /// Measured state of charge, 0 to 1; not in the array layout.
+    Soc,
+}
+
+impl Column {
+    /// All columns; the first nine are the last nine of the array layout, in its order.
+    pub const ALL: [Self; 12] = [
+        Self::Phase,
+        Self::V,
+        Self::Omega,
+        Self::X,
+        Self::Y,
+        Self::Theta,
+        Self::Voltage,
+        Self::Current,
+        Self::Power,
+        Self::VMeasured,
+        Self::OmegaMeasured,
+        Self::Soc,
+    ];
+
+    /// Number of columns of the array layout: the first of [`Column::ALL`].
+    pub const LAYOUT: usize = 9;
+
+    /// Name in a CSV header, with the unit in the file.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Phase => "phase",
+            Self::V => "v_cmd_mps",
+            Self::Omega => "omega_cmd_radps",
+            Self::X => "x_m",
+            Self::Y => "y_m",
+            Self::Theta => "theta_rad",
+            Self::Voltage => "voltage_mV",
+            Self::Current => "current_mA",
+            Self::Power => "power_mW",
+            Self::VMeasured => "v_meas_mps",
+            Self::OmegaMeasured => "omega_meas_radps",
+            Self::Soc => "soc",
+        }
+    }
+
+    /// Unit of the values in files; `1` without one.
+    #[must_use]
+    pub const fn unit(self) -> &'static str {
+        match self {
+            Self::Phase | Self::Soc => "1",
+            Self::V | Self::VMeasured => "m/s",
+            Self::Omega | Self::OmegaMeasured => "rad/s",
+            Self::X | Self::Y => "m",
+            Self::Theta => "rad",
+            Self::Voltage => "mV",
+            Self::Current => "mA",
+            Self::Power => "mW",
+        }
+    }
+
+    /// Converts a value of a file to SI units.
+    pub(super) const fn si(self, recorded: f64) -> f64 {
+        if self.is_milli() {
+            recorded / 1000.0
+        } else {
+            recorded
+        }
+    }
+
+    /// Converts a value in SI units to the unit of files.
+    pub(super) const fn recorded(self, value: f64) -> f64 {
+        if self.is_milli() {
+            value * 1000.0
+        } else {
+            value
+        }
+    }
+
+    const fn is_milli(self) -> bool {
+        matches!(self, Self::Voltage | Self::Current | Self::Power)
+    }
+}
+
+/// Accepted names of the robot column in a CSV.
+pub(super) const ROBOT_NAMES: &[&str] = &["robot_id"];
+/// Accepted names of the time column in a CSV.
+pub(super) const TIME_NAMES: &[&str] = &["timestamp_s", "timestamp"];
+
+/// The rows of one robot as recorded in a file: in file order, in the units of the file (mV, mA,
+/// mW), to the bit. [`Trial`](super::Trial) has the same in SI units.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Table {
+    pub(crate) path: PathBuf,
+    pub(crate) robot_name: Option<String>,
+    /// File row of each row, from 1. Not contiguous if several robots share a file.
+    pub(crate) file_row: Vec<u32>,
+    pub(crate) timestamp_s: Vec<f64>,
+    pub(crate) columns: Columns,
+    pub(crate) ignored_columns: Vec<String>,
+    pub(crate) no_final_line_break: bool,
+    pub(crate) unnamed_rows: usize,
+}
+
+/// Values of each [`Column`], in the order of [`Column::ALL`].
+pub(crate) type Columns = [Option<Vec<f64>>; Column::ALL.len()];
+
+/// The value at `row`, if it was recorded.
+pub(super) fn value(columns: &Columns, column: Column, row: usize) -> Option<f64> {
+    let value = *columns[column as usize].as_ref()?.get(row)?;
+    (!value.is_nan()).then_some(value)
+}
+
+/// Whether the reading of `row` equals the previous row's: power, voltage and current, to the bit.
+pub(super) fn is_held(columns: &Columns, row: usize) -> bool {
+    let Some(before) = row.checked_sub(1) else {
+        return false;
+    };
+    let bits = |column, row| value(columns, column, row).map(f64::to_bits);
+    bits(Column::Power, row).is_some()
+        && [Column::Power, Column::Voltage, Column::Current]
+            .into_iter()
+            .all(|column| bits(column, row) == bits(column, before))
+}
+
+/// Location of a value, for checks and their messages.
+#[derive(Clone, Copy)]
+pub(crate) struct Cell<'a> {
+    pub(crate) path: &'a Path,
+    /// File row, from 1.
+    pub(crate) row: usize,
+}
+
+impl Cell<'_> {
+    pub(super) fn refuse(
+        self,
+        column: &'static str,
+        found: impl Into<String>,
+        allowed: &'static str,
+    ) -> TrialError {
+        TrialError::Value {
+            path: self.path.to_owned(),
+            row: self.row,
+            column,
+            found: found.into(),
+            allowed,
+        }
+    }
+}
+
+impl Table {
+    /// The file that the table was read from.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The robot's name as recorded, if any: text in a CSV, a number in an array.
+    #[must_use]
+    pub fn robot_name(&self) -> Option<&str> {
+        self.robot_name.as_deref()
+    }
+
+    /// Renames the robot.
+    pub fn rename(&mut self, robot_name: &str) {
+        self.robot_name = Some(robot_name.to_owned());
+        self.unnamed_rows = 0;
+    }
+
+    /// Rows.
+    #[must_use]
+    pub fn rows(&self) -> usize {
+        self.timestamp_s.len()
+    }
+
+    /// Row of the file that holds row `row` (from 0), from 1, a CSV's header not included.
+    #[must_use]
+    pub fn file_row(&self, row: usize) -> usize {
+        self.file_row.get(row).map_or(row + 1, |row| *row as usize)
+    }
+
+    /// Whether the file, a CSV, does not end with a newline.
+    #[must_use]
+    pub fn no_final_line_break(&self) -> bool {
+        self.no_final_line_break
+    }
+
+    /// Rows without a robot name in a table that has one; all written rows name the robot.
+    #[must_use]
+    pub fn unnamed_rows(&self) -> usize {
+        self.unnamed_rows
+    }
+
+    /// Time of each row as recorded, s; finite.
+    #[must_use]
+    pub fn timestamp_s(&self) -> &[f64] {
+        &self.timestamp_s
+    }
+
+    /// One value per recorded row, in the unit stated in [`Column::name`], NaN if there is none.
+    /// `None` if the file has no such column.
+    #[must_use]
+    pub fn column(&self, column: Column) -> Option<&[f64]> {
+        self.columns[column as usize].as_deref()
+    }
+
+    /// Removes a column.
+    pub fn drop_column(&mut self, column: Column) {
+        self.columns[column as usize] = None;
+    }
+
+    /// Unknown columns of the file, which are not in the table.
+    #[must_use]
+    pub fn ignored_columns(&self) -> &[String] {
+        &self.ignored_columns
+    }
+
+    /// Appends a value of `column` in the unit of the file.
+    pub(crate) fn push(
+        &mut self,
+        cell: Cell<'_>,
+        column: Column,
+        recorded: f64,
+    ) -> Result<(), TrialError> {
+        check_value(cell, column, column.si(recorded))?;
+        self.columns[column as usize]
+            .get_or_insert_default()
+            .push(recorded);
+        Ok(())
+    }
+
+    /// Appends a value of `column` in SI units, for a table in SI units.
+    pub(super) fn push_si(
+        &mut self,
+        cell: Cell<'_>,
+        column: Column,
+        value: f64,
+    ) -> Result<(), TrialError> {
+        check_value(cell, column, value)?;
+        self.columns[column as usize]
+            .get_or_insert_default()
+            .push(value);
+        Ok(())
+    }
+
+    /// Appends the time of a new row.
+    pub(crate) fn push_time(&mut self, cell: Cell<'_>, timestamp_s: f64) -> Result<(), TrialError> {
+        if cell.row > MAX_ROWS {
+            return Err(TrialError::TooManyRows {
+                path: cell.path.to_owned(),
+            });
+        }
+        // Sums of two such times, and repetitions, fit into i64 nanoseconds.
+        if !(-MAX_TIMESTAMP_S..=MAX_TIMESTAMP_S).contains(&timestamp_s) {
+            let allowed = "a number of seconds within ±4e9";
+            return Err(cell.refuse(TIME_NAMES[0], timestamp_s.to_string(), allowed));
+        }
+        // MAX_ROWS fits u32.
+        self.file_row.push(cell.row as u32);
+        self.timestamp_s.push(timestamp_s);
+        Ok(())
+    }
+
+    /// The only table of a file.
+    pub(super) fn only(mut tables: Vec<Self>) -> Result<Self, TrialError> {
+        let second = tables.get(1).map(|table| TrialError::SecondRobot {
+            path: table.path.clone(),
+            row: table.file_row.first().map_or(0, |row| *row as usize),
+            first: tables[0].robot_name.clone().unwrap_or_default(),
+            found: table.robot_name.clone().unwrap_or_default(),
+        });
+        match second {
+            Some(error) => Err(error),
+            None => Ok(tables.pop().unwrap_or_default()),
+        }
+    }
+}
+
+/// Samples carry f32: an overflow would arrive as infinity.
+fn check_value(cell: Cell<'_>, column: Column, value: f64) -> Result<(), TrialError> {
+    if value.is_nan() || (value as f32).is_finite() {
+        return Ok(());
+    }
+    let allowed = "NaN, or a finite number within ±3.4e38 in SI units";
+    Err(cell.refuse(column.name(), column.recorded(value).to_string(), allowed))
+}
+
+/// The tables of a file while it is read, one per robot, in the order in which they appear.
+#[derive(Debug, Default)]
+pub(super) struct Tables {
+    tables: Vec<Table>,
+    by_name: HashMap<String, usize>,
+}
+
+impl Tables {
+    /// The table of a row's robot; an empty name means none.
+    pub(super) fn of(&mut self, cell: Cell<'_>, name: &str) -> Result<&mut Table, TrialError> {
+        let at = match self.tables.len() {
+            0 => self.add(cell, name)?,
+            1 if name.is_empty() => {
+                let table = &mut self.tables[0];
+                table.unnamed_rows += usize::from(table.robot_name.is_some());
+                0
+            }
+            1 if self.tables[0].robot_name.is_none() => {
+                let table = &mut self.tables[0];
+                table.unnamed_rows = table.rows();
+                table.robot_name = Some(name.to_owned());
+                self.by_name.insert(name.to_owned(), 0);
+                0
+            }
+            _ => match self.by_name.get(name) {
+                Some(at) => *at,
+                None => self.add(cell, name)?,
+            },
+        };
+        Ok(&mut self.tables[at])
+    }
+
+    fn add(&mut self, cell: Cell<'_>, name: &str) -> Result<usize, TrialError> {
+        let at = self.tables.len();
+        if at > 0 && (name.is_empty() || self.tables[0].unnamed_rows > 0) {
+            let allowed = "in a file of several robots, a name in every row";
+            return Err(cell.refuse(ROBOT_NAMES[0], name, allowed));
+        }
+        if at == MAX_ROBOTS {
+            return Err(TrialError::TooManyRobots {
+                path: cell.path.to_owned(),
+            });
+        }
+        let robot_name = (!name.is_empty()).then(|| name.to_owned());
+        self.tables.push(Table {
+            path: cell.path.to_owned(),
+            robot_name,
+            ..Table::default()
+        });
+        if !name.is_empty() {
+            self.by_name.insert(name.to_owned(), at);
+        }
+        Ok(at)
+    }
+
+    /// All tables, with the notes on the whole file; a file without rows gives an empty table.
+    pub(super) fn finish(
+        mut self,
+        path: &Path,
+        ignored_columns: &[String],
+        no_final_line_break: bool,
+    ) -> Vec<Table> {
+        if self.tables.is_empty() {
+            self.tables.push(Table {
+                path: path.to_owned(),
+                ..Table::default()
+            });
+        }
+        for table in &mut self.tables {
+            table.ignored_columns = ignored_columns.to_vec();
+            table.no_final_line_break = no_final_line_break;
+        }
+        self.tables
+    }
+}
+
+/// Enough for Unix seconds until the year 2096.
+const MAX_TIMESTAMP_S: f64 = 4e9;

@@ -1,0 +1,363 @@
+//! Trials from rows, and trials as the published table.
+
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use flate2::Compression;
+use flate2::write::GzEncoder;
+
+use super::table::{Cell, Column, ROBOT_NAMES, TIME_NAMES, Table};
+use super::{Trial, TrialError};
+use crate::npy;
+use joulebus_predictor::canonical_f64;
+
+/// A row that was not read from a trial's file.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Row {
+    /// Time, s.
+    pub timestamp_s: f64,
+    /// Values in the order of [`Column::ALL`], in SI units, NaN if not recorded.
+    pub values: [f64; Column::ALL.len()],
+}
+
+impl Trial {
+    /// A trial from rows; `path` names their origin in messages.
+    ///
+    /// # Errors
+    /// [`TrialError`]: a value that a sample cannot represent, too many rows, or fewer than two
+    /// times.
+    pub fn from_rows(
+        path: &Path,
+        robot_name: &str,
+        rows: impl IntoIterator<Item = Row>,
+    ) -> Result<Self, TrialError> {
+        let mut table = Table {
+            path: path.to_owned(),
+            robot_name: (!robot_name.is_empty()).then(|| robot_name.to_owned()),
+            ..Table::default()
+        };
+        for (number, row) in rows.into_iter().enumerate() {
+            let cell = Cell {
+                path,
+                row: number + 1,
+            };
+            table.push_time(cell, row.timestamp_s)?;
+            for (column, value) in Column::ALL.into_iter().zip(row.values) {
+                table.push_si(cell, column, value)?;
+            }
+        }
+        Self::from_si(table)
+    }
+
+    /// The trial in the units of files. A value read from a file with non-SI units may differ in
+    /// the last bit; [`Table::read`] preserves it.
+    #[must_use]
+    pub fn to_table(&self) -> Table {
+        let mut columns = self.columns.clone();
+        for (column, values) in Column::ALL.into_iter().zip(&mut columns) {
+            for value in values.iter_mut().flatten() {
+                *value = column.recorded(*value);
+            }
+        }
+        Table {
+            path: self.path.clone(),
+            robot_name: self.robot_name.clone(),
+            file_row: self.file_row.clone(),
+            timestamp_s: self.timestamp_s.clone(),
+            columns,
+            ..Table::default()
+        }
+    }
+
+    /// Writes the trial as the published table: CSV with a header and all columns, compressed if
+    /// the name ends in `.gz`. Values that were not recorded are `NaN`. The file must not exist.
+    ///
+    /// # Errors
+    /// The operating system's error.
+    pub fn write_csv(&self, path: &Path) -> io::Result<()> {
+        let mut table = self.to_table();
+        for values in &mut table.columns {
+            values.get_or_insert_with(|| vec![f64::NAN; self.rows()]);
+        }
+        let is_zipped = path.extension().is_some_and(|extension| extension == "gz");
+        create(path, |file| {
+            if is_zipped {
+                table.write_zipped(file)
+            } else {
+                table.write_text(file)
+            }
+        })
+    }
+}
+
+/// Format of a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Form {
+    /// The published array, float64.
+    Npy,
+    /// CSV with a header.
+    Csv,
+    /// CSV compressed by gzip.
+    CsvGz,
+}
+
+impl Form {
+    /// All formats.
+    pub const ALL: [Self; 3] = [Self::Npy, Self::Csv, Self::CsvGz];
+
+    /// The file name extension.
+    #[must_use]
+    pub const fn ending(self) -> &'static str {
+        match self {
+            Self::Npy => ".npy",
+            Self::Csv => ".csv",
+            Self::CsvGz => ".csv.gz",
+        }
+    }
+
+    /// The format of a file name's extension, if it is one of these.
+    #[must_use]
+    pub fn of(path: &Path) -> Option<Self> {
+        let name = path.file_name()?.to_str()?;
+        Self::ALL
+            .into_iter()
+            .find(|form| name.ends_with(form.ending()))
+    }
+}
+
+/// Errors of writing a table.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WriteError {
+    /// The operating system's error; an existing file is never overwritten.
+    #[error("{path}: {source}", path = path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The operating system's error.
+        source: io::Error,
+    },
+    /// The extension is of no known format.
+    #[error("{path}: names of recordings end in .npy, .csv or .csv.gz", path = path.display())]
+    Ending {
+        /// The file.
+        path: PathBuf,
+    },
+    /// An array holds numbers only.
+    #[error(
+        "{path}: the robot's name is {found:?}, but an array holds numbers; allowed: a numeric name \
+         a number and reads back as it is, such as 7",
+        path = path.display()
+    )]
+    RobotName {
+        /// The file.
+        path: PathBuf,
+        /// The name.
+        found: String,
+    },
+    /// The reader of arrays refuses fewer rows.
+    #[error("{path}: {rows} rows; an array needs at least 2, write CSV", path = path.display())]
+    TooFewRows {
+        /// The file.
+        path: PathBuf,
+        /// Rows of the table.
+        rows: usize,
+    },
+    /// The array layout lacks columns for recorded values.
+    #[error(
+        "{path}: the array layout has no columns {found}, which hold values; drop them by name, or \
+         write CSV",
+        path = path.display()
+    )]
+    NoSuchColumns {
+        /// The file.
+        path: PathBuf,
+        /// Names of the columns.
+        found: String,
+    },
+}
+
+impl Table {
+    /// Writes the table in the format given by the file name's extension; the file must not exist
+    /// and is written atomically. Reading it gives the same bits, except for the payload of NaNs;
+    /// columns without values may be missing.
+    ///
+    /// # Errors
+    /// [`WriteError`]: what the format cannot represent is refused, never dropped.
+    pub fn write(&self, path: &Path) -> Result<(), WriteError> {
+        let written = match Form::of(path) {
+            None => {
+                return Err(WriteError::Ending {
+                    path: path.to_owned(),
+                });
+            }
+            Some(Form::Csv) => create(path, |file| self.write_text(file)),
+            Some(Form::CsvGz) => create(path, |file| self.write_zipped(file)),
+            Some(Form::Npy) => {
+                let robot = self.check_array(path)?;
+                create(path, |file| self.write_array(file, robot))
+            }
+        };
+        written.map_err(|source| WriteError::Io {
+            path: path.to_owned(),
+            source,
+        })
+    }
+
+    fn write_text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let columns = Column::ALL
+            .into_iter()
+            .filter_map(|column| match self.column(column) {
+                // The reader requires it, so a table without rows has it as well.
+                None if column == Column::Power => Some((column, &[][..])),
+                values => Some((column, values?)),
+            })
+            .collect::<Vec<_>>();
+        let names = columns.iter().map(|(column, _)| column.name());
+        let names = [ROBOT_NAMES[0], TIME_NAMES[0]].into_iter().chain(names);
+        writeln!(out, "{}", names.collect::<Vec<_>>().join(","))?;
+        let robot = quoted(self.robot_name().unwrap_or("NaN"));
+        for (row, time_s) in self.timestamp_s.iter().enumerate() {
+            write!(out, "{robot},{time_s}")?;
+            for (_, values) in &columns {
+                write!(out, ",{}", values.get(row).copied().unwrap_or(f64::NAN))?;
+            }
+            writeln!(out)?;
+        }
+        Ok(())
+    }
+
+    fn write_zipped(&self, out: &mut dyn Write) -> io::Result<()> {
+        let mut zipped = BufWriter::new(GzEncoder::new(out, Compression::default()));
+        self.write_text(&mut zipped)?;
+        zipped.into_inner()?.finish()?.flush()
+    }
+
+    /// Whether the array layout can represent the table; returns the robot as the number stored.
+    fn check_array(&self, path: &Path) -> Result<f64, WriteError> {
+        if self.rows() < 2 {
+            return Err(WriteError::TooFewRows {
+                path: path.to_owned(),
+                rows: self.rows(),
+            });
+        }
+        let robot = match self.robot_name() {
+            None => f64::NAN,
+            Some(name) => {
+                let number = name.parse::<f64>().ok();
+                let number = number.filter(|number| number.is_finite());
+                let number = number.filter(|number| number.to_string() == name);
+                number.ok_or_else(|| WriteError::RobotName {
+                    path: path.to_owned(),
+                    found: name.to_owned(),
+                })?
+            }
+        };
+        let outside = Column::ALL[Column::LAYOUT..]
+            .iter()
+            .filter(|column| {
+                let values = self.column(**column).unwrap_or_default();
+                values.iter().any(|value| !value.is_nan())
+            })
+            .map(|column| column.name())
+            .collect::<Vec<_>>();
+        if outside.is_empty() {
+            return Ok(robot);
+        }
+        Err(WriteError::NoSuchColumns {
+            path: path.to_owned(),
+            found: outside.join(" "),
+        })
+    }
+
+    fn write_array(&self, out: &mut dyn Write, robot: f64) -> io::Result<()> {
+        let columns = Column::ALL[..Column::LAYOUT].iter();
+        let columns = columns
+            .map(|column| self.column(*column))
+            .collect::<Vec<_>>();
+        out.write_all(&npy::header("<f8", &[self.rows(), 2 + Column::LAYOUT]))?;
+        for (row, time_s) in self.timestamp_s.iter().enumerate() {
+            out.write_all(&robot.to_le_bytes())?;
+            out.write_all(&time_s.to_le_bytes())?;
+            for values in &columns {
+                let value = values.and_then(|values| values.get(row).copied());
+                let value = canonical_f64(value.unwrap_or(f64::NAN));
+                out.write_all(&value.to_le_bytes())?;
+            }
+        }
+        out.flush()
+    }
+}
+
+/// Writes a file that must not exist, as a whole.
+fn create(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+    joulebus_files::create(path, |file| {
+        let mut buffered = BufWriter::new(file);
+        write(&mut buffered)?;
+        buffered.flush()
+    })
+}
+
+/// A name quoted for CSV.
+fn quoted(name: &str) -> String {
+    if name.contains([',', '"', '\n', '\r']) {
+        format!("\"{}\"", name.replace('"', "\"\""))
+    } else {
+        name.to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::{Column, Row, Trial};
+
+    #[test]
+    fn what_is_written_is_read_again() {
+        let rows = (0..50).map(|number| {
+            let step = f64::from(number);
+            let mut values = [f64::NAN; Column::ALL.len()];
+            values[Column::V as usize] = 0.1 * step.sin();
+            values[Column::Power as usize] = 3.0 + step / 7.0;
+            values[Column::Voltage as usize] = 11.1;
+            values[Column::Current as usize] = if number % 9 == 0 {
+                f64::NAN
+            } else {
+                step / 30.0
+            };
+            Row {
+                timestamp_s: step / 30.0,
+                values,
+            }
+        });
+        let trial = Trial::from_rows(Path::new("rows"), "a, \"b\"", rows).expect("rows are sound");
+        let directory = tempfile::tempdir().expect("a directory");
+        for name in ["a.csv", "a.csv.gz"] {
+            let path = directory.path().join(name);
+            trial.write_csv(&path).expect("it can be written");
+            assert!(trial.write_csv(&path).is_err(), "it would be overwritten");
+            let again = Trial::read(&path).expect("it can be read");
+            assert_eq!(again.robot_name(), trial.robot_name());
+            assert_eq!(again.timestamp_s(), trial.timestamp_s());
+            assert_eq!(again.notes().missing_columns, trial.notes().missing_columns);
+            for column in Column::ALL {
+                let (Some(read), Some(written)) = (again.column(column), trial.column(column))
+                else {
+                    assert_eq!(
+                        again.column(column).is_some(),
+                        trial.column(column).is_some()
+                    );
+                    continue;
+                };
+                for (read, written) in read.iter().zip(written) {
+                    let close = (read - written).abs() <= 1e-12 * written.abs();
+                    assert!(
+                        close || read.is_nan() && written.is_nan(),
+                        "{read} {written}"
+                    );
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,116 @@
+//! The request of a calibration, and why it cannot be met.
+
+use joulebus_settings::SettingsError;
+
+/// The requested rate and its conditions.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Request {
+    /// False alarms of the fleet, an hour, all residual alarms of all robots together, above 0.
+    pub fleet_per_h: f64,
+    /// Robots of the fleet, above 0.
+    pub robots: u32,
+    /// Level of the bounds, above 0 and below 1.
+    pub confidence: f64,
+    /// Whether limits may be extrapolated beyond the recordings.
+    pub extrapolate: bool,
+}
+
+impl Request {
+    /// False alarms that a robot may raise an hour.
+    pub(super) fn per_robot_h(&self) -> f64 {
+        self.fleet_per_h / f64::from(self.robots)
+    }
+}
+
+/// Errors of calibrating.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum CalibrateError {
+    /// The recordings are too few for two halves.
+    #[error(
+        "{found} recording of at most ten minutes: at least 2 are needed, one to choose limits on and one to \
+         state their rate on"
+    )]
+    Recordings {
+        /// Recordings given.
+        found: usize,
+    },
+    /// No reading of the half that states the rate was scored.
+    #[error(
+        "the recordings of the half that states the rate are so short that no reading of them was scored: give longer \
+         ones, or more"
+    )]
+    Unscored,
+    /// The recordings are too short for the request.
+    #[error(
+        "{hours:.2} robot-hours, half of the recordings, can show at most {at_best:.3} false alarms a robot-hour at \
+         {:.0} %, {:.1} a day of {robots} robots; asked for are {wanted:.3e}: record {needed_h:.1} robot-hours in which \
+         none is raised, ask for more alarms, or allow what is not shown (--extrapolate)",
+        100.0 * confidence,
+        at_best * f64::from(*robots) * 24.0
+    )]
+    Hours {
+        /// Robot-hours of the half that states the rate.
+        hours: f64,
+        /// Rate that can be shown with them.
+        at_best: f64,
+        /// Rate asked for.
+        wanted: f64,
+        /// Robot-hours needed, both halves together.
+        needed_h: f64,
+        /// Robots of the fleet.
+        robots: u32,
+        /// The level.
+        confidence: f64,
+    },
+    /// They raise too many alarms even at the greatest limits.
+    #[error(
+        "{alarms} alarms in {hours:.2} robot-hours at the greatest limits, at most {at_most:.3} a robot-hour, and \
+         {wanted:.3e} are asked for: are the recordings healthy, and the model trained for this robot?"
+    )]
+    Alarms {
+        /// Alarms of the half that states the rate.
+        alarms: u64,
+        /// Its robot-hours.
+        hours: f64,
+        /// Their bound.
+        at_most: f64,
+        /// Rate asked for.
+        wanted: f64,
+    },
+    /// An extrapolation leaves the allowed limits.
+    #[error(
+        "{key}: {reached} recordings reach the tail, which leaves {rate:.3e} false alarms a robot-hour at the \
+         greatest limit, {greatest}; {wanted:.3e} are allowed: give more recordings, or ask for a higher rate"
+    )]
+    Tail {
+        /// The limit.
+        key: &'static str,
+        /// Recordings that the tail is fitted to.
+        reached: u64,
+        /// Greatest limit.
+        greatest: f64,
+        /// Rate there.
+        rate: f64,
+        /// Rate allowed.
+        wanted: f64,
+    },
+    /// The half that states the rate contradicts an extrapolation.
+    #[error(
+        "{key}: {found} recordings of the half that states the rate go beyond {limit}, and the tail of the others \
+         expects at most {expected:.2}: the tail does not hold; give more recordings"
+    )]
+    Refuted {
+        /// The limit's key.
+        key: &'static str,
+        /// The limit.
+        limit: f64,
+        /// Recordings expected beyond it.
+        expected: f64,
+        /// Recordings found.
+        found: u64,
+    },
+    /// The settings.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
+}

@@ -1,0 +1,374 @@
+//! Energy over the next seconds to minutes, given the commands that were really driven. Compares
+//! errors and intervals of the energy model with simpler forecasts and with the network in open
+//! loop.
+
+use std::fmt;
+
+use joulebus_dataset::trial::Trial;
+use joulebus_energy::{Commands, EnergyModel, EnergySample, EnergyState, HORIZONS_S};
+use joulebus_predictor::{
+    Features, INPUTS, LAGS, Linear, Model, ReadingAge, RolloutStart, Rollouts,
+};
+use joulebus_wire::{Sample, sample_flag};
+use serde::ser::{SerializeMap as _, Serializer};
+use serde::{Deserialize, Serialize};
+
+/// Readings before the first forecast.
+const FIRST: usize = LAGS;
+/// Rows between the origins of forecasts, unless asked otherwise.
+const EVERY: usize = 10;
+/// Coverage of the intervals.
+const COVERAGE: f32 = 0.9;
+
+/// The forecasts, in the order of [`HorizonErrors::errors`].
+pub const FORECASTS: [&str; 7] = [
+    "energy model",
+    "last reading",
+    "mean 1 s",
+    "mean 5 s",
+    "mean of all",
+    "AR(5)",
+    "network",
+];
+
+/// Errors at one horizon.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct HorizonErrors {
+    /// Horizon, s.
+    pub horizon_s: f32,
+    /// Forecasts scored, each with the commands that followed.
+    pub origins: usize,
+    /// Sum of the absolute errors through the sum of the energies, of each of [`FORECASTS`]; NaN
+    /// for one that the model does not have.
+    #[serde(serialize_with = "by_name")]
+    pub errors: [f64; FORECASTS.len()],
+    /// Share of measured energies inside the energy model's 90 % interval; NaN without intervals.
+    pub coverage: f64,
+    /// Mean width of the interval through the mean energy; NaN without intervals.
+    pub width: f64,
+    /// Width of the narrowest interval that adds the same two numbers to every forecast and, in
+    /// hindsight, contains 90 % of the energies, through the mean energy.
+    pub narrowest: f64,
+}
+
+fn by_name<S: Serializer>(errors: &[f64; FORECASTS.len()], to: S) -> Result<S::Ok, S::Error> {
+    let mut map = to.serialize_map(Some(FORECASTS.len()))?;
+    for (name, error) in FORECASTS.iter().zip(errors) {
+        map.serialize_entry(name, error)?;
+    }
+    map.end()
+}
+
+/// Errors at each horizon that the recordings are long enough for.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct EnergyErrors {
+    /// In ascending order.
+    pub horizons: Vec<HorizonErrors>,
+}
+
+/// One forecast of each kind, and the measured energy.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+struct Scored {
+    energy_j: f64,
+    forecasts_j: [f64; FORECASTS.len()],
+    /// Lower and upper end.
+    interval_j: Option<[f64; 2]>,
+}
+
+/// Forecasts of several recordings, to be [summed up](EnergyScores::errors).
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct EnergyScores {
+    scored: [Vec<Scored>; HORIZONS_S.len()],
+}
+
+impl EnergyScores {
+    /// Adds the forecasts of a recording, every ten rows, by `model` and its energy model. Robots
+    /// start as new ones. Only readings with `true` in `scored` are forecast; those beyond its end
+    /// are not.
+    pub fn add(&mut self, model: &Model, trial: &Trial, scored: &[bool]) {
+        self.add_every(EVERY, model, trial, scored);
+    }
+
+    /// Same as `add`, at every n-th row, n at least 1.
+    pub fn add_every(&mut self, rows: usize, model: &Model, trial: &Trial, scored: &[bool]) {
+        let every = rows.max(1);
+        let untrained = EnergyModel::untrained(1.0);
+        let mut recorded = Recorded::new(model, model.energy().unwrap_or(&untrained), trial);
+        recorded.leave_out(scored);
+        for (scored, horizon_s) in self.scored.iter_mut().zip(HORIZONS_S) {
+            let (mut state, mut age) = (EnergyState::new(0), ReadingAge::UNKNOWN);
+            for row in 0..recorded.samples.len() {
+                state.observe(recorded.energy, &recorded.told[row]);
+                let sample = &recorded.samples[row];
+                if sample.has(sample_flag::POWER) {
+                    age.read(!sample.has(sample_flag::HELD));
+                }
+                if row >= FIRST && row % every == every / 2 {
+                    let found = recorded.forecast(&state, age, row, horizon_s);
+                    scored.extend(found);
+                }
+            }
+        }
+    }
+
+    /// Adds the forecasts of another.
+    pub fn append(&mut self, other: Self) {
+        for (own, other) in self.scored.iter_mut().zip(other.scored) {
+            own.extend(other);
+        }
+    }
+
+    /// Errors at each horizon with a forecast.
+    #[must_use]
+    pub fn errors(&self) -> EnergyErrors {
+        let horizons = self.scored.iter().zip(HORIZONS_S);
+        let horizons = horizons.filter(|(scored, _)| !scored.is_empty());
+        EnergyErrors {
+            horizons: horizons
+                .map(|(scored, horizon_s)| errors(scored, horizon_s))
+                .collect(),
+        }
+    }
+}
+
+fn errors(scored: &[Scored], horizon_s: f32) -> HorizonErrors {
+    let count = scored.len() as f64;
+    let energy_j: f64 = scored.iter().map(|one| one.energy_j.abs()).sum();
+    let known = scored.iter().filter_map(|one| Some((one, one.interval_j?)));
+    let inside = known
+        .clone()
+        .filter(|(one, [lo_j, hi_j])| (*lo_j..=*hi_j).contains(&one.energy_j));
+    let width_j: f64 = known.clone().map(|(_, [lo_j, hi_j])| hi_j - lo_j).sum();
+    let intervals = known.count() as f64;
+    let mut residuals: Vec<f64> = scored
+        .iter()
+        .map(|one| one.energy_j - one.forecasts_j[0])
+        .collect();
+    residuals.sort_by(f64::total_cmp);
+    let within = (f64::from(COVERAGE) * count).ceil() as usize;
+    let widths = residuals
+        .windows(within.max(1))
+        .map(|part| part[part.len() - 1] - part[0]);
+    HorizonErrors {
+        horizon_s,
+        origins: scored.len(),
+        errors: std::array::from_fn(|place| {
+            let error = |one: &Scored| (one.forecasts_j[place] - one.energy_j).abs();
+            scored.iter().map(error).sum::<f64>() / energy_j
+        }),
+        coverage: inside.count() as f64 / intervals,
+        width: width_j / intervals / (energy_j / count),
+        narrowest: widths.fold(f64::INFINITY, f64::min) / (energy_j / count),
+    }
+}
+
+/// A recording, prepared.
+struct Recorded<'a> {
+    model: &'a Model,
+    energy: &'a EnergyModel,
+    samples: Vec<Sample>,
+    told: Vec<EnergySample>,
+    /// Number of readings up to each row that are not to be forecast, that row's included.
+    left_out: Vec<usize>,
+    /// Energy and time up to each row.
+    sums: Vec<[f64; 2]>,
+    period_s: f64,
+    longest_s: f64,
+}
+
+impl<'a> Recorded<'a> {
+    fn new(model: &'a Model, energy: &'a EnergyModel, trial: &Trial) -> Self {
+        // 0 means "never measured".
+        let samples = trial.to_samples(0, 1_000_000_000);
+        let period_s = trial.period_ns() as f64 * 1e-9;
+        let longest_s = 1.5 * period_s;
+        let (mut told, mut sums) = (Vec::new(), Vec::new());
+        let (mut before_ns, mut sum) = (None::<u64>, [0.0; 2]);
+        for sample in &samples {
+            let elapsed_ns = before_ns.map_or(0, |before| sample.stamp_ns.saturating_sub(before));
+            before_ns = Some(sample.stamp_ns);
+            let elapsed_s = elapsed_ns as f64 * 1e-9;
+            let (v_mps, omega_radps) = command(sample);
+            let counted = sample.has(sample_flag::POWER) && elapsed_s <= longest_s;
+            told.push(EnergySample {
+                power_w: if counted { sample.power_w } else { f32::NAN },
+                elapsed_s: elapsed_s as f32,
+                v_mps,
+                omega_radps,
+            });
+            sum = [
+                sum[0] + f64::from(sample.power_w) * elapsed_s,
+                sum[1] + elapsed_s,
+            ];
+            sums.push(sum);
+        }
+        Self {
+            model,
+            energy,
+            samples,
+            left_out: vec![0; told.len()],
+            told,
+            sums,
+            period_s,
+            longest_s,
+        }
+    }
+
+    fn leave_out(&mut self, scored: &[bool]) {
+        let mut count = 0;
+        for (row, left_out) in self.left_out.iter_mut().enumerate() {
+            count += usize::from(!scored.get(row).is_some_and(|scored| *scored));
+            *left_out = count;
+        }
+    }
+
+    /// The forecasts of the rows after `row`. `None` if there are too few, or they have a gap.
+    fn forecast(
+        &self,
+        state: &EnergyState,
+        age: ReadingAge,
+        row: usize,
+        horizon_s: f32,
+    ) -> Option<Scored> {
+        let steps = (f64::from(horizon_s) / self.period_s).round().max(1.0) as usize;
+        let (first, last) = (row + 1 - FIRST, row + steps);
+        let all = self.told.get(first..=last)?;
+        let sound = |told: &EnergySample| told.power_w.is_finite() && told.elapsed_s > 0.0;
+        if !all[1..].iter().all(sound) || self.left_out[last] > self.left_out[row] {
+            return None;
+        }
+        let duration_s = self.sums[last][1] - self.sums[row][1];
+        let (v_mps, omega_radps): (Vec<f32>, Vec<f32>) = self.told[row..last]
+            .iter()
+            .map(|told| (told.v_mps, told.omega_radps))
+            .unzip();
+        let period_s = (duration_s / steps as f64) as f32;
+        let plan = Commands {
+            period_s,
+            v_mps: &v_mps,
+            omega_radps: &omega_radps,
+        };
+        let forecast = self.energy.forecast(state, plan);
+        let end = |p: f32| forecast.quantile_j(p).map(f64::from);
+        let lo_j = end((1.0 - COVERAGE) / 2.0);
+        let trained = self.model.energy().is_some();
+        let mean = |window_s: f64| self.mean_w(row, window_s) * duration_s;
+        let lag_w = std::array::from_fn(|lag| self.samples[row - lag].power_w);
+        Some(Scored {
+            energy_j: self.sums[last][0] - self.sums[row][0],
+            forecasts_j: [
+                if trained {
+                    forecast.energy_j.into()
+                } else {
+                    f64::NAN
+                },
+                f64::from(lag_w[0]) * duration_s,
+                mean(1.0),
+                mean(5.0),
+                mean(f64::INFINITY),
+                self.model.linear().map_or(f64::NAN, |linear| {
+                    autoregression(linear, lag_w, steps) * f64::from(period_s)
+                }),
+                self.network(plan, row, lag_w, age).unwrap_or(f64::NAN),
+            ],
+            interval_j: lo_j
+                .zip(end((1.0 + COVERAGE) / 2.0))
+                .map(|(lo_j, hi_j)| [lo_j, hi_j]),
+        })
+    }
+
+    /// Mean power over a window up to a row, W.
+    fn mean_w(&self, row: usize, window_s: f64) -> f64 {
+        let [energy_j, time_s] = self.sums[row];
+        let within = |sum: &[f64; 2]| time_s - sum[1] > window_s + 0.5 * self.longest_s;
+        let before = self.sums[..row].partition_point(within).min(row - 1);
+        let [before_j, before_s] = self.sums[before];
+        (energy_j - before_j) / (time_s - before_s)
+    }
+
+    /// The network in open loop, J.
+    fn network(
+        &self,
+        plan: Commands<'_>,
+        row: usize,
+        lag_w: [f32; LAGS],
+        age: ReadingAge,
+    ) -> Option<f64> {
+        let before = row.checked_sub(1).map(|before| &self.told[before])?;
+        let command = (before.v_mps, before.omega_radps);
+        let start = RolloutStart {
+            command: command.0.is_finite().then_some(command),
+            lag_w,
+            reading_age: age,
+        };
+        let rollouts = Rollouts {
+            starts: &[start],
+            candidates: 1,
+            steps: plan.steps(),
+            step_s: plan.period_s,
+            v_mps: plan.v_mps,
+            omega_radps: plan.omega_radps,
+        };
+        let mut energy_j = [f32::NAN];
+        self.model
+            .rollout(&rollouts, 0..1, &mut energy_j, None)
+            .ok()?;
+        Some(energy_j[0].into())
+    }
+}
+
+fn command(sample: &Sample) -> (f32, f32) {
+    if sample.has(sample_flag::V | sample_flag::OMEGA) {
+        (sample.v_mps, sample.omega_radps)
+    } else {
+        (f32::NAN, f32::NAN)
+    }
+}
+
+/// Sum of the powers of an autoregression in open loop, W.
+fn autoregression(linear: &Linear, mut lag_w: [f32; LAGS], steps: usize) -> f64 {
+    const NEWEST: usize = INPUTS - 2 - LAGS;
+    let mut row: Features = [0.0; INPUTS];
+    let mut sum_w = 0.0;
+    for _ in 0..steps {
+        row[NEWEST..NEWEST + LAGS].copy_from_slice(&lag_w);
+        let power_w = linear.predict(&row);
+        lag_w.copy_within(..LAGS - 1, 1);
+        lag_w[0] = power_w;
+        sum_w += f64::from(power_w);
+    }
+    sum_w
+}
+
+impl fmt::Display for EnergyErrors {
+    /// A table in Markdown.
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "| horizon s | forecasts |")?;
+        for name in FORECASTS {
+            write!(out, " {name} |")?;
+        }
+        writeln!(out, " coverage % | width | narrowest |")?;
+        writeln!(out, "|{}", "---|".repeat(FORECASTS.len() + 5))?;
+        for row in &self.horizons {
+            write!(out, "| {:>9} | {:>9} |", row.horizon_s, row.origins)?;
+            for (name, error) in FORECASTS.iter().zip(row.errors) {
+                write!(out, " {:>width$} |", share(error, 3), width = name.len())?;
+            }
+            let (width, narrowest) = (share(row.width, 2), share(row.narrowest, 2));
+            writeln!(
+                out,
+                " {:>10} | {width:>5} | {narrowest:>9} |",
+                share(100.0 * row.coverage, 1)
+            )?;
+        }
+        Ok(())
+    }
+}
+
+fn share(value: f64, digits: usize) -> String {
+    if value.is_finite() {
+        format!("{value:.digits$}")
+    } else {
+        "–".to_owned()
+    }
+}

@@ -1,0 +1,155 @@
+//! Gain of online learning over the network alone: the platform option `forecast`, evaluated by the
+//! live tick on recorded trials, compared with persistence and the model file's linear baseline.
+
+use joulebus_predictor::{FEATURES, FeatureSet, Linear, Model, Network};
+use joulebus_settings::{FleetSettings, Platform};
+
+use crate::evaluate::{EvaluateError, RobotEvaluation, evaluate_trial};
+use crate::score::recorded_platform;
+use joulebus_dataset::rows::{TrialRows, sample_rows};
+use joulebus_dataset::trial::Trial;
+use joulebus_statistics::metrics::{CoverageTally, Tally};
+
+/// The two ways to forecast with a network, in the order of [`Judged::variants`], and whether each
+/// learns online.
+pub const VARIANTS: [(&str, bool); 2] = [("network", false), ("online", true)];
+
+/// Minimum number of readings of a trial for its coverage to be judged: with fewer, one reading
+/// changes it by half a percent or more.
+pub const FEWEST_READINGS: u64 = 200;
+/// Index of the feature that states whether a new measurement is due.
+const DUE: usize = FEATURES + 1;
+/// Allowed deviation of a trial's coverage from the nominal one.
+pub const TOLERANCE: f64 = 0.02;
+
+/// Scores on the same readings. Each trial is a separate robot without prior state.
+#[derive(Debug, Clone)]
+pub struct Judged {
+    /// Trials judged.
+    pub trials: usize,
+    /// Persistence.
+    pub persistence: Tally,
+    /// The model file's linear baseline, if it has one.
+    pub linear: Option<Tally>,
+    /// In the order of [`VARIANTS`].
+    pub variants: [Variant; VARIANTS.len()],
+}
+
+/// One variant.
+#[derive(Debug, Clone, Default)]
+pub struct Variant {
+    /// Its forecasts.
+    pub forecasts: Tally,
+    /// Its intervals, of all trials.
+    pub intervals: CoverageTally,
+    /// The intervals of readings for which a new measurement was due.
+    pub due: CoverageTally,
+    /// Share of readings inside their interval, per trial of at least [`FEWEST_READINGS`] readings.
+    pub coverage: Vec<f64>,
+}
+
+impl Variant {
+    /// Share of the trials whose coverage is within [`TOLERANCE`] of `wanted`; NaN without a trial.
+    #[must_use]
+    pub fn held(&self, wanted: f64) -> f64 {
+        // The quotient of two counts differs from the tolerance by rounding at most.
+        let holds = |coverage: &&f64| (**coverage - wanted).abs() <= TOLERANCE + 1e-9;
+        self.coverage.iter().filter(holds).count() as f64 / self.coverage.len() as f64
+    }
+}
+
+impl Judged {
+    /// The best R² of persistence, the linear baseline and the network alone.
+    #[must_use]
+    pub fn best_member_r2(&self) -> f64 {
+        let linear = self.linear.as_ref().map_or(f64::NEG_INFINITY, Tally::r2);
+        let [network, ..] = &self.variants;
+        self.persistence
+            .r2()
+            .max(linear)
+            .max(network.forecasts.r2())
+    }
+}
+
+/// Evaluates a network on trials, each sample through the live tick as in [`evaluate_trial`].
+///
+/// Scored are the readings that follow five others without a gap, so that every forecaster has the
+/// same inputs; the tick's forecasts over gaps are not scored.
+///
+/// # Errors
+/// [`EvaluateError`]: settings that are refused.
+pub fn judge(
+    network: &Network,
+    platform: &Platform,
+    settings: &FleetSettings,
+    trials: &[&Trial],
+) -> Result<Judged, EvaluateError> {
+    let model = Model::Network(network.clone());
+    let mut judged = Judged {
+        trials: trials.len(),
+        persistence: Tally::default(),
+        linear: model.linear().map(|_| Tally::default()),
+        variants: std::array::from_fn(|_| Variant::default()),
+    };
+    for trial in trials {
+        let rows = sample_rows(&trial.to_samples(0, 1_000_000_000), trial.period_ns());
+        judged.baselines(&rows, model.linear());
+        for ((_, online), variant) in VARIANTS.iter().zip(&mut judged.variants) {
+            let settings = FleetSettings {
+                platforms: vec![of_trial(platform, trial, *online)],
+                ..settings.clone()
+            };
+            let live = evaluate_trial(&settings, std::slice::from_ref(&model), 0, trial)?;
+            variant.take(&live, &rows);
+        }
+    }
+    Ok(judged)
+}
+
+/// The platform with the trial's recorded period.
+fn of_trial(platform: &Platform, trial: &Trial, online: bool) -> Platform {
+    Platform {
+        power_resolution_w: platform.power_resolution_w,
+        power_min_w: platform.power_min_w,
+        power_max_w: platform.power_max_w,
+        online,
+        ..recorded_platform(0, trial)
+    }
+}
+
+impl Judged {
+    fn baselines(&mut self, rows: &TrialRows, linear: Option<&Linear>) {
+        for row in &rows.rows {
+            let reading_w = f64::from(row.target_w);
+            let last_w = row.features[FeatureSet::PowerOnly.first()];
+            self.persistence.add(reading_w, last_w.into(), 0.0);
+            if let (Some(tally), Some(linear)) = (&mut self.linear, linear) {
+                tally.add(reading_w, linear.predict(&row.features).into(), 0.0);
+            }
+        }
+    }
+}
+
+impl Variant {
+    fn take(&mut self, live: &RobotEvaluation, rows: &TrialRows) {
+        let mut intervals = CoverageTally::default();
+        for (row, seq) in rows.rows.iter().zip(&rows.sample_seq) {
+            // One step per sample, in order.
+            let Some(step) = live.steps.get(*seq as usize) else {
+                continue;
+            };
+            let reading_w = f64::from(row.target_w);
+            let known = |watts: Option<f32>| watts.map_or(f64::NAN, f64::from);
+            self.forecasts.add(reading_w, known(step.power_w), 0.0);
+            intervals.add(reading_w, known(step.lo_w), known(step.hi_w));
+            // NaN means unknown, and then a reading is due.
+            if row.features[DUE] != 0.0 {
+                self.due.add(reading_w, known(step.lo_w), known(step.hi_w));
+            }
+        }
+        if intervals.count() >= FEWEST_READINGS {
+            self.coverage.push(intervals.coverage());
+        }
+        self.intervals.merge(&intervals);
+    }
+}

@@ -1,0 +1,60 @@
+//! Scores of models on recordings, compared with baselines.
+//!
+//! Two modes, both on the same rows and with the same baselines:
+//!
+//! - *Corrected*: each forecast is based on real readings, one tick ahead. Forecasts and intervals
+//!   are those of the live tick, to the bit ([`crate::evaluate`]).
+//! - *Open loop*: from an origin on, a forecaster is fed with its own forecasts and the true
+//!   commands, and is scored at given horizons ([`Horizon`]). One tick ahead, on all rows, it
+//!   equals corrected mode.
+//!
+//! The scored forecast is the one that would be published
+//! ([`Forecast`](crate::evaluate::Forecast)). The members of an online forecast are scored beside
+//! it. Open loop is the network's alone.
+//!
+//! The baselines are persistence and linear models of the last readings and the velocities
+//! ([`joulebus_train::linear`]), fitted on rows that are not evaluated ([`Design`]).
+//!
+//! A model's file identifies the rows it was trained on. Those are scored apart
+//! ([`Design::hold_apart`]).
+//!
+//! A row is scored if five gapless readings precede it, a reading follows it, and every model has a
+//! forecast for it, so all forecasters are scored on the same rows. The other rows are counted.
+//!
+//! Results have the same bits for any number of threads: each recording is summed in the order of
+//! its rows, and recordings are merged in the given order.
+
+mod blocks;
+mod cell;
+mod common;
+mod compare;
+mod corrected;
+mod design;
+mod kept;
+mod members;
+mod open;
+mod open_loop;
+mod options;
+mod portion;
+mod recording;
+mod report;
+mod run;
+mod subject;
+mod tallied;
+mod text;
+mod trained_on;
+
+pub use cell::{Blocks, Cell, ForecasterScore, Horizon, HorizonCell, HorizonScore, Role, Skill};
+pub use common::BaselineReport;
+pub use compare::{Comparison, Difference, MemberScore, Verdict, compare};
+pub use design::{Design, DesignReport, Fold, Part};
+pub(crate) use open::each;
+pub use open::{ROWS_IN_MEMORY, open_recordings, read_recordings};
+pub use options::{LONGEST_HORIZON, Options, ScoreError};
+pub(crate) use portion::Misfit;
+pub use portion::{Portion, score_portion};
+pub use recording::{Contents, Recording, check_apart, recorded_platform};
+pub use report::{ModelReport, ScoreReport};
+pub use run::{Reported, Scored, score, score_reported, score_watched};
+pub use subject::Subject;
+pub use trained_on::{ScoredRows, TrainedOn};

@@ -1,0 +1,355 @@
+//! Tables: the scores of a set of recordings, each forecaster on the same rows.
+
+use std::io;
+
+use serde::{Deserialize, Serialize};
+
+use super::Options;
+use super::blocks::{Block, Draws, HorizonSums};
+use super::tallied::{Set, Tallied};
+use joulebus_statistics::bootstrap::{Bootstrap, Estimate};
+use joulebus_statistics::metrics::{Coverage, ResidualQuantiles, Tally};
+
+/// Scores of a set of recordings in corrected mode: all of them, a group, a robot or a trial. Their
+/// rows are pooled: R² is about the mean over all of them.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Cell {
+    /// `all`, or the name of the group, robot or trial.
+    pub name: String,
+    /// Trials.
+    pub trials: usize,
+    /// Rows scored, for every forecaster.
+    pub rows: u64,
+    /// Rows left out because a model has no forecast for them.
+    pub unscored: u64,
+    /// Mean of the readings, W.
+    pub reading_mean_w: f64,
+    /// Standard deviation of the readings, W.
+    pub reading_std_w: f64,
+    /// Resampled blocks of the confidence intervals.
+    pub blocks: Blocks,
+    /// The models, persistence, the linear baselines, the members of the models' online forecasts.
+    pub forecasters: Vec<ForecasterScore>,
+}
+
+/// Resampled blocks of confidence intervals.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Blocks {
+    /// Number of blocks. Below [`joulebus_statistics::bootstrap::MIN_BLOCKS`], there is no
+    /// interval.
+    pub count: usize,
+    /// Whether each block is a whole trial; otherwise a number of consecutive rows.
+    pub whole_trials: bool,
+}
+
+/// One forecaster. Undefined scores are NaN, null in JSON; definitions: [`Tally`].
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ForecasterScore {
+    /// Its name.
+    pub name: String,
+    /// Its role in this evaluation.
+    pub role: Role,
+    /// Rows scored. They are fewer than the cell's if a linear baseline lacks a feature.
+    pub count: u64,
+    /// Coefficient of determination.
+    pub r2: Estimate,
+    /// Root of the mean squared residual, W.
+    pub rmse_w: Estimate,
+    /// Mean absolute residual, W.
+    pub mae_w: Estimate,
+    /// Mean absolute relative residual, share.
+    pub mape: f64,
+    /// Mean of reading minus forecast, W.
+    pub bias_w: Estimate,
+    /// Quantiles of reading minus forecast, W.
+    pub residual: ResidualQuantiles,
+    /// (Forecast energy − measured energy) / measured energy, share.
+    pub energy_error: Estimate,
+    /// Against persistence, and against each linear baseline.
+    pub skill: Vec<Skill>,
+    /// The intervals of the live path; models only.
+    pub interval: Option<IntervalScore>,
+}
+
+/// The role of a forecaster in an evaluation.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Role {
+    /// The forecast that a model's platform publishes.
+    Published,
+    /// Persistence, or a linear model fitted on the recordings.
+    Baseline,
+    /// A member of a published forecast that learns online.
+    Member,
+}
+
+/// 1 − ratio of the mean squared error to a baseline's. Positive is better.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Skill {
+    /// The baseline.
+    pub against: String,
+    /// The skill.
+    #[serde(flatten)]
+    pub skill: Estimate,
+}
+
+/// Coverage and width of the live intervals.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct IntervalScore {
+    /// Counts, shares and width.
+    #[serde(flatten)]
+    pub scores: Coverage,
+    /// Share inside, with its confidence interval.
+    pub inside: Estimate,
+    /// Mean width, W, with its confidence interval.
+    pub width: Estimate,
+}
+
+/// The open-loop scores of a set of recordings.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct HorizonCell {
+    /// `all`, or the name of the group, robot or trial.
+    pub name: String,
+    /// Trials; a whole trial is a block of the confidence intervals.
+    pub trials: usize,
+    /// One entry per horizon.
+    pub horizons: Vec<Horizon>,
+}
+
+/// One horizon: the reading `ticks` after the origin's last one.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Horizon {
+    /// Ticks ahead; 1 is the corrected forecast.
+    pub ticks: usize,
+    /// The same in seconds, at the recordings' median period.
+    pub seconds: f64,
+    /// Rollouts that reach this horizon.
+    pub origins: u64,
+    /// Rollouts left out because a model has no forecast.
+    pub unscored: u64,
+    /// The models, persistence, the linear baselines.
+    pub forecasters: Vec<HorizonScore>,
+}
+
+/// One forecaster at one horizon.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct HorizonScore {
+    /// Its name.
+    pub name: String,
+    /// Coefficient of determination, about the mean of the readings at this horizon.
+    pub r2: Estimate,
+    /// Root of the mean squared residual, W.
+    pub rmse_w: Estimate,
+    /// Mean absolute residual, W.
+    pub mae_w: Estimate,
+    /// Mean residual, W.
+    pub bias_w: f64,
+    /// Energy up to the horizon: mean of |forecast − measured| / |measured| over the rollouts,
+    /// share.
+    pub energy_mape: f64,
+    /// Energy up to the horizon, summed over the rollouts: (forecast − measured) / measured, share.
+    pub energy_error: Estimate,
+    /// Against persistence, and against each linear baseline.
+    pub skill: Vec<Skill>,
+}
+
+/// Names of the forecasters, and which of them are models and which baselines; the others are
+/// members.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Names {
+    pub(crate) forecasters: Vec<String>,
+    /// Names in open loop, where each model is its network alone and there are no members.
+    pub(crate) open_loop: Vec<String>,
+    pub(crate) models: usize,
+    pub(crate) baselines: usize,
+    /// Nominal coverage of the live intervals.
+    pub(crate) nominal: f64,
+}
+
+impl Names {
+    /// Forecasters used as references: the baselines.
+    fn references(&self) -> std::ops::Range<usize> {
+        self.models..self.models + self.baselines
+    }
+
+    fn role(&self, forecaster: usize) -> Role {
+        if forecaster < self.models {
+            Role::Published
+        } else if self.references().contains(&forecaster) {
+            Role::Baseline
+        } else {
+            Role::Member
+        }
+    }
+
+    fn skills(&self, of: usize, estimates: &mut impl Iterator<Item = Estimate>) -> Vec<Skill> {
+        let against = self.references().filter(|reference| *reference != of);
+        let named = against.map(|reference| self.forecasters[reference].clone());
+        named
+            .zip(estimates)
+            .map(|(against, skill)| Skill { against, skill })
+            .collect()
+    }
+}
+
+/// Scores of each forecaster that have confidence intervals, in the order in which [`cell`] reads
+/// them.
+fn statistics(block: &Block, names: &Names) -> Vec<f64> {
+    let mut found = Vec::with_capacity(16 * block.forecasters.len());
+    for (at, tally) in block.forecasters.iter().enumerate() {
+        found.extend([
+            tally.r2(),
+            tally.rmse_w(),
+            tally.mae_w(),
+            tally.bias_w(),
+            tally.energy_error(),
+        ]);
+        push_skills(&mut found, &block.forecasters, at, names);
+        if let Some(interval) = block.intervals.get(at) {
+            found.extend([interval.coverage(), interval.width_w()]);
+        }
+    }
+    found
+}
+
+fn push_skills(found: &mut Vec<f64>, tallies: &[Tally], at: usize, names: &Names) {
+    let against = names.references().filter(|reference| *reference != at);
+    found.extend(against.map(|reference| tallies[at].skill(&tallies[reference])));
+}
+
+/// The table of a set of recordings.
+///
+/// # Errors
+/// Residuals cannot be read from their temporary file.
+pub(crate) fn cell(
+    tallied: &Tallied,
+    set: &Set,
+    names: &Names,
+    options: &Options,
+) -> io::Result<Cell> {
+    let (blocks, whole_trials) = tallied.blocks(set, &options.bootstrap);
+    let whole = Block::merged(&blocks);
+    let draws = Draws::new(&blocks);
+    let statistics = |drawn: &[usize]| statistics(&draws.merged(drawn), names);
+    let estimates = options.bootstrap.estimate(blocks.len(), statistics);
+    let mut estimates = estimates.into_iter();
+    let forecasters = whole.forecasters.iter().enumerate().map(|(at, tally)| {
+        // There are as many estimates as statistics.
+        let mut next = || estimates.next().unwrap_or(Estimate::alone(f64::NAN));
+        let [r2, rmse_w, mae_w, bias_w, energy_error] = std::array::from_fn(|_| next());
+        let skill = names.skills(at, &mut std::iter::from_fn(|| Some(next())));
+        let interval = whole.intervals.get(at).map(|interval| IntervalScore {
+            scores: interval.coverage_of(names.nominal),
+            inside: next(),
+            width: next(),
+        });
+        Ok(ForecasterScore {
+            name: names.forecasters[at].clone(),
+            role: names.role(at),
+            count: tally.count(),
+            r2,
+            rmse_w,
+            mae_w,
+            mape: tally.mape(),
+            bias_w,
+            residual: tallied.residuals(set, at)?,
+            energy_error,
+            skill,
+            interval,
+        })
+    });
+    let forecasters = forecasters.collect::<io::Result<_>>()?;
+    let first = whole.forecasters.first().copied().unwrap_or_default();
+    Ok(Cell {
+        name: set.name.clone(),
+        trials: set.trials(),
+        rows: first.count(),
+        unscored: first.unscored(),
+        reading_mean_w: first.reading_mean_w(),
+        reading_std_w: first.reading_std_w(),
+        blocks: Blocks {
+            count: blocks.len(),
+            whole_trials,
+        },
+        forecasters,
+    })
+}
+
+/// The open-loop table of a set of recordings. Rollouts overlap, so only whole trials are
+/// resampled.
+pub(crate) fn horizon_cell(
+    tallied: &Tallied,
+    set: &Set,
+    names: &Names,
+    options: &Options,
+) -> HorizonCell {
+    let period_s = tallied.period_s();
+    let horizons = options.horizons.iter().enumerate();
+    let horizons = horizons.map(|(place, &ticks)| {
+        let trials: Vec<&HorizonSums> = tallied.horizon(set, place).collect();
+        horizon(&trials, ticks, period_s, names, &options.bootstrap)
+    });
+    HorizonCell {
+        name: set.name.clone(),
+        trials: set.trials(),
+        horizons: horizons.collect(),
+    }
+}
+
+fn horizon(
+    trials: &[&HorizonSums],
+    ticks: usize,
+    period_s: f64,
+    names: &Names,
+    bootstrap: &Bootstrap,
+) -> Horizon {
+    // Trials too short for the horizon are ignored.
+    let reaching: Vec<&HorizonSums> = trials
+        .iter()
+        .copied()
+        .filter(|sums| sums.power.first().is_some_and(|tally| tally.count() > 0))
+        .collect();
+    let whole = HorizonSums::merged(trials.iter().copied());
+    let blocks: Vec<Block> = reaching.iter().map(|sums| sums.block()).collect();
+    let draws = Draws::new(&blocks);
+    let estimates = bootstrap.estimate(blocks.len(), |drawn| {
+        let drawn = draws.merged(drawn).forecasters;
+        let (powers, energies) = drawn.split_at(drawn.len() / 2);
+        let mut found = Vec::with_capacity(8 * drawn.len());
+        for (at, (power, energy)) in powers.iter().zip(energies).enumerate() {
+            found.extend([
+                power.r2(),
+                power.rmse_w(),
+                power.mae_w(),
+                energy.energy_error(),
+            ]);
+            push_skills(&mut found, powers, at, names);
+        }
+        found
+    });
+    let mut estimates = estimates.into_iter();
+    let mut next = || estimates.next().unwrap_or(Estimate::alone(f64::NAN));
+    let pairs = whole.power.iter().zip(&whole.energy).enumerate();
+    let forecasters = pairs.map(|(at, (power, energy))| {
+        let [r2, rmse_w, mae_w, energy_error] = std::array::from_fn(|_| next());
+        HorizonScore {
+            name: names.open_loop[at].clone(),
+            r2,
+            rmse_w,
+            mae_w,
+            bias_w: power.bias_w(),
+            energy_mape: energy.mape(),
+            energy_error,
+            skill: names.skills(at, &mut std::iter::from_fn(|| Some(next()))),
+        }
+    });
+    let forecasters = forecasters.collect();
+    let first = whole.power.first().copied().unwrap_or_default();
+    Horizon {
+        ticks,
+        seconds: ticks as f64 * period_s,
+        origins: first.count(),
+        unscored: first.unscored(),
+        forecasters,
+    }
+}

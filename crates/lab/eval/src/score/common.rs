@@ -1,0 +1,188 @@
+//! The common inputs of all parts of an evaluation: everything known before the recordings are run.
+
+use joulebus_predictor::Model;
+use joulebus_settings::FleetSettings;
+use joulebus_statistics::bootstrap::Bootstrap;
+use joulebus_train::linear::LinearReport;
+use serde::{Deserialize, Serialize};
+
+use super::cell::Names;
+use super::design::{DesignReport, Lines};
+use super::members::Member;
+use super::tallied::Listed;
+use super::trained_on::{Recognised, ScoredRows, TrainedOn};
+use super::{Options, ScoreError, Subject};
+use crate::evaluate::Forecast;
+
+/// An evaluation without its sums.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Common {
+    pub(super) platform: String,
+    /// Hash of the settings, the platform's among them.
+    settings: u64,
+    pub(super) models: Vec<Evaluated>,
+    pub(super) scored_rows: ScoredRows,
+    pub(super) design: DesignReport,
+    pub(super) baselines: Vec<BaselineReport>,
+    pub(super) names: Names,
+    pub(super) horizons: Vec<usize>,
+    origins_every: usize,
+    pub(super) energy: bool,
+    bootstrap: Bootstrap,
+    pub(super) recordings: Vec<Listed>,
+}
+
+/// A model before the energy of its forecasts is known.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct Evaluated {
+    pub(super) name: String,
+    pub(super) hash: String,
+    pub(super) forecast: Forecast,
+    pub(super) members: Vec<String>,
+    pub(super) training_data: Option<String>,
+    pub(super) trained_on: Option<TrainedOn>,
+}
+
+/// A linear baseline.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BaselineReport {
+    /// Its name.
+    pub name: String,
+    /// The linear model of the first fold; `None` if there were too few rows to fit it on.
+    pub line: Option<LinearReport>,
+    /// Folds in which it could be fitted.
+    pub fitted_folds: usize,
+}
+
+impl Common {
+    pub(super) fn of(
+        subject: Subject<'_>,
+        options: &Options,
+        lines: &Lines,
+    ) -> Result<Self, ScoreError> {
+        let Subject {
+            models,
+            recordings,
+            design,
+            ..
+        } = subject;
+        let names = names(subject, options);
+        let settings = FleetSettings {
+            platforms: subject.platform.into_iter().cloned().collect(),
+            ..subject.settings.clone()
+        };
+        let platform = subject.platform.map(|platform| platform.name.clone());
+        let evaluated = 0..models.len();
+        let recognised = Recognised::of(recordings, models)?;
+        Ok(Self {
+            platform: platform.unwrap_or_else(|| "recorded".to_owned()),
+            settings: settings.fingerprint(),
+            models: evaluated
+                .map(|at| Evaluated::of(at, subject, &names, &recognised))
+                .collect(),
+            scored_rows: design.scored_rows(&recognised),
+            design: design.report(),
+            baselines: baselines(options, lines),
+            names,
+            horizons: options.horizons.clone(),
+            origins_every: options.origins_every,
+            energy: options.energy,
+            bootstrap: options.bootstrap,
+            recordings: recordings.iter().map(Listed::of).collect(),
+        })
+    }
+
+    /// The options that tables depend on.
+    pub(super) fn options(&self) -> Options {
+        Options {
+            horizons: self.horizons.clone(),
+            origins_every: self.origins_every,
+            energy: self.energy,
+            baselines: Vec::new(),
+            bootstrap: self.bootstrap,
+        }
+    }
+}
+
+impl Evaluated {
+    fn of(at: usize, subject: Subject<'_>, names: &Names, recognised: &Recognised) -> Self {
+        let model = &subject.models[at];
+        let card = match model {
+            Model::Network(network) => Some(network.card()),
+            Model::Persistence(_) => None,
+        };
+        Self {
+            name: model.name().to_owned(),
+            hash: format!("{:016x}", model.hash()),
+            forecast: subject.forecast(model),
+            members: members(at, subject, names),
+            training_data: card.map(|card| card.training_data.clone()),
+            trained_on: subject.design.trained_on(recognised, at),
+        }
+    }
+}
+
+/// Names of the forecasters; models of the same name are distinguished by their hashes.
+fn names(subject: Subject<'_>, options: &Options) -> Names {
+    let models = subject.models;
+    let base = |model: &Model| {
+        let is_twice = models
+            .iter()
+            .filter(|other| other.name() == model.name())
+            .count()
+            > 1;
+        match is_twice {
+            true => format!("{} {:08x}", model.name(), model.hash() >> 32),
+            false => model.name().to_owned(),
+        }
+    };
+    let of = |forecast: &dyn Fn(&Model) -> Forecast| -> Vec<String> {
+        let named = models.iter().map(|model| match forecast(model) {
+            Forecast::Persistence => "persistence (model)".to_owned(),
+            forecast => format!("{} ({forecast})", base(model)),
+        });
+        let baselines = options.baselines.iter().map(ToString::to_string);
+        named
+            .chain(["persistence".to_owned()])
+            .chain(baselines)
+            .collect()
+    };
+    let mut forecasters = of(&|model| subject.forecast(model));
+    let members = Member::of(subject).into_iter();
+    forecasters
+        .extend(members.map(|(at, member)| format!("{} ({})", base(&models[at]), member.name())));
+    Names {
+        forecasters,
+        open_loop: of(&|model| Forecast::of(model, false)),
+        models: models.len(),
+        baselines: 1 + options.baselines.len(),
+        nominal: f64::from(subject.settings.interval.coverage),
+    }
+}
+
+/// Names of the members of a model's forecast.
+fn members(at: usize, subject: Subject<'_>, names: &Names) -> Vec<String> {
+    let first = names.models + names.baselines;
+    let all = Member::of(subject)
+        .into_iter()
+        .zip(&names.forecasters[first..]);
+    let own = all.filter(|((model, _), _)| *model == at);
+    let own: Vec<String> = own.map(|(_, name)| name.clone()).collect();
+    match own.is_empty() {
+        true => own,
+        false => [vec![names.forecasters[names.models].clone()], own].concat(),
+    }
+}
+
+fn baselines(options: &Options, lines: &Lines) -> Vec<BaselineReport> {
+    let each = options.baselines.iter().enumerate();
+    each.map(|(at, terms)| {
+        let fitted = lines.iter().filter_map(|lines| lines[at].as_ref());
+        BaselineReport {
+            name: terms.to_string(),
+            fitted_folds: fitted.clone().count(),
+            line: fitted.map(joulebus_train::linear::Linear::report).next(),
+        }
+    })
+    .collect()
+}

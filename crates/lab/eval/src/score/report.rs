@@ -1,0 +1,142 @@
+//! All scores of an evaluation.
+
+use std::io;
+
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::cell::{Cell, HorizonCell, cell, horizon_cell};
+use super::common::{BaselineReport, Common, Evaluated};
+use super::design::DesignReport;
+use super::tallied::{Set, Tallied};
+use super::trained_on::{ScoredRows, TrainedOn, warnings};
+use crate::energy::{EnergyErrors, EnergyScores};
+use crate::evaluate::Forecast;
+use joulebus_statistics::bootstrap::Bootstrap;
+
+/// An evaluation: data, models, baselines and scores. `Display` gives tables; in JSON, undefined
+/// scores are null.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ScoreReport {
+    /// Name of the platform. `recorded` if period and limits are the recordings'.
+    pub platform: String,
+    /// The models, in order.
+    pub models: Vec<ModelReport>,
+    /// How the models know the rows of all tables but `trained_on`.
+    pub scored_rows: ScoredRows,
+    /// Warnings for the reader of the scores.
+    pub warnings: Vec<String>,
+    /// The rows that were evaluated.
+    pub design: DesignReport,
+    /// The linear baselines, in order.
+    pub baselines: Vec<BaselineReport>,
+    /// Configuration of the confidence intervals.
+    pub bootstrap: Bootstrap,
+    /// Median period of the recordings, s.
+    pub period_s: f64,
+    /// Corrected mode, all recordings.
+    pub all: Cell,
+    /// Corrected mode on rows that a model was trained on, if they are scored apart.
+    pub trained_on: Option<Cell>,
+    /// Cells by group. Empty if there is only one.
+    pub groups: Vec<Cell>,
+    /// Cells by robot. Empty if there is only one.
+    pub robots: Vec<Cell>,
+    /// Cells by trial. Empty if there is only one.
+    pub trials: Vec<Cell>,
+    /// Rows from one origin of the open loop to the next; at shorter horizons, as many as the
+    /// horizon has ticks.
+    pub origins_every: usize,
+    /// Open loop, all recordings.
+    pub open_loop: HorizonCell,
+    /// Cells by group. Empty if there is only one.
+    pub open_loop_groups: Vec<HorizonCell>,
+    /// Cells by robot. Empty if there is only one.
+    pub open_loop_robots: Vec<HorizonCell>,
+    /// Cells by trial. Empty if there is only one.
+    pub open_loop_trials: Vec<HorizonCell>,
+}
+
+/// A model that was evaluated.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ModelReport {
+    /// Its name.
+    pub name: String,
+    /// Its hash, hexadecimal.
+    pub hash: String,
+    /// Whose forecast was scored one tick ahead; open loop is the network's alone.
+    pub forecast: Forecast,
+    /// Names of the forecast's members in the tables. Empty for a single forecaster.
+    pub members: Vec<String>,
+    /// Its training data as stated in its file; `None` for persistence.
+    pub training_data: Option<String>,
+    /// The rows that it was trained on, among those that were to be evaluated. `None` if its file
+    /// does not state them.
+    pub trained_on: Option<TrainedOn>,
+    /// Errors of its energy forecasts of the evaluated rows; `None` if not
+    /// [asked for](super::Options::energy).
+    pub energy: Option<EnergyErrors>,
+}
+
+/// The tables, from sums of the recordings and each model's forecasts of energy.
+///
+/// # Errors
+/// Residuals cannot be read from their temporary file.
+pub(super) fn report(
+    common: &Common,
+    [tallied, apart]: [&Tallied; 2],
+    energy: &[EnergyScores],
+) -> io::Result<ScoreReport> {
+    let (names, options) = (&common.names, &common.options());
+    let tables = |sets: Vec<Set>| -> io::Result<(Vec<Cell>, Vec<HorizonCell>)> {
+        let sets = if sets.len() > 1 { sets } else { Vec::new() };
+        let of = |set: &Set| {
+            let horizons = horizon_cell(tallied, set, names, options);
+            Ok((cell(tallied, set, names, options)?, horizons))
+        };
+        let found: io::Result<Vec<_>> = sets.par_iter().map(of).collect();
+        Ok(found?.into_iter().unzip())
+    };
+    let mut energy = energy.iter().map(EnergyScores::errors);
+    let models = common.models.iter();
+    let models: Vec<ModelReport> = models.map(|model| of_model(model, energy.next())).collect();
+    let stated = models.iter();
+    let stated = stated.map(|model| (model.name.as_str(), model.trained_on));
+    let all = tallied.all();
+    let (groups, open_loop_groups) = tables(tallied.groups())?;
+    let (robots, open_loop_robots) = tables(tallied.robots())?;
+    let (trials, open_loop_trials) = tables(tallied.trials())?;
+    let trained_on = (apart.rows() > 0).then(|| cell(apart, &apart.all(), names, options));
+    Ok(ScoreReport {
+        platform: common.platform.clone(),
+        scored_rows: common.scored_rows,
+        warnings: warnings(stated, common.scored_rows),
+        models,
+        design: common.design.clone(),
+        baselines: common.baselines.clone(),
+        bootstrap: options.bootstrap,
+        period_s: tallied.period_s(),
+        all: cell(tallied, &all, names, options)?,
+        trained_on: trained_on.transpose()?,
+        groups,
+        robots,
+        trials,
+        origins_every: options.origins_every,
+        open_loop: horizon_cell(tallied, &all, names, options),
+        open_loop_groups,
+        open_loop_robots,
+        open_loop_trials,
+    })
+}
+
+fn of_model(model: &Evaluated, energy: Option<EnergyErrors>) -> ModelReport {
+    ModelReport {
+        name: model.name.clone(),
+        hash: model.hash.clone(),
+        forecast: model.forecast,
+        members: model.members.clone(),
+        training_data: model.training_data.clone(),
+        trained_on: model.trained_on,
+        energy,
+    }
+}

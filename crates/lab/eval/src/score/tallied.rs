@@ -1,0 +1,205 @@
+//! The sums of all recordings, which are merged into every table.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::ops::Range;
+
+use serde::{Deserialize, Serialize};
+
+use super::Recording;
+use super::blocks::{Block, HorizonSums, Sums};
+use super::kept::Kept;
+use joulebus_statistics::bootstrap::Bootstrap;
+use joulebus_statistics::metrics::{ResidualQuantiles, Tally};
+use joulebus_statistics::order::residual_quantiles;
+
+/// Blocks above which neighbours are joined: some 10 MB of sums, and as many for each table that is
+/// resampled.
+const MAX_BLOCKS: usize = 16_384;
+
+/// The sums of all recordings that have rows to evaluate.
+#[derive(Debug, Default)]
+pub(crate) struct Tallied {
+    recordings: Vec<Named>,
+    /// Blocks of all recordings.
+    blocks: usize,
+    /// Number of times that neighbouring blocks were joined in pairs.
+    joined: u32,
+    residuals: Kept,
+}
+
+#[derive(Debug)]
+struct Named {
+    listed: Listed,
+    blocks: Vec<Block>,
+    /// One entry per horizon.
+    horizons: Vec<HorizonSums>,
+    /// Positions of the residuals of each forecaster.
+    residuals: Vec<Range<u64>>,
+}
+
+/// The contents of tables about a recording, beside its sums.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Listed {
+    pub(crate) name: String,
+    robot: String,
+    group: String,
+    period_s: f64,
+    /// Rows of the trial.
+    pub(crate) rows: usize,
+    /// Hash of the rows with a forecast.
+    digest: [u8; 32],
+}
+
+impl Listed {
+    pub(crate) fn of(recording: &Recording) -> Self {
+        Self {
+            name: recording.name.clone(),
+            robot: recording.robot.clone(),
+            group: recording.group.clone(),
+            period_s: recording.period_ns() as f64 * 1e-9,
+            rows: recording.trial_rows(),
+            digest: recording.digest(),
+        }
+    }
+}
+
+/// Recordings scored together, by index.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Set {
+    pub(crate) name: String,
+    places: Vec<usize>,
+}
+
+impl Set {
+    pub(crate) fn trials(&self) -> usize {
+        self.places.len()
+    }
+}
+
+impl Tallied {
+    /// Adds the sums of the next recording, if it has any.
+    ///
+    /// # Errors
+    /// Its residuals cannot be kept in a temporary file.
+    pub(crate) fn push(&mut self, listed: &Listed, sums: Sums) -> io::Result<()> {
+        let Sums {
+            mut blocks,
+            residuals_w,
+            horizons,
+        } = sums;
+        if blocks.is_empty() {
+            return Ok(());
+        }
+        // As if it had been there before the others were joined: the sums do not depend on the time
+        // of joining.
+        (0..self.joined).for_each(|_| Block::join_pairs(&mut blocks));
+        let residuals = residuals_w.iter().map(|own| self.residuals.push(own));
+        let residuals = residuals.collect::<io::Result<_>>()?;
+        self.blocks += blocks.len();
+        self.recordings.push(Named {
+            listed: listed.clone(),
+            blocks,
+            horizons,
+            residuals,
+        });
+        // A recording keeps one block, however many there are.
+        while self.blocks > MAX_BLOCKS.max(2 * self.recordings.len()) {
+            self.joined += 1;
+            let each = self.recordings.iter_mut();
+            each.for_each(|named| Block::join_pairs(&mut named.blocks));
+            self.blocks = self.recordings.iter().map(|named| named.blocks.len()).sum();
+        }
+        Ok(())
+    }
+
+    /// Rows that were scored.
+    pub(crate) fn rows(&self) -> u64 {
+        let blocks = self.recordings.iter().flat_map(|named| &named.blocks);
+        let first = blocks.filter_map(|block| block.forecasters.first());
+        first.map(Tally::count).sum()
+    }
+
+    /// Median period of the recordings, s.
+    pub(crate) fn period_s(&self) -> f64 {
+        let periods = self.recordings.iter().map(|named| named.listed.period_s);
+        joulebus_statistics::metrics::quantile(&joulebus_statistics::metrics::sorted(periods), 0.5)
+    }
+
+    pub(crate) fn all(&self) -> Set {
+        Set {
+            name: "all".to_owned(),
+            places: (0..self.recordings.len()).collect(),
+        }
+    }
+
+    pub(crate) fn trials(&self) -> Vec<Set> {
+        let each = self.recordings.iter().enumerate();
+        each.map(|(at, named)| Set {
+            name: named.listed.name.clone(),
+            places: vec![at],
+        })
+        .collect()
+    }
+
+    pub(crate) fn groups(&self) -> Vec<Set> {
+        self.by(|named| &named.listed.group)
+    }
+
+    pub(crate) fn robots(&self) -> Vec<Set> {
+        self.by(|named| &named.listed.robot)
+    }
+
+    fn by(&self, name: fn(&Named) -> &String) -> Vec<Set> {
+        let mut sets: BTreeMap<&String, Vec<usize>> = BTreeMap::new();
+        for (at, named) in self.recordings.iter().enumerate() {
+            sets.entry(name(named)).or_default().push(at);
+        }
+        let sets = sets.into_iter();
+        sets.map(|(name, places)| Set {
+            name: name.clone(),
+            places,
+        })
+        .collect()
+    }
+
+    fn of<'a>(&'a self, set: &'a Set) -> impl Iterator<Item = &'a Named> {
+        set.places.iter().map(|at| &self.recordings[*at])
+    }
+
+    /// The blocks to resample, and whether each is a whole trial.
+    pub(crate) fn blocks(&self, set: &Set, bootstrap: &Bootstrap) -> (Vec<Block>, bool) {
+        let whole = set.trials() >= bootstrap.trials_from;
+        let blocks = if whole {
+            let trials = self.of(set).map(|named| Block::merged(&named.blocks));
+            trials.collect()
+        } else {
+            let blocks = self.of(set).flat_map(|named| &named.blocks);
+            blocks.cloned().collect()
+        };
+        (blocks, whole)
+    }
+
+    /// Quantiles of a forecaster's residuals.
+    ///
+    /// # Errors
+    /// The temporary file cannot be read.
+    pub(crate) fn residuals(&self, set: &Set, forecaster: usize) -> io::Result<ResidualQuantiles> {
+        residual_quantiles(|take| {
+            let mut ranges = self
+                .of(set)
+                .filter_map(|named| named.residuals.get(forecaster));
+            ranges.try_for_each(|range| self.residuals.each(range, take))
+        })
+    }
+
+    /// The sums of each trial at one horizon.
+    pub(crate) fn horizon<'a>(
+        &'a self,
+        set: &'a Set,
+        place: usize,
+    ) -> impl Iterator<Item = &'a HorizonSums> {
+        self.of(set)
+            .filter_map(move |named| named.horizons.get(place))
+    }
+}

@@ -1,0 +1,474 @@
+//! Offline evaluation against a slow oracle computed from the table's columns, and against a mixed
+//! fleet.
+
+use joulebus_dataset::trial::{Column, Playback, Trial, TrialFleet};
+use joulebus_eval::evaluate::{EvaluateError, RobotEvaluation, Step, evaluate, evaluate_trial};
+use joulebus_fleet::Fleet;
+use joulebus_predictor::{FeatureSet, LAGS, Model, features};
+use joulebus_testkit::recordings::trials;
+use joulebus_testkit::trials::{Files, npy_f8, timed};
+use joulebus_wire::{
+    DropReason, InvalidReason, Quality, SCHEMA_VERSION, SampleHeader, diagnostic_flag,
+};
+
+use super::model::{HUSKY, ROBOTINO, ROVER, network, networks, persistence, settings};
+
+/// Every `every`-th recording of a platform, with robot ids from `first`.
+fn some(platform: &str, first: u32, every: usize) -> Option<Vec<(u32, Trial)>> {
+    let paths = trials(platform)?;
+    let read = |path| Trial::read(path).unwrap_or_else(|error| panic!("{error}"));
+    Some(
+        (first..)
+            .zip(paths.iter().step_by(every).map(read))
+            .collect(),
+    )
+}
+
+fn all_platforms(every: usize) -> Option<Vec<(u32, Trial)>> {
+    let platforms = [
+        ("robotino", ROBOTINO),
+        ("borealtc_husky", HUSKY),
+        ("ase_rover", ROVER),
+    ];
+    let mut trials = Vec::new();
+    for (platform, first) in platforms {
+        trials.extend(some(platform, first, every)?);
+    }
+    Some(trials)
+}
+
+fn period_ns(robot: u32) -> u64 {
+    let settings = settings();
+    let platform = settings
+        .platforms
+        .iter()
+        .find(|platform| platform.robots[0].contains(&robot));
+    platform.unwrap().period_ns
+}
+
+fn is_gap_free(robot: u32, trial: &Trial) -> bool {
+    let longest_ns = period_ns(robot) as i64 * 3 / 2;
+    let steps = trial.offset_ns().windows(2).map(|pair| pair[1] - pair[0]);
+    steps
+        .into_iter()
+        .all(|step_ns| 0 < step_ns && step_ns <= longest_ns)
+        && trial.notes().missing_readings == 0
+        && trial.period_ns() as i64 <= longest_ns
+}
+
+fn bits(value: Option<f32>) -> Option<u32> {
+    value.map(f32::to_bits)
+}
+
+/// Forecasts after each row, computed directly from the columns in one batch.
+fn oracle(model: &Model, trial: &Trial) -> Vec<Option<f32>> {
+    let n = trial.rows();
+    let column = |column| -> Vec<f32> {
+        let values = trial.column(column).map(<[f64]>::to_vec);
+        values
+            .unwrap_or_else(|| vec![f64::NAN; n])
+            .iter()
+            .map(|value| *value as f32)
+            .collect()
+    };
+    let (v, omega, power) = (
+        column(Column::V),
+        column(Column::Omega),
+        column(Column::Power),
+    );
+    let time_ns = trial.offset_ns();
+    let (mut owners, mut rows) = (Vec::new(), Vec::new());
+    for t in LAGS - 1..n {
+        let lag_w: [f32; LAGS] = std::array::from_fn(|lag| power[t - lag]);
+        let (v_mps, omega_radps, previous) = if t + 1 < n {
+            let dt_s = ((time_ns[t + 1] - time_ns[t]) as f64 * 1e-9) as f32;
+            (v[t + 1], omega[t + 1], Some((v[t], omega[t], dt_s)))
+        } else {
+            (f32::NAN, f32::NAN, None)
+        };
+        if model.needs_command() && v_mps.is_nan() {
+            continue;
+        }
+        owners.push(t);
+        rows.push(features(v_mps, omega_radps, previous, &lag_w));
+    }
+    let mut forecasts_w = vec![0.0; rows.len()];
+    model.predict(&rows, &mut forecasts_w);
+    let mut after = vec![None; n];
+    for (t, forecast_w) in owners.into_iter().zip(forecasts_w) {
+        after[t] = Some(forecast_w);
+    }
+    after
+}
+
+fn assert_equals_oracle(found: &RobotEvaluation, model: &Model, trial: &Trial) {
+    let context = format!("{} by {}", trial.path().display(), model.name());
+    let expected = oracle(model, trial);
+    let power = trial.column(Column::Power).unwrap();
+    let mut scored = Vec::new();
+    assert_eq!(found.steps.len(), trial.rows(), "{context}");
+    for (t, step) in found.steps.iter().enumerate() {
+        let reading_w = power[t] as f32;
+        let residual_w = t.checked_sub(1).and_then(|before| expected[before]);
+        let residual_w = residual_w.map(|forecast_w| reading_w - forecast_w);
+        assert_eq!(
+            bits(step.power_w),
+            bits(expected[t]),
+            "{context}: forecast after row {t}"
+        );
+        assert_eq!(
+            bits(step.residual_w),
+            bits(residual_w),
+            "{context}: residual of row {t}"
+        );
+        assert_eq!(
+            (step.accepted, step.scored),
+            (true, residual_w.is_some()),
+            "{context}: {t}"
+        );
+        if let (Some(lo_w), Some(hi_w)) = (step.lo_w, step.hi_w) {
+            assert!(lo_w <= hi_w, "{context}: {t}");
+        }
+        assert_eq!(
+            step.lo_w.is_some(),
+            step.power_w.is_some(),
+            "{context}: {t}"
+        );
+        if let Some(residual_w) = residual_w {
+            scored.push((
+                f64::from(reading_w),
+                f64::from(residual_w),
+                f64::from(power[t - 1] as f32),
+            ));
+        }
+    }
+    let n = scored.len() as f64;
+    let mean = scored.iter().map(|row| row.0).sum::<f64>() / n;
+    let total = scored.iter().map(|row| (row.0 - mean).powi(2)).sum::<f64>();
+    let error = scored.iter().map(|row| row.1.powi(2)).sum::<f64>();
+    let step = scored
+        .iter()
+        .map(|row| (row.0 - row.2).powi(2))
+        .sum::<f64>();
+    let near = |found: f64, wanted: f64| (found - wanted).abs() <= 1e-8 * (1.0 + wanted.abs());
+    assert_eq!(found.scores.count, scored.len() as u64, "{context}");
+    assert!(near(found.scores.r2(), 1.0 - error / total), "{context}");
+    assert!(
+        near(found.scores.persistence_r2(), 1.0 - step / total),
+        "{context}"
+    );
+    assert!(near(found.scores.skill(), 1.0 - error / step), "{context}");
+}
+
+#[test]
+fn on_gap_free_trials_the_tick_equals_one_batch_over_the_columns_to_the_bit() {
+    let Some(trials) = all_platforms(3) else {
+        return;
+    };
+    let settings = settings();
+    let power_only = network(9, FeatureSet::PowerOnly, 30.0);
+    let fleets = [networks(), vec![persistence(); 3], vec![power_only; 3]];
+    let mut compared = [0; 3];
+    for (robot, trial) in trials
+        .iter()
+        .filter(|(robot, trial)| is_gap_free(*robot, trial))
+    {
+        let kind = (*robot / 1_000 - 1) as usize;
+        for models in &fleets {
+            let found = evaluate_trial(&settings, models, *robot, trial).unwrap();
+            assert_equals_oracle(&found, &models[kind], trial);
+        }
+        compared[kind] += 1;
+    }
+    println!("gap-free trials compared: {compared:?}");
+    assert!(compared.iter().all(|count| *count >= 5), "{compared:?}");
+}
+
+/// Live output for a robot after a sample, as bits.
+fn step_bits(step: &Step) -> [Option<u32>; 4] {
+    [step.power_w, step.lo_w, step.hi_w, step.residual_w].map(bits)
+}
+
+#[test]
+fn a_mixed_fleet_gives_the_bits_of_each_robot_alone_for_any_frame_length() {
+    let Some(trials) = all_platforms(20) else {
+        return;
+    };
+    let (settings, models) = (settings(), networks());
+    let evaluation = evaluate(&settings, &models, &trials).unwrap();
+    for frame_period_ms in [7, 33, 400] {
+        let playback = Playback {
+            base_ns: 77_000_000_000,
+            frame_period_ns: frame_period_ms * 1_000_000,
+            repeat: false,
+        };
+        let mut source = TrialFleet::new(trials.clone(), playback).unwrap();
+        let mut fleet = Fleet::new(settings.clone(), models.clone()).unwrap();
+        let mut header = SampleHeader {
+            schema: SCHEMA_VERSION,
+            source_id: 5,
+            source_epoch: 6,
+            ..SampleHeader::default()
+        };
+        let (mut frame, mut compared) = (Vec::new(), 0);
+        while let Some(due_ns) = source.next_due_ns() {
+            source.frame_into(due_ns, &mut frame);
+            let now_ns = playback.base_ns + due_ns;
+            fleet.take(&header, &frame, now_ns);
+            fleet.tick(now_ns, false);
+            header.frame_seq += 1;
+            header.samples_before += frame.len() as u64;
+            for place in 0..fleet.len() {
+                let (live, diagnostic) = (fleet.forecast(place), fleet.diagnostic(place));
+                if !frame.iter().any(|sample| sample.robot == live.robot) {
+                    continue;
+                }
+                let of_it = |found: &&RobotEvaluation| found.robot == live.robot;
+                let alone = evaluation.robots.iter().find(of_it).unwrap();
+                let step = &alone.steps[live.sample_seq as usize];
+                let has_residual = diagnostic.flags & diagnostic_flag::RESIDUAL != 0;
+                let interval = live.interval_w();
+                let live_bits = [
+                    live.power_w(),
+                    interval.map(|ends| ends.0),
+                    interval.map(|ends| ends.1),
+                    has_residual.then_some(diagnostic.residual_w),
+                ];
+                let context = format!("{frame_period_ms} ms: {live:?}");
+                assert_eq!(live_bits.map(bits), step_bits(step), "{context}");
+                assert_eq!(live.quality(), step.quality, "{context}");
+                compared += 1;
+            }
+        }
+        assert!(compared > 1_000, "{frame_period_ms} ms: {compared}");
+        assert_eq!(fleet.drops().total(), 0);
+        for alone in &evaluation.robots {
+            assert_eq!(fleet.scores(alone.robot), Some(alone.scores));
+            let account = |ledger: &joulebus_fleet::Ledger| {
+                (
+                    ledger.drawn_uj,
+                    ledger.drawn_remainder,
+                    ledger.metered_ns,
+                    ledger.unmetered_ns,
+                )
+            };
+            assert_eq!(
+                fleet.ledger(alone.robot).as_ref().map(account),
+                Some(account(&alone.ledger))
+            );
+        }
+    }
+}
+
+#[test]
+fn without_commands_a_model_that_needs_them_makes_the_rover_invalid() {
+    let Some(trials) = some("ase_rover", ROVER, 20) else {
+        return;
+    };
+    let models = vec![network(1, FeatureSet::Full, 10.0); 3];
+    let evaluation = evaluate(&settings(), &models, &trials).unwrap();
+    for robot in &evaluation.robots {
+        assert_eq!(robot.drops.total(), 0);
+        for step in &robot.steps[LAGS - 1..] {
+            assert_eq!(step.quality, Quality::Invalid(InvalidReason::NoCommand));
+            assert_eq!((step.power_w, step.residual_w), (None, None));
+        }
+        assert_eq!(robot.scores.count, 0);
+        assert!(
+            robot.ledger.drawn_uj > 0,
+            "its energy is metered nevertheless"
+        );
+    }
+    let report = evaluation.report().to_string();
+    assert!(
+        report.contains("samples without forecast: Invalid(NoCommand)"),
+        "{report}"
+    );
+}
+
+#[test]
+fn pooled_persistence_on_all_robotino_trials_scores_as_published() {
+    let Some(trials) = some("robotino", ROBOTINO, 1) else {
+        return;
+    };
+    let evaluation = evaluate(&settings(), &vec![persistence(); 3], &trials).unwrap();
+    let report = evaluation.report();
+    let [pooled] = report.platforms.as_slice() else {
+        panic!("one platform")
+    };
+    assert_eq!((pooled.trials, pooled.dropped), (648, 0));
+    assert_eq!(pooled.accepted, 264_476);
+    // The published .819 was measured on the held-out 30 %.
+    let r2 = pooled.scores.persistence_r2;
+    println!(
+        "pooled persistence: R² {r2:.4}, {} scored",
+        pooled.scores.scored
+    );
+    assert!((0.78..0.86).contains(&r2), "{r2}");
+    // The model is persistence too; residuals are f32, the baseline's errors f64.
+    assert!((pooled.scores.r2 - r2).abs() < 1e-7);
+    assert!(pooled.scores.skill.abs() < 1e-7);
+}
+
+#[test]
+fn a_robot_that_leaves_during_its_recording_comes_back_and_every_scored_reading_counts() {
+    /// Changes the time, s, and the power, mW, of a row.
+    type Change = fn(usize, &mut (f64, f64));
+    let kinds: [(&str, Change); 6] = [
+        ("a gap that ingest takes", |row, (time_s, _)| {
+            *time_s += if row < 1_500 { 0.0 } else { 59.0 };
+        }),
+        ("a gap of a day", |row, (time_s, _)| {
+            *time_s += if row < 1_500 { 0.0 } else { 86_400.0 };
+        }),
+        (
+            "values that are impossible, for 40 s",
+            |row, (_, power_mw)| {
+                if (300..1_500).contains(&row) {
+                    *power_mw = -1e9;
+                }
+            },
+        ),
+        (
+            "values that are impossible, at first",
+            |row, (_, power_mw)| {
+                if row < 1_500 {
+                    *power_mw = 1e12;
+                }
+            },
+        ),
+        ("a stamp of a day later", |row, (time_s, _)| {
+            *time_s += if row == 700 { 86_400.0 } else { 0.0 };
+        }),
+        ("a day after each row", |row, (time_s, _)| {
+            *time_s = 86_400.0 * row as f64;
+        }),
+    ];
+    let files = Files::new();
+    let mut settings = settings();
+    settings.intake.leave_after_ns = 30_000_000_000;
+    settings.intake.max_jump_ns = 60_000_000_000;
+    for (place, (kind, change)) in kinds.into_iter().enumerate() {
+        let mut rows: Vec<(f64, f64)> = (0..3_000)
+            .map(|row| (f64::from(row) / 30.0, 5_000.0 + f64::from(row % 7)))
+            .collect();
+        for (row, values) in rows.iter_mut().enumerate() {
+            change(row, values);
+        }
+        let file = format!("{place}.npy");
+        let trial = Trial::read(files.write(&file, &npy_f8(&timed(&rows)))).unwrap();
+        for models in [vec![persistence(); 3], networks()] {
+            let found = evaluate_trial(&settings, &models, ROVER, &trial).unwrap();
+            let of =
+                |is: fn(&Step) -> bool| found.steps.iter().filter(|step| is(step)).count() as u64;
+            assert_eq!(found.steps.len(), rows.len(), "{kind}");
+            assert_eq!(
+                found.accepted + found.drops.total(),
+                rows.len() as u64,
+                "{kind}"
+            );
+            assert_eq!(found.accepted, of(|step| step.accepted), "{kind}");
+            let scored = of(|step| step.scored && step.residual_w.is_some());
+            assert_eq!(found.scores.count, scored, "{kind}");
+            assert!(scored == 0 || found.scores.mae_w().is_finite(), "{kind}");
+        }
+        let found = evaluate_trial(&settings, &vec![persistence(); 3], ROVER, &trial).unwrap();
+        let last = found.steps.last().unwrap();
+        let is_back = kind != "a day after each row" && kind != "a stamp of a day later";
+        assert!(!is_back || last.power_w.is_some(), "{kind}: {last:?}");
+    }
+}
+
+#[test]
+fn samples_refused_by_ingest_are_empty_steps_and_counted() {
+    let files = Files::new();
+    let mut rows = (0..12)
+        .map(|row| (f64::from(row) * 0.03, 5_000.0 + f64::from(row)))
+        .collect::<Vec<_>>();
+    rows[7].0 = rows[6].0; // The sample before it has the stamp of row 7.
+    rows[9].1 = 1e9;
+    let trial = Trial::read(files.write("odd.npy", &npy_f8(&timed(&rows)))).unwrap();
+    let found = evaluate_trial(&settings(), &vec![persistence(); 3], ROVER, &trial).unwrap();
+    assert_eq!((found.accepted, found.drops.total()), (10, 2));
+    assert_eq!(found.drops.get(DropReason::BadTime), 1);
+    assert_eq!(found.drops.get(DropReason::PowerOutOfRange), 1);
+    for (t, step) in found.steps.iter().enumerate() {
+        assert_eq!(step.accepted, t != 6 && t != 9, "{t}");
+        if !step.accepted {
+            assert!(
+                matches!(step.quality, Quality::Invalid(_)),
+                "{t}: {:?}",
+                step.quality
+            );
+            assert_eq!(
+                (step.power_w, step.residual_w, step.scored),
+                (None, None, false)
+            );
+        }
+    }
+}
+
+#[test]
+fn invalid_evaluations_are_refused_with_their_numbers() {
+    let files = Files::new();
+    let trial =
+        Trial::read(files.write("two.npy", &npy_f8(&timed(&[(0.0, 1.0), (1.0, 1.0)])))).unwrap();
+    let (settings, models) = (settings(), vec![persistence(); 3]);
+    let twice = [(ROVER, trial.clone()), (ROVER, trial.clone())];
+    let unknown = EvaluateError::UnknownRobot {
+        robot: 7,
+        platforms: 3,
+    };
+    assert_eq!(
+        evaluate(&settings, &models, &[]).unwrap_err(),
+        EvaluateError::NoTrial
+    );
+    assert_eq!(
+        evaluate(&settings, &models, &[(7, trial.clone())]).unwrap_err(),
+        unknown
+    );
+    assert_eq!(
+        evaluate(&settings, &models, &twice).unwrap_err(),
+        EvaluateError::DuplicateRobot { robot: ROVER }
+    );
+    let few = evaluate(&settings, &models[..1], &[(ROVER, trial)]).unwrap_err();
+    assert!(matches!(few, EvaluateError::Settings(_)), "{few}");
+}
+
+#[test]
+fn the_report_states_the_evaluation_in_text_and_json() {
+    let files = Files::new();
+    let rows = (0..40).map(|row| (f64::from(row) / 30.0, 5_000.0 + f64::from(row % 7) * 100.0));
+    let trial =
+        Trial::read(files.write("saw.npy", &npy_f8(&timed(&rows.collect::<Vec<_>>())))).unwrap();
+    let trials = [(ROVER, trial.clone()), (ROVER + 1, trial)];
+    let evaluation = evaluate(&settings(), &networks(), &trials).unwrap();
+    let report = evaluation.report();
+    let robot = &evaluation.robots[0];
+    assert_eq!(report.robots[0].scores.scored, 35);
+    assert_eq!(report.robots[0].scores.r2, robot.scores.r2());
+    assert_eq!(report.platforms[0].scores.scored, 70);
+    assert!((report.platforms[0].scores.mae_w - robot.scores.mae_w()).abs() < 1e-9);
+    assert!((report.platforms[0].scores.r2 - robot.scores.r2()).abs() < 1e-9);
+    assert_eq!(report.robots[0].qualities.values().sum::<u64>(), 40);
+    assert_eq!(report.robots[0].qualities["Warmup"], 4);
+    let json = serde_json::to_value(&report).unwrap();
+    assert_eq!(json["robots"][1]["robot"], ROVER + 1);
+    assert_eq!(json["robots"][0]["scored"], 35);
+    assert_eq!(json["platforms"][0]["platform"], "rover");
+    let text = report.to_string();
+    for part in [
+        "saw.npy",
+        "random 3",
+        "2 trials",
+        &format!("{:.4}", robot.scores.r2()),
+    ] {
+        assert!(text.contains(part), "{part:?} not in\n{text}");
+    }
+    // The samples' drawn energy. Their last stamp is one period after the last row.
+    let drawn_j = robot.ledger.drawn_uj as f64 / 1e6;
+    let metered_s = robot.ledger.metered_ns as f64 / 1e9;
+    assert!((metered_s - 39.0 / 30.0).abs() < 1e-6, "{metered_s}");
+    assert!((drawn_j / metered_s - 5.29).abs() < 0.02, "{drawn_j} J");
+    assert!(robot.steps.iter().all(|step| step.accepted));
+}

@@ -1,0 +1,119 @@
+//! Exports a model as plain arrays or as an ONNX graph.
+
+use prost::Message as _;
+
+use super::{archive, npy, onnx, own};
+use crate::{Entry, EntryValue};
+use joulebus_predictor::{Features, ModelError, Network};
+use joulebus_statistics::noise::Noise;
+
+/// Number of rows that exported arrays include with their forecasts.
+pub const CHECK_ROWS: usize = 32;
+
+/// Errors of exporting a model.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ExportError {
+    /// The model could not be serialised.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// The archive could not be written.
+    #[error("the archive cannot be written: {0}")]
+    Archive(#[from] zip::result::ZipError),
+    /// The Python file's interface has no place for the age of readings.
+    #[error(
+        "the network reads the age of readings, which `step(v_cmd, w_cmd)` does not tell: export it as .onnx or .npz, \
+         or train one without: `joulebus train … --features full`"
+    )]
+    ReadingAge,
+}
+
+/// The model as plain NumPy arrays: name without `.npy`, and the bytes of its file. All numbers are
+/// `<f4`, in SI units.
+///
+/// - `layers.0.weight` (64, 11) … `layers.3.bias` (1): one row of inputs per output;
+/// - `feature_mean`, `feature_std` (11), `power_mean_w`, `power_std_w` (scalars): the forecast is
+///   the last layer times `power_std_w` plus `power_mean_w`. A feature that was constant in
+///   training has no effect: its deviation is 1 and its weights are 0; the weights that the model
+///   file has instead are in `constant_feature_weight`, only there where needed;
+/// - `feature_min`, `feature_max` (11): the training range;
+/// - `metadata` (text): the other contents of the model file, as JSON; with it, the arrays are read
+///   back as the same model;
+/// - `check_features` ([`CHECK_ROWS`], 11) and `check_power_w` ([`CHECK_ROWS`]): rows within the
+///   training range and their forecasts, for testing a reimplementation of the network.
+///
+/// A network of readings alone has 5 instead of 11; one that reads the reading age has two more,
+/// the last.
+///
+/// # Errors
+/// [`ExportError`]: a card too long for a model file.
+pub fn to_arrays(network: &Network) -> Result<Vec<(String, Vec<u8>)>, ExportError> {
+    let metadata = own::metadata(&network.to_safetensors()?)?;
+    let descr = format!("|S{}", metadata.len());
+    let mut arrays = vec![(
+        own::METADATA.to_owned(),
+        npy::write(&descr, &[], metadata.as_bytes()),
+    )];
+    for Entry { path, value } in own::entries(network) {
+        if let EntryValue::Tensor(tensor) = value {
+            let values = tensor.values().iter().map(|value| *value as f32);
+            arrays.push((path, plain(tensor.shape(), values)));
+        }
+    }
+    let rows = check_rows(network);
+    let mut forecasts_w = [0.0; CHECK_ROWS];
+    network.predict(&rows, &mut forecasts_w);
+    let set = network.feature_set();
+    let inputs = rows.iter().flat_map(|row| row[set.range()].to_vec());
+    let name = |what: &str| format!("{}{what}", own::CHECK);
+    let shape = [CHECK_ROWS, set.inputs()];
+    arrays.push((name("features"), plain(&shape, inputs)));
+    arrays.push((
+        name("power_w"),
+        plain(&[CHECK_ROWS], forecasts_w.into_iter()),
+    ));
+    Ok(arrays)
+}
+
+/// The model as an archive of [`to_arrays`], uncompressed: the same bytes for the same model.
+///
+/// # Errors
+/// As [`to_arrays`].
+pub fn to_npz(network: &Network) -> Result<Vec<u8>, ExportError> {
+    let arrays = to_arrays(network)?.into_iter();
+    let members: Vec<_> = arrays
+        .map(|(name, bytes)| (format!("{name}.npy"), bytes))
+        .collect();
+    Ok(archive::write(&members)?)
+}
+
+/// The model as an ONNX graph, opset 17: input `features` (n, 11) in SI units, as the worker has
+/// them, and output `power_w` (n, 1). The normalisation is part of the graph; GELU is written with
+/// `Erf` (or `Tanh`), which every runtime knows, while the operator `Gelu` needs opset 20.
+///
+/// # Errors
+/// [`ExportError`]: a card too long for a model file.
+pub fn to_onnx(network: &Network) -> Result<Vec<u8>, ExportError> {
+    let metadata = own::metadata(&network.to_safetensors()?)?;
+    Ok(onnx::model(network, &metadata).encode_to_vec())
+}
+
+fn plain(shape: &[usize], values: impl Iterator<Item = f32>) -> Vec<u8> {
+    let bytes: Vec<u8> = values.flat_map(f32::to_le_bytes).collect();
+    npy::write("<f4", shape, &bytes)
+}
+
+/// Random rows within the training range.
+fn check_rows(network: &Network) -> [Features; CHECK_ROWS] {
+    let range = &network.card().training_range;
+    let mut noise = Noise::new(network.hash(), 0);
+    std::array::from_fn(|_| {
+        std::array::from_fn(|feature| {
+            if feature >= network.feature_set().end() {
+                return 0.0;
+            }
+            let (min, max) = (range.min[feature], range.max[feature]);
+            min + (max - min) * noise.uniform() as f32
+        })
+    })
+}

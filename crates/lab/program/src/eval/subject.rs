@@ -1,0 +1,208 @@
+//! Inputs of an evaluation: recordings, their platforms, the evaluated rows, and options.
+
+use std::path::{Path, PathBuf};
+
+use joulebus_config::Config;
+use joulebus_dataset::split::Split;
+use joulebus_eval::score::{Design, Options, Recording, ScoreError, Subject, check_apart};
+use joulebus_predictor::Model;
+use joulebus_program::config_file::ConfigFile;
+use joulebus_program::exit::UsageError;
+use joulebus_settings::{FleetSettings, Platform};
+use joulebus_statistics::bootstrap::Bootstrap;
+
+use crate::recordings::{find_recordings, open, open_with_ids};
+use crate::split_unit::SplitUnit;
+use crate::trials::TrialFiles;
+
+/// Recordings, and options of their evaluation.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Selection {
+    #[command(flatten)]
+    trials: TrialFiles,
+    #[command(flatten)]
+    config: ConfigFile,
+    /// Evaluate the held-out part of a split, with baselines fitted on the rest: unit of the split
+    /// [default: evaluate all, baselines cross-fitted on other trials]
+    #[arg(long, value_enum, value_name = "BY", conflicts_with = "fit")]
+    split: Option<SplitUnit>,
+    /// Share that the split holds out, as in training
+    #[arg(long, value_name = "SHARE", default_value_t = Split::default().held_out, requires = "split")]
+    held_out: f64,
+    /// Trials, robots or groups to hold out by name, instead of a share
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',', requires = "split")]
+    leave_out: Vec<String>,
+    /// Seed of the split and of the bootstrap
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// Recordings that the baselines are fitted on, instead of cross-fitting
+    #[arg(long, value_name = "PATH", num_args = 1..)]
+    fit: Vec<PathBuf>,
+    /// Horizons of the open loop, ticks from 1 to 300, or none
+    #[arg(long, value_name = "TICKS", default_value = "1,3,10,30,100,300")]
+    horizons: String,
+    /// Rows between the origins of rollouts; a horizon of fewer ticks has one every so many rows
+    #[arg(long, value_name = "ROWS", default_value_t = Options::default().origins_every)]
+    origins_every: usize,
+    /// Also score the energy of the next 1 to 300 s, as far as the recordings reach
+    #[arg(long)]
+    energy: bool,
+    /// Draws for confidence intervals, at most 1,000,000; 0 disables them
+    #[arg(long, value_name = "N", default_value_t = Bootstrap::default().resamples)]
+    resamples: u32,
+    /// Confidence level, a share
+    #[arg(long, value_name = "SHARE", default_value_t = Bootstrap::default().confidence)]
+    confidence: f64,
+    /// Rows of a resampled block, where blocks are not whole trials (below 20 trials)
+    #[arg(long, value_name = "ROWS", default_value_t = Bootstrap::default().block_rows)]
+    block_rows: usize,
+}
+
+/// The recordings of one platform.
+pub(crate) struct Section {
+    /// The config's platform; `None` takes each recording as it is.
+    platform: Option<Platform>,
+    /// Its index in the config, which is also its model's.
+    pub(crate) place: usize,
+    settings: FleetSettings,
+    recordings: Vec<Recording>,
+}
+
+impl Section {
+    pub(crate) fn subject<'a>(&'a self, models: &'a [Model], design: &'a Design) -> Subject<'a> {
+        Subject {
+            settings: &self.settings,
+            platform: self.platform.as_ref(),
+            models,
+            recordings: &self.recordings,
+            design,
+        }
+    }
+
+    /// Number of its recordings.
+    pub(crate) fn len(&self) -> usize {
+        self.recordings.len()
+    }
+
+    pub(crate) fn name(&self) -> &str {
+        let platform = self.platform.as_ref();
+        platform.map_or("recorded", |platform| &platform.name)
+    }
+}
+
+impl Selection {
+    /// The paths as they were given.
+    pub(crate) fn arguments(&self) -> impl Iterator<Item = &Path> {
+        self.trials.arguments()
+    }
+
+    pub(crate) fn config(&self) -> anyhow::Result<Config> {
+        self.config.load()
+    }
+
+    pub(crate) fn options(&self) -> Result<Options, UsageError> {
+        let horizons = match self.horizons.as_str() {
+            "none" => Vec::new(),
+            text => text.split(',').map(ticks).collect::<Result<_, _>>()?,
+        };
+        Ok(Options {
+            horizons,
+            origins_every: self.origins_every,
+            energy: self.energy,
+            bootstrap: Bootstrap {
+                resamples: self.resamples,
+                confidence: self.confidence,
+                seed: self.seed,
+                block_rows: self.block_rows,
+                ..Bootstrap::default()
+            },
+            ..Options::default()
+        })
+    }
+
+    /// Reads the recordings, and sorts them by platform. If a model was given, but neither a config
+    /// nor robot ids, they are taken as recorded.
+    pub(crate) fn sections(
+        &self,
+        settings: &FleetSettings,
+        model_named: bool,
+    ) -> anyhow::Result<Vec<Section>> {
+        let map = self.trials.map();
+        let section = |platform, place, recordings| Section {
+            platform,
+            place,
+            settings: settings.clone(),
+            recordings,
+        };
+        if model_named && self.config.config.is_none() && !self.trials.names_robots() {
+            let recordings = open(self.trials.files()?, &map)?;
+            return Ok(vec![section(None, 0, recordings)]);
+        }
+        let mut sections = Vec::new();
+        let mut recordings = open_with_ids(&self.trials.assigned(settings)?, &map)?;
+        for (place, platform) in settings.platforms.iter().enumerate() {
+            let is_its =
+                |one: &mut Recording| platform.robots.iter().any(|ids| ids.contains(&one.id));
+            let own: Vec<Recording> = recordings.extract_if(.., is_its).collect();
+            if !own.is_empty() {
+                sections.push(section(Some(platform.clone()), place, own));
+            }
+        }
+        match recordings.first() {
+            None => Ok(sections),
+            Some(Recording { id, name, .. }) => {
+                let platforms = settings.platforms.len();
+                let what =
+                    format!("{name}: robot {id} belongs to none of the {platforms} platforms");
+                Err(UsageError(format!("{what}; add its id to one of them")).into())
+            }
+        }
+    }
+
+    /// The evaluated rows; those that a model was trained on are apart.
+    pub(crate) fn design(&self, section: &Section, models: &[Model]) -> anyhow::Result<Design> {
+        let design = self.wanted_design(section)?;
+        Ok(design.hold_apart(&section.recordings, models)?)
+    }
+
+    fn wanted_design(&self, section: &Section) -> anyhow::Result<Design> {
+        let recordings = &section.recordings;
+        if let Some(together) = self.split {
+            let wanted = Split {
+                by: together.into(),
+                held_out: self.held_out,
+                seed: self.seed,
+                ..Split::default()
+            };
+            let design = match self.leave_out.as_slice() {
+                [] => Design::held_out(recordings, wanted),
+                names => Design::leaving_out(recordings, wanted, names),
+            };
+            return design.map_err(usage);
+        }
+        if self.fit.is_empty() {
+            return Ok(Design::folds(recordings));
+        }
+        let others = open(find_recordings(&self.fit)?, &self.trials.map())?;
+        check_apart(recordings, (&others, "after --fit"))
+            .map_err(|error| UsageError(error.to_string()))?;
+        Ok(Design::fitted_on(recordings, others))
+    }
+}
+
+/// Errors caused by the arguments become usage errors.
+pub(crate) fn usage(error: ScoreError) -> anyhow::Error {
+    match error {
+        ScoreError::Split(_) | ScoreError::Horizon { .. } | ScoreError::Option { .. } => {
+            UsageError(error.to_string()).into()
+        }
+        error => error.into(),
+    }
+}
+
+fn ticks(text: &str) -> Result<usize, UsageError> {
+    text.trim().parse().map_err(|_| {
+        let allowed = "whole numbers of ticks with commas between them, or none";
+        UsageError(format!("--horizons {text:?}: allowed are {allowed}"))
+    })
+}

@@ -1,0 +1,139 @@
+//! `joulebus export`: recordings and captures as a folder of Parquet files.
+
+mod archive;
+mod arguments;
+mod partition;
+
+use std::fmt;
+use std::path::Path;
+
+use anyhow::Context as _;
+use joulebus_dataset::archive::is_listing;
+use joulebus_dataset::trial::{ColumnMap, Table, each_run, is_capture};
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::output::{Output, say};
+use serde::Serialize;
+
+use crate::recordings::find_recordings;
+use archive::{Adding, Archive};
+pub(crate) use arguments::Args;
+
+/// The report of an export.
+#[derive(Debug, Serialize)]
+struct ExportReport {
+    /// The archive.
+    folder: String,
+    /// Recordings that were in it before.
+    recordings_before: usize,
+    /// Recordings added.
+    recordings: usize,
+    /// Their trials.
+    trials: usize,
+    /// Their rows.
+    rows: u64,
+    /// Bytes of their files.
+    bytes: u64,
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let [format, folder] = args.to.as_slice() else {
+        return Err(UsageError("--to takes a format and a folder".to_owned()).into());
+    };
+    if format != "parquet" {
+        let format = format.display();
+        return Err(UsageError(format!("--to {format}: allowed is parquet")).into());
+    }
+    let folder = Path::new(folder);
+    let map = args.columns.map();
+    let files = find_recordings(&args.paths)?;
+    let names = files.iter().map(|file| name(file));
+    let names = names.collect::<Result<Vec<_>, _>>()?;
+    let mut archive = Archive::open(folder)?;
+    if let Some(name) = names.iter().find(|name| archive.has(name)) {
+        let folder = folder.display();
+        return Err(UsageError(format!(
+            "{name} is in {folder} already; name other recordings, or another folder"
+        ))
+        .into());
+    }
+    let mut report = ExportReport {
+        folder: folder.display().to_string(),
+        recordings_before: archive.len(),
+        recordings: 0,
+        trials: 0,
+        rows: 0,
+        bytes: 0,
+    };
+    if report.recordings_before > 0 {
+        let (before, folder) = (report.recordings_before, &report.folder);
+        say(&format!("adding to the {before} recordings in {folder}"));
+    }
+    for (file, name) in files.iter().zip(names) {
+        let mut adding = archive.add(name);
+        let added = one(file, &map, &mut adding, &mut report).and_then(|()| adding.finish());
+        match added {
+            Ok(trials) => report.trials += trials,
+            Err(error) => {
+                archive.undo();
+                return Err(error);
+            }
+        }
+        report.recordings += 1;
+    }
+    output.report(&report)?;
+    Ok(Outcome::Done)
+}
+
+/// Adds the trials of a recording.
+fn one(
+    file: &Path,
+    map: &ColumnMap,
+    adding: &mut Adding<'_>,
+    report: &mut ExportReport,
+) -> anyhow::Result<()> {
+    let mut add = |(rows, bytes): (u64, u64)| {
+        report.rows += rows;
+        report.bytes += bytes;
+    };
+    if is_capture(file) {
+        return each_run(file, |run| -> anyhow::Result<()> {
+            let fleet = Some(run.fleet.as_str());
+            add(adding.trial(fleet, &run.table, Some(&run.stamps))?);
+            Ok(())
+        });
+    }
+    for table in Table::read_mapped(file, map)? {
+        add(adding.trial(None, &table, None)?);
+    }
+    Ok(())
+}
+
+/// The name of a recording: its path as it was given.
+fn name(file: &Path) -> anyhow::Result<&str> {
+    let is_parquet = file.extension().is_some_and(|ending| ending == "parquet");
+    if is_listing(file) || is_parquet {
+        let file = file.display();
+        let what = format!("{file} is of an archive; copy the folder, or name recordings");
+        return Err(UsageError(what).into());
+    }
+    file.to_str()
+        .with_context(|| format!("{}: its name is no UTF-8; rename it", file.display()))
+}
+
+impl fmt::Display for ExportReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            folder,
+            recordings_before,
+            recordings,
+            trials,
+            rows,
+            bytes,
+        } = self;
+        let all = recordings_before + recordings;
+        writeln!(
+            out,
+            "{recordings} recordings, {trials} trials, {rows} rows in {bytes} bytes: {folder} has {all} recordings"
+        )
+    }
+}

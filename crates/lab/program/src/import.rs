@@ -1,0 +1,324 @@
+//! `joulebus import`: recordings of other programs, as datasets or captures.
+
+mod bag;
+mod capture;
+mod options;
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, anyhow, bail};
+use joulebus_capture_format::import::{Imported, Mapping, RobotReport};
+use joulebus_dataset::trial::{ColumnMap, Row, Trial, is_capture};
+use joulebus_files::disk;
+use joulebus_program::config_file::ConfigFile;
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::output::Output;
+use serde::Serialize;
+
+use crate::recordings::ColumnArguments;
+use bag::BagRead;
+use options::ImportArguments;
+
+/// Import recordings (bags of rosbag2, our captures, .npy, .csv, .csv.gz) as datasets or as a
+/// capture
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus import bag_0.mcap -o trials/ --current discharge-positive\n  \
+    joulebus import bag_0.mcap -o robot.csv.gz --battery /r1/battery --command /r1/cmd_vel\n  \
+    joulebus import bag/ -o trials/ --mapping mapping.toml\n  \
+    joulebus import trials/*.csv.gz -o trials.mcap\n  \
+    joulebus import captures/fleet.mcap -o trials/\n\n\
+    A bag of rosbag2 is an .mcap or .db3 file, or a folder with the files of one bag; .db3 needs the \
+    program joulebus-rosbag. Of a bag, sensor_msgs/BatteryState, geometry_msgs/Twist, TwistStamped and \
+    nav_msgs/Odometry are read (cdr); without options every battery topic is a robot. Of a capture of \
+    joulebus, the samples of each robot are read. Data that the file \
+    does not have is missing in the result, never 0; unusable data is named and counted.\n\
+    The result is a capture if its name ends in .mcap, a dataset if it ends in .csv or .csv.gz, \
+    else a directory of datasets, which `joulebus publish trial` plays.\n\n\
+    A mapping file (all keys except name and battery are optional):\n\n  \
+    time = \"auto\"              # header, log, publish\n  \
+    burst_s = 0.005            # of readings closer than this the last counts\n  \
+    odometry_max_age_s = 1.0\n\n  \
+    [[robot]]\n  \
+    name = \"r1\"                # in datasets\n  \
+    id = 7                     # in captures\n  \
+    battery = \"/r1/battery\"\n  \
+    command = \"/r1/cmd_vel\"    # Twist or TwistStamped\n  \
+    odometry = \"/r1/odom\"\n  \
+    current = \"discharge-negative\"   # as ROS has it; or discharge-positive\n  \
+    voltage_unit_v = 1.0       # 0.001 for millivolts\n  \
+    current_unit_a = 1.0\n\n\
+    Exit codes: 1 if nothing could be used; 3 if messages could not.")]
+pub(crate) struct Args {
+    /// Recordings; several go into one capture, or into a directory
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    /// A capture (.mcap), a dataset (.csv, .csv.gz) or a directory
+    #[arg(short, long, value_name = "PATH")]
+    out: PathBuf,
+    #[command(flatten)]
+    options: ImportArguments,
+    #[command(flatten)]
+    columns: ColumnArguments,
+    /// Id in a capture of the first robot without one; the others are numbered on [default: the
+    /// lowest of the config]
+    #[arg(long, value_name = "ID")]
+    first_robot: Option<u32>,
+    /// Fleet whose config goes into a capture
+    #[command(flatten)]
+    config: ConfigFile,
+}
+
+/// A robot's recording.
+struct Recording {
+    name: String,
+    id: Option<u32>,
+    /// Time of its first row, Unix ns, if the recording has it.
+    start_unix_ns: Option<u64>,
+    trial: Trial,
+}
+
+#[derive(Debug, Serialize)]
+struct ImportReport {
+    sources: Vec<Source>,
+    /// Files written.
+    written: Vec<Written>,
+}
+
+#[derive(Debug, Serialize)]
+struct Source {
+    file: String,
+    #[serde(flatten)]
+    imported: Option<Imported>,
+    /// For a file that was already a trial: notes on it.
+    trial: Option<String>,
+    /// Robots left out, with reasons.
+    left_out: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct Written {
+    file: String,
+    robots: Vec<String>,
+    /// Rows of a dataset, samples of a capture.
+    rows: u64,
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let mapping = args.options.mapping()?;
+    let mut recordings = Vec::new();
+    let mut sources = Vec::new();
+    for file in &args.files {
+        sources.push(if bag::is_bag(file) {
+            read_bag(file, &mapping, &mut recordings)?
+        } else {
+            read_trials(file, &args.columns.map(), &mut recordings)?
+        });
+    }
+    let mut report = ImportReport {
+        sources,
+        written: Vec::new(),
+    };
+    if recordings.is_empty() {
+        bail!("nothing could be used\n{}", report.to_string().trim_end());
+    }
+    report.written = write(args, recordings)?;
+    output.report(&report)?;
+    let is_whole = report.sources.iter().all(|source| {
+        source.left_out.is_empty() && source.imported.as_ref().is_none_or(Imported::is_whole)
+    });
+    Ok(Outcome::unless_lost(!is_whole))
+}
+
+/// A name without directory and extensions.
+fn stem(path: &Path) -> String {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let endings = [".mcap", ".db3", ".npy", ".csv.gz", ".csv"];
+    let stem = endings.iter().find_map(|ending| name.strip_suffix(ending));
+    stem.unwrap_or(&name).to_owned()
+}
+
+fn read_bag(
+    path: &Path,
+    mapping: &Mapping,
+    recordings: &mut Vec<Recording>,
+) -> anyhow::Result<Source> {
+    let named = || path.display().to_string();
+    let BagRead {
+        imported,
+        mut left_out,
+    } = bag::read(path, &stem(path), mapping).with_context(named)?;
+    for robot in &imported.robots {
+        match recording(path, robot) {
+            Ok(recording) => recordings.push(recording),
+            Err(error) => left_out.push(format!("{}: {error}", robot.name)),
+        }
+    }
+    Ok(Source {
+        file: named(),
+        imported: Some(imported),
+        trial: None,
+        left_out,
+    })
+}
+
+fn recording(path: &Path, robot: &RobotReport) -> anyhow::Result<Recording> {
+    let Some(first) = robot.rows.first() else {
+        bail!("no row of it can be used");
+    };
+    let start_ns = first.time_ns;
+    let rows = robot.rows.iter().map(|row| Row {
+        timestamp_s: (row.time_ns - start_ns) as f64 / 1e9,
+        values: [
+            f64::NAN,
+            row.v_mps,
+            row.omega_radps,
+            row.x_m,
+            row.y_m,
+            row.theta_rad,
+            row.voltage_v,
+            row.current_a,
+            row.power_w,
+            row.v_measured_mps,
+            row.omega_measured_radps,
+            row.soc,
+        ],
+    });
+    Ok(Recording {
+        name: robot.name.clone(),
+        id: robot.id,
+        start_unix_ns: Some(start_ns),
+        trial: Trial::from_rows(path, &robot.name, rows)?,
+    })
+}
+
+/// The trials of a dataset with one robot, or of our capture with any number.
+fn read_trials(
+    path: &Path,
+    map: &ColumnMap,
+    recordings: &mut Vec<Recording>,
+) -> anyhow::Result<Source> {
+    let from_capture = is_capture(path);
+    let trials = match from_capture {
+        true => Trial::read_robots(path)?,
+        false => vec![crate::trials::read_one(path, map)?],
+    };
+    let notes: Vec<String> = trials
+        .iter()
+        .map(|trial| trial.notes().to_string())
+        .collect();
+    let source = Source {
+        file: path.display().to_string(),
+        imported: None,
+        trial: Some(notes.join("; ")),
+        left_out: Vec::new(),
+    };
+    let several = trials.len() > 1;
+    let mut runs: BTreeMap<String, u32> = BTreeMap::new();
+    for trial in trials {
+        let robot = trial.robot_name().unwrap_or_default().to_owned();
+        let run = runs.entry(robot.clone()).or_default();
+        *run += 1;
+        let name = match (several, *run) {
+            (false, _) => stem(path),
+            (true, 1) => format!("{}_robot_{robot}", stem(path)),
+            (true, run) => format!("{}_robot_{robot}_run_{run}", stem(path)),
+        };
+        recordings.push(Recording {
+            name,
+            id: robot.parse().ok().filter(|_| from_capture && *run == 1),
+            start_unix_ns: None,
+            trial,
+        });
+    }
+    Ok(source)
+}
+
+fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>> {
+    let name = args.out.to_string_lossy();
+    if name.ends_with(".mcap") {
+        let config = args.config.load()?;
+        let written = capture::write(&args.out, &config, args.first_robot, recordings)?;
+        return Ok(vec![written]);
+    }
+    let is_dataset = name.ends_with(".csv") || name.ends_with(".csv.gz");
+    if is_dataset && recordings.len() > 1 {
+        let what = format!(
+            "{} robots cannot be written to one dataset",
+            recordings.len()
+        );
+        return Err(UsageError(format!("{what}; name a directory or a capture (.mcap)")).into());
+    }
+    let places = match is_dataset {
+        true => vec![args.out.clone()],
+        false => places(&args.out, &recordings)?,
+    };
+    if !is_dataset {
+        fs::create_dir_all(&args.out).with_context(|| name.into_owned())?;
+    }
+    let mut written = Vec::new();
+    for (recording, path) in recordings.iter().zip(places) {
+        let failed = || format!("cannot write {}", path.display());
+        recording.trial.write_csv(&path).with_context(failed)?;
+        // Read back to verify the output.
+        let again = Trial::read(&path)?;
+        written.push(Written {
+            file: path.display().to_string(),
+            robots: vec![recording.name.clone()],
+            rows: again.rows() as u64,
+        });
+    }
+    Ok(written)
+}
+
+/// The target paths of the datasets in a directory. If one of them is not possible, nothing is
+/// written.
+fn places(directory: &Path, recordings: &[Recording]) -> anyhow::Result<Vec<PathBuf>> {
+    let mut places: Vec<PathBuf> = Vec::with_capacity(recordings.len());
+    for recording in recordings {
+        // A robot's name may have any characters; a file's name may not.
+        let allowed = |letter: char| letter.is_alphanumeric() || "-_.".contains(letter);
+        let letters = recording.name.chars();
+        let file: String = letters
+            .map(|letter| if allowed(letter) { letter } else { '_' })
+            .collect();
+        let place = directory.join(format!("{file}.csv.gz"));
+        let at = place.display();
+        if places.contains(&place) {
+            let what = format!("two recordings would be written to {at}");
+            let remedy = "import each into a directory of its own, or all into one capture (.mcap)";
+            return Err(UsageError(format!("{what}: {remedy}")).into());
+        }
+        if disk::exists(&place) {
+            let what = format!("{at} exists and is not overwritten; name another directory");
+            return Err(anyhow!(what));
+        }
+        places.push(place);
+    }
+    Ok(places)
+}
+
+impl fmt::Display for ImportReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for source in &self.sources {
+            writeln!(out, "{}", source.file)?;
+            if let Some(imported) = &source.imported {
+                write!(out, "{imported}")?;
+            }
+            if let Some(trial) = &source.trial {
+                writeln!(out, "trial      {trial}")?;
+            }
+            for why in &source.left_out {
+                writeln!(out, "left out   {why}")?;
+            }
+        }
+        for written in &self.written {
+            let (file, robots) = (&written.file, written.robots.join(", "));
+            writeln!(out, "written    {file}: {} rows of {robots}", written.rows)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,194 @@
+//! Bags of rosbag2: one file, or a folder with the files of a bag that was split. SQLite files are
+//! turned into MCAP by the program `joulebus-rosbag`.
+
+use std::env;
+use std::ffi::OsStr;
+use std::fs::{self, File};
+use std::io::{self, Read as _, Seek as _};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+
+use anyhow::{Context as _, bail};
+use joulebus_capture_format::import::{Imported, Mapping, import_files};
+use joulebus_dataset::trial::is_capture;
+use joulebus_program::exit::INCOMPLETE;
+
+use joulebus_program::installed::find_program;
+
+/// The program that reads SQLite files.
+const READER: &str = "joulebus-rosbag";
+/// Maximum size of `metadata.yaml`, bytes. It has some hundred a topic.
+const MAX_METADATA_BYTES: u64 = 16 << 20;
+
+/// A bag that was read.
+#[derive(Debug)]
+pub(super) struct BagRead {
+    pub(super) imported: Imported,
+    /// Parts that were not read, with reasons.
+    pub(super) left_out: Vec<String>,
+}
+
+/// Whether it is read as a bag.
+pub(super) fn is_bag(path: &Path) -> bool {
+    path.is_dir() || ends_in(path, "db3") || (ends_in(path, "mcap") && !is_capture(path))
+}
+
+fn ends_in(path: &Path, extension: &str) -> bool {
+    path.extension().is_some_and(|found| found == extension)
+}
+
+/// Reads a bag.
+///
+/// # Errors
+/// Nothing of it can be read, or the mapping does not fit it.
+pub(super) fn read(path: &Path, name: &str, mapping: &Mapping) -> anyhow::Result<BagRead> {
+    let mut left_out = Vec::new();
+    let paths = if path.is_dir() {
+        files_of(path, &mut left_out)?
+    } else {
+        vec![path.to_owned()]
+    };
+    let mut files = Vec::new();
+    for path in &paths {
+        if ends_in(path, "db3") {
+            files.push(convert(path, &mut left_out)?);
+        } else {
+            let file = joulebus_files::open(path);
+            files.push(file.with_context(|| path.display().to_string())?);
+        }
+    }
+    let imported = import_files(&mut files, name, mapping)?;
+    Ok(BagRead { imported, left_out })
+}
+
+/// The files of a bag's folder.
+fn files_of(folder: &Path, left_out: &mut Vec<String>) -> anyhow::Result<Vec<PathBuf>> {
+    let named = || folder.display().to_string();
+    let mut files = Vec::new();
+    for entry in fs::read_dir(folder).with_context(named)? {
+        let path = entry.with_context(named)?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        if let Some(unpacked) = unpacked(&name) {
+            // Beside it, it is read already.
+            if !folder.join(unpacked).exists() {
+                left_out.push(format!("{name}: is compressed; first `zstd -d {name}`"));
+            }
+        } else if ends_in(&path, "mcap") && is_capture(&path) {
+            left_out.push(format!(
+                "{name}: is a capture of joulebus; import it by its own name"
+            ));
+        } else if ends_in(&path, "db3") || ends_in(&path, "mcap") {
+            files.push(path);
+        }
+    }
+    for listed in listed_files(folder) {
+        // A compressed file is named above. Its uncompressed name is read.
+        let own = unpacked(&listed).unwrap_or(&listed);
+        let is_there = |name: &str| folder.join(name).exists();
+        if !is_there(own) && !is_there(&format!("{own}.zstd")) {
+            left_out.push(format!(
+                "{listed}: metadata.yaml lists it, and it is missing"
+            ));
+        }
+    }
+    left_out.sort();
+    files.sort();
+    if files.is_empty() {
+        let why = left_out
+            .first()
+            .map_or_else(String::new, |why| format!(" ({why})"));
+        bail!("{}: no .db3 or .mcap file is in this folder{why}", named());
+    }
+    Ok(files)
+}
+
+/// The name of a compressed file of a bag when it is unpacked.
+fn unpacked(name: &str) -> Option<&str> {
+    let own = name.strip_suffix(".zstd")?;
+    (own.ends_with(".db3") || own.ends_with(".mcap")).then_some(own)
+}
+
+/// The names under `relative_file_paths` of `metadata.yaml`, if there is one: a list of plain or
+/// quoted names, as rosbag2 writes it.
+fn listed_files(folder: &Path) -> Vec<String> {
+    let mut text = String::new();
+    let read = joulebus_files::open(&folder.join("metadata.yaml"))
+        .and_then(|file| file.take(MAX_METADATA_BYTES).read_to_string(&mut text));
+    if read.is_err() {
+        return Vec::new();
+    }
+    let lines = text.lines().map(str::trim);
+    let after = lines.skip_while(|line| *line != "relative_file_paths:");
+    let names = after.skip(1).map_while(|line| line.strip_prefix("- "));
+    let names = names.map(|name| name.trim().trim_matches(['"', '\'']));
+    // Older ones name the folder as well.
+    let own = names.filter_map(|name| Path::new(name).file_name().and_then(OsStr::to_str));
+    own.map(str::to_owned).collect()
+}
+
+/// Turns an SQLite file into an MCAP file that has no name, so that nothing is left of it however
+/// this process ends.
+fn convert(bag: &Path, left_out: &mut Vec<String>) -> anyhow::Result<File> {
+    let named = bag.display().to_string();
+    let program = find_program(READER).with_context(|| named.clone())?;
+    let failed = || {
+        format!(
+            "cannot make a temporary file in {}",
+            env::temp_dir().display()
+        )
+    };
+    let mut out = tempfile::tempfile().with_context(failed)?;
+    let own = out.try_clone().with_context(failed)?;
+    let mut command = Command::new(&program);
+    command
+        .args(["--exit-with-stdin", "-o", "-", "--"])
+        .arg(bag);
+    // Its input closes when this process ends.
+    command
+        .stdin(Stdio::piped())
+        .stdout(own)
+        .stderr(Stdio::piped());
+    let ended = command.spawn().and_then(output_of);
+    let ended = ended.with_context(|| format!("cannot run {}", program.display()))?;
+    let message = String::from_utf8_lossy(&ended.stderr);
+    let lines = message.lines().filter(|line| !line.trim().is_empty());
+    match ended.status.code() {
+        Some(0) => {}
+        Some(code) if code == i32::from(INCOMPLETE) => {
+            left_out.extend(lines.map(|line| format!("{named}: {line}")));
+        }
+        _ => {
+            let why: Vec<&str> = lines
+                .map(|line| line.trim_start_matches("error: "))
+                .collect();
+            let why = why.join("; ");
+            bail!("{named}: {READER} ended with {}: {why}", ended.status);
+        }
+    }
+    out.rewind().with_context(failed)?;
+    Ok(out)
+}
+
+/// Waits for a process, whose input stays open until it has ended.
+fn output_of(mut child: Child) -> io::Result<Output> {
+    let input = child.stdin.take();
+    let ended = child.wait_with_output();
+    drop(input);
+    ended
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn metadata_lists_the_files_of_a_bag() -> std::io::Result<()> {
+        let folder = tempfile::tempdir()?;
+        assert_eq!(listed_files(folder.path()), Vec::<String>::new());
+        let text = "rosbag2_bagfile_information:\n  version: 5\n  relative_file_paths:\n    - bag_0.db3\n    \
+                    - \"other/bag_1.db3\"\n  duration:\n    - not_a_file\n";
+        fs::write(folder.path().join("metadata.yaml"), text)?;
+        assert_eq!(listed_files(folder.path()), ["bag_0.db3", "bag_1.db3"]);
+        Ok(())
+    }
+}

@@ -1,0 +1,170 @@
+//! `joulebus model export`: exports a model for other programs.
+
+use std::fmt;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use clap::ValueEnum;
+use joulebus_model_files::{to_arrays, to_npz, to_onnx, to_python};
+use joulebus_predictor::Network;
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::output::Output;
+use serde::Serialize;
+
+use joulebus_program::file::write;
+
+/// Export a model for Python, NumPy, PyTorch or any ONNX runtime
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus model export my.safetensors --out my.onnx\n  \
+    joulebus model export my.safetensors --out my.npz\n  \
+    joulebus model export my.safetensors --to npy --out my/\n  \
+    joulebus model export my.safetensors --python predictor.py\n\n\
+    ONNX: opset 17, input `features` (n, 11) in SI units as `model info` lists them, output `power_w` \
+    (n, 1); the normalisation is part of the graph. Arrays carry `check_features` and `check_power_w`, \
+    rows with their forecasts, for testing a reimplementation of the network. Python: one file that needs \
+    NumPy only, with the model inside and the paper's `EnergyPredictor`: `reset`, `step(v_cmd, w_cmd)`, \
+    `step_with_correction(v_cmd, w_cmd, measured_power)`, in mW.")]
+pub(crate) struct Args {
+    /// A joulebus model: .safetensors, or exported arrays
+    #[arg(value_name = "MODEL")]
+    model: PathBuf,
+    #[command(flatten)]
+    target: Target,
+    /// Format of the file [default: by the extension of --out]
+    #[arg(long, value_enum, value_name = "KIND", conflicts_with = "python")]
+    to: Option<ExportFormat>,
+}
+
+/// The target of an exported model.
+#[derive(Debug, clap::Args)]
+#[group(required = true, multiple = false)]
+struct Target {
+    /// The output file; a directory for npy
+    #[arg(short, long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// The output file, a Python module: as --to python --out FILE
+    #[arg(long, value_name = "FILE")]
+    python: Option<PathBuf>,
+}
+
+impl Args {
+    /// The output file and its format.
+    fn target(&self) -> Result<(&Path, ExportFormat), UsageError> {
+        match (&self.target.python, &self.target.out, self.to) {
+            (Some(path), ..) => Ok((path, ExportFormat::Python)),
+            (None, Some(out), Some(kind)) => Ok((out, kind)),
+            (None, Some(out), None) => Ok((out, by_ending(out)?)),
+            (None, None, _) => Err(UsageError("name the output file: --out FILE".to_owned())),
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum ExportFormat {
+    /// A joulebus model file
+    Safetensors,
+    /// An archive of NumPy arrays
+    Npz,
+    /// A directory of NumPy arrays
+    Npy,
+    /// An ONNX graph
+    Onnx,
+    /// A Python module that needs NumPy only
+    Python,
+}
+
+pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let (out, kind) = args.target()?;
+    let checkpoint = super::read(&args.model)?;
+    let Some(network) = checkpoint.network else {
+        let (model, kind) = (args.model.display(), checkpoint.container);
+        let what = format!("{model} ({kind}) is another program's model");
+        return Err(UsageError(format!("{what}; import it first: joulebus model import")).into());
+    };
+    let bytes = export(&network, kind, out)?;
+    output.report(&ExportReport {
+        file: out.display().to_string(),
+        kind,
+        model: network.card().name.clone(),
+        model_hash: format!("{:016x}", network.hash()),
+        bytes,
+    })?;
+    Ok(Outcome::Done)
+}
+
+fn by_ending(out: &Path) -> Result<ExportFormat, UsageError> {
+    let ending = out.extension().and_then(|ending| ending.to_str());
+    match ending {
+        Some("safetensors") => Ok(ExportFormat::Safetensors),
+        Some("npz") => Ok(ExportFormat::Npz),
+        Some("onnx") => Ok(ExportFormat::Onnx),
+        Some("py") => Ok(ExportFormat::Python),
+        _ => {
+            let out = out.display();
+            let what = format!("{out} does not end in .onnx, .npz, .py or .safetensors");
+            Err(UsageError(format!("{what}; name the format: --to FORMAT")))
+        }
+    }
+}
+
+/// Writes the model; returns the number of bytes written.
+fn export(network: &Network, kind: ExportFormat, out: &Path) -> anyhow::Result<usize> {
+    let bytes = match kind {
+        ExportFormat::Safetensors => network.to_safetensors()?,
+        ExportFormat::Npz => to_npz(network)?,
+        ExportFormat::Onnx => to_onnx(network)?,
+        ExportFormat::Python => to_python(network)?.into_bytes(),
+        ExportFormat::Npy => return export_arrays(network, out),
+    };
+    write(out, &bytes)?;
+    Ok(bytes.len())
+}
+
+/// Writes one file per array into an empty directory, so that no array of another model is among
+/// them.
+fn export_arrays(network: &Network, folder: &Path) -> anyhow::Result<usize> {
+    let failed = || format!("cannot make the directory {}", folder.display());
+    fs::create_dir_all(folder).with_context(failed)?;
+    let is_used = fs::read_dir(folder).with_context(failed)?.next().is_some();
+    if is_used {
+        let what = format!("{} is not empty", folder.display());
+        return Err(UsageError(format!("{what}; name a new directory")).into());
+    }
+    let (mut written, mut paths) = (0, Vec::new());
+    for (name, bytes) in to_arrays(network)? {
+        let path = folder.join(format!("{name}.npy"));
+        if let Err(error) = write(&path, &bytes) {
+            // Some of the arrays are no model; failing to remove them does not matter.
+            paths.iter().for_each(|path| drop(fs::remove_file(path)));
+            return Err(error);
+        }
+        paths.push(path);
+        written += bytes.len();
+    }
+    Ok(written)
+}
+
+#[derive(Debug, Serialize)]
+struct ExportReport {
+    file: String,
+    kind: ExportFormat,
+    model: String,
+    model_hash: String,
+    bytes: usize,
+}
+
+impl fmt::Display for ExportReport {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            file,
+            model,
+            model_hash,
+            bytes,
+            ..
+        } = self;
+        writeln!(out, "{file}: {model}, hash {model_hash}, {bytes} bytes")
+    }
+}

@@ -1,0 +1,99 @@
+//! Recordings on the command line, and how they are resampled.
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use joulebus_dataset::inspect::find;
+use joulebus_dataset::trial::{ColumnMap, MappedColumn, Method, TrialError};
+use joulebus_eval::score::{ROWS_IN_MEMORY, Recording, open_recordings};
+use joulebus_program::exit::UsageError;
+use joulebus_program::output::say;
+
+/// Recordings on the command line.
+#[derive(Debug, Clone, clap::Args)]
+pub(crate) struct Recordings {
+    /// Recordings (.npy, .csv, .csv.gz), captures (.mcap), directories (searched recursively), or
+    /// patterns in quotes: 'runs/**/*.npy'
+    #[arg(required = true, value_name = "PATH")]
+    paths: Vec<PathBuf>,
+    #[command(flatten)]
+    columns: ColumnArguments,
+}
+
+/// Names of a CSV's columns.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub(crate) struct ColumnArguments {
+    /// Names of columns in CSV files, where they are not found by themselves:
+    /// time=timestamp_s,power=load_W (`data check --help` lists the accepted names)
+    #[arg(long, value_name = "QUANTITY=COLUMN,…", value_delimiter = ',')]
+    map: Vec<MappedColumn>,
+}
+
+impl ColumnArguments {
+    /// The names given.
+    pub(crate) fn map(&self) -> ColumnMap {
+        self.map.clone().into()
+    }
+}
+
+impl Recordings {
+    /// The files found by [`find_recordings`].
+    pub(crate) fn find(&self) -> anyhow::Result<Vec<PathBuf>> {
+        find_recordings(&self.paths)
+    }
+
+    /// The names of their columns.
+    pub(crate) fn map(&self) -> ColumnMap {
+        self.columns.map()
+    }
+}
+
+/// Finds the files of `paths`; other files in the directories, and duplicates, are reported on
+/// stderr.
+///
+/// # Errors
+/// A path does not exist, or contains no recordings.
+pub(crate) fn find_recordings(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
+    let found = find(paths).map_err(|error| match error.is_usage() {
+        true => UsageError(error.to_string()).into(),
+        false => anyhow::Error::from(error),
+    })?;
+    found.remarks().for_each(|remark| say(&remark));
+    Ok(found.files)
+}
+
+/// Opens recordings: the first rows stay in memory, the others are read when they are needed. Ids
+/// are consecutive.
+pub(crate) fn open(files: Vec<PathBuf>, map: &ColumnMap) -> Result<Vec<Recording>, TrialError> {
+    let files: Vec<(u32, PathBuf)> = (0..).zip(files).collect();
+    open_with_ids(&files, map)
+}
+
+/// The same with the ids of their robots.
+pub(crate) fn open_with_ids(
+    files: &[(u32, PathBuf)],
+    map: &ColumnMap,
+) -> Result<Vec<Recording>, TrialError> {
+    open_recordings(files, map, ROWS_IN_MEMORY)
+}
+
+/// Resampling method.
+#[derive(Debug, Clone, Copy, ValueEnum)]
+pub(crate) enum Resampling {
+    /// The latest row
+    Hold,
+    /// The mean over the period that ends at the row
+    Mean,
+    /// Linear interpolation between the neighbouring rows
+    Linear,
+}
+
+impl From<Resampling> for Method {
+    fn from(how: Resampling) -> Self {
+        match how {
+            Resampling::Hold => Self::Hold,
+            Resampling::Mean => Self::Mean,
+            Resampling::Linear => Self::Linear,
+        }
+    }
+}

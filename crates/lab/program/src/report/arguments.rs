@@ -1,0 +1,79 @@
+//! The options of `joulebus report`.
+
+use std::path::PathBuf;
+
+use joulebus_program::config_file::ConfigFile;
+
+use crate::recordings::ColumnArguments;
+
+/// Report the accuracy of models in figures and tables, compared with the baselines
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus report --simulated -o report/\n  \
+    joulebus report recordings/ --model my.safetensors -o report/\n  \
+    joulebus report test/ --train training/ --model new.safetensors --model old.safetensors -o report/\n  \
+    joulebus report recordings/ --split trial --model my.safetensors -o report/\n  \
+    joulebus report energy_data_trial*.npy --published --model gternal.safetensors -o report/\n\n\
+    DIR/report.html is a self-contained file; DIR also gets report.json, report.txt and \
+    figures/*.svg, *.png. --simulated runs the paper's experiments on simulated robots, ten times: six \
+    trials, training on 1 to 4, evaluation on all six and on seven robots; mean and deviation stand \
+    beside the paper's figures, and everything says that it is simulated.\n\
+    Rows that a model was trained on, as its file states, are scored apart from the others; the page warns \
+    of them, and of models whose files do not state theirs. --split evaluates what `joulebus train trials` \
+    with the same recordings, split and seed holds out.\n\
+    Every model is compared with persistence and AR(5) + velocities, on the same rows, with 95 % \
+    intervals.")]
+pub(crate) struct Args {
+    /// Recordings to evaluate (.npy, .csv, .csv.gz), captures (.mcap), or directories of them
+    #[arg(value_name = "PATH", required_unless_present = "simulated")]
+    pub(super) paths: Vec<PathBuf>,
+    #[command(flatten)]
+    pub(super) columns: ColumnArguments,
+    /// A model file; the first is shown in every figure, further ones are compared with it
+    #[arg(long, value_name = "FILE", required_unless_present = "simulated")]
+    pub(super) model: Vec<PathBuf>,
+    /// The output directory; it is created if it does not exist
+    #[arg(short, long, value_name = "DIR")]
+    pub(super) out: PathBuf,
+    /// Recordings that the linear baselines are fitted on [default: cross-fitted on the evaluated
+    /// ones]
+    #[arg(long, value_name = "PATH", num_args = 1.., conflicts_with = "simulated")]
+    pub(super) train: Vec<PathBuf>,
+    /// Platform of the config with the period and limits [default: as recorded]
+    #[arg(long, value_name = "NAME", conflicts_with = "simulated")]
+    pub(super) platform: Option<String>,
+    /// The recordings are those of arXiv 2603.13908: show its numbers for comparison
+    #[arg(long, conflicts_with = "simulated")]
+    pub(super) published: bool,
+    /// Simulate the paper's trials and robots, train on them and report; needs no data
+    #[arg(long, conflicts_with_all = ["paths", "model"])]
+    pub(super) simulated: bool,
+    /// Evaluate the held-out part of a split, with baselines fitted on the rest, as in `train` and
+    /// `eval`: unit of the split
+    #[arg(long, value_name = "BY", value_parser = ["trial", "robot", "group", "time"],
+          conflicts_with_all = ["train", "simulated"])]
+    pub(super) split: Option<String>,
+    /// Share that the split holds out, as in training
+    #[arg(long, value_name = "SHARE", default_value_t = 0.15, requires = "split")]
+    pub(super) held_out: f64,
+    /// Trials, robots or groups to hold out by name, instead of a share
+    #[arg(long, value_name = "NAME,…", value_delimiter = ',', requires = "split")]
+    pub(super) leave_out: Vec<String>,
+    /// Seed of the split, as in training [default: 0]. With --simulated: of robots and training of
+    /// the first draw, each draw has the next [default: 1]
+    #[arg(long, value_name = "N")]
+    pub(super) seed: Option<u64>,
+    /// With --simulated: draws over which mean and deviation are taken, 2 to 1000
+    #[arg(long, value_name = "N", default_value_t = 10, requires = "simulated",
+          value_parser = clap::value_parser!(u32).range(2..=1000))]
+    pub(super) draws: u32,
+    /// With --simulated: samples of each trial, at least 100
+    #[arg(long, value_name = "N", default_value_t = 8000, requires = "simulated")]
+    pub(super) samples: usize,
+    /// With --simulated: maximum number of training epochs
+    #[arg(long, value_name = "N", default_value_t = 100, requires = "simulated")]
+    pub(super) max_epochs: u32,
+    /// The fleet's config.
+    #[command(flatten)]
+    pub(super) config: ConfigFile,
+}

@@ -1,0 +1,171 @@
+//! `joulebus report`: an evaluation as one HTML file, figures, text and JSON.
+
+mod arguments;
+
+use std::fs;
+use std::io::{IsTerminal as _, Write as _};
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use joulebus_dataset::split::Split;
+use joulebus_dataset::trial::ColumnMap;
+use joulebus_eval::score::{Design, Recording, check_apart, read_recordings};
+use joulebus_predictor::Model;
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::file::write;
+use joulebus_program::model_source;
+use joulebus_program::output::{Output, say};
+use joulebus_program::platform::platform;
+use joulebus_report::{Document, Recorded, Simulated, SimulatedReport, files, recorded, simulated};
+use joulebus_settings::Platform;
+use joulebus_train::Epoch;
+
+use crate::recordings::find_recordings;
+pub(crate) use arguments::Args;
+
+/// The first seed of simulated experiments.
+const SIMULATED_SEED: u64 = 1;
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    // Created first, so that an invalid directory fails before the evaluation.
+    let pictures = args.out.join("figures");
+    fs::create_dir_all(&pictures)
+        .with_context(|| format!("cannot make the directory {}", pictures.display()))?;
+    let document = if args.simulated {
+        simulate(args)?
+    } else {
+        evaluate(args)?
+    };
+    say("rendering the report");
+    for file in files(&document)? {
+        write(&args.out.join(&file.path), &file.bytes)?;
+    }
+    say(&format!(
+        "written: {}",
+        args.out.join("report.html").display()
+    ));
+    output.report(&document)?;
+    Ok(Outcome::Done)
+}
+
+fn simulate(args: &Args) -> anyhow::Result<Document> {
+    let mut experiment = Simulated::new(args.seed.unwrap_or(SIMULATED_SEED));
+    (experiment.samples, experiment.robot_steps) = (args.samples, args.samples);
+    experiment.draws = args.draws;
+    experiment.recipe.max_epochs = args.max_epochs;
+    let config = args.config.load()?;
+    say(&format!(
+        "{} draws of six trials and seven robots of {} samples, training on trials 1 to 4",
+        args.draws, args.samples
+    ));
+    let report = simulated(&experiment, config.settings(), |seed, epoch| {
+        progress(seed, epoch, args.max_epochs);
+        ControlFlow::Continue(())
+    });
+    if std::io::stderr().is_terminal() {
+        say("");
+    }
+    let SimulatedReport {
+        document, network, ..
+    } = report?;
+    write(
+        &args.out.join("network.safetensors"),
+        &network.to_safetensors()?,
+    )?;
+    Ok(document)
+}
+
+fn evaluate(args: &Args) -> anyhow::Result<Document> {
+    let config = args.config.load()?;
+    let settings = config.settings();
+    let kind: Option<&Platform> = match &args.platform {
+        Some(name) => Some(platform(settings, name)?),
+        None => None,
+    };
+    let models = args.model.iter().map(|path| model(path));
+    let models = models.collect::<anyhow::Result<Vec<_>>>()?;
+    // The live path needs the platform of each robot: all of them belong to this one.
+    let first = kind
+        .and_then(|kind| kind.robots.first())
+        .map_or(0, |ids| *ids.start());
+    let map = args.columns.map();
+    let recordings = read(&args.paths, first, &map)?;
+    let design = design(args, &recordings, || read(&args.train, first, &map))?;
+    say(&format!(
+        "evaluating {} of {} recordings",
+        design.report().trials,
+        recordings.len()
+    ));
+    let document = recorded(&Recorded {
+        settings,
+        platform: kind,
+        models: &models,
+        recordings: &recordings,
+        design: &design,
+        published: args.published,
+    })?;
+    if let Some(warning) = &document.warning {
+        say(&format!("warning: {warning}"));
+    }
+    Ok(document)
+}
+
+/// The design: the rows to evaluate.
+fn design(
+    args: &Args,
+    recordings: &[Recording],
+    training: impl FnOnce() -> anyhow::Result<Vec<Recording>>,
+) -> anyhow::Result<Design> {
+    let usage = |error: String| anyhow::Error::from(UsageError(error));
+    if let Some(by) = &args.split {
+        let wanted = Split {
+            by: by.parse().map_err(usage)?,
+            held_out: args.held_out,
+            seed: args.seed.unwrap_or_default(),
+            ..Split::default()
+        };
+        let design = match args.leave_out.as_slice() {
+            [] => Design::held_out(recordings, wanted),
+            names => Design::leaving_out(recordings, wanted, names),
+        };
+        return design.map_err(|error| usage(error.to_string()));
+    }
+    if args.train.is_empty() {
+        return Ok(Design::folds(recordings));
+    }
+    let training = training()?;
+    check_apart(recordings, (&training, "in --train")).map_err(|error| usage(error.to_string()))?;
+    Ok(Design::fitted_on(recordings, training))
+}
+
+fn model(path: &Path) -> anyhow::Result<Model> {
+    Ok(Model::Network(model_source::load(path)?))
+}
+
+/// The recordings of files and directories, all with the same robot id, since each is run alone.
+fn read(paths: &[PathBuf], robot: u32, map: &ColumnMap) -> anyhow::Result<Vec<Recording>> {
+    if paths.is_empty() {
+        return Ok(Vec::new());
+    }
+    let files = find_recordings(paths)?;
+    let files: Vec<(u32, PathBuf)> = files.into_iter().map(|file| (robot, file)).collect();
+    Ok(read_recordings(&files, map)?)
+}
+
+/// In a terminal one line is overwritten; elsewhere every tenth epoch prints a line.
+fn progress(seed: u64, epoch: Epoch, max_epochs: u32) {
+    let Epoch {
+        number,
+        validation_loss,
+        ..
+    } = epoch;
+    let line =
+        format!("seed {seed}, epoch {number:3} of at most {max_epochs}: loss {validation_loss:.5}");
+    let mut stderr = std::io::stderr();
+    if stderr.is_terminal() {
+        let _ = write!(stderr, "\r\x1b[K{line}");
+    } else if number % 10 == 0 {
+        say(&line);
+    }
+}

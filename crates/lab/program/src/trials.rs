@@ -1,0 +1,267 @@
+//! Assigns recorded trials to robots.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use joulebus_dataset::archive::{is_archive, listings};
+use joulebus_dataset::inspect::is_recording;
+use joulebus_dataset::trial::{ColumnMap, Table, Trial};
+use joulebus_program::exit::UsageError;
+use joulebus_program::output::say;
+use joulebus_program::platform::{names, platform};
+use joulebus_settings::FleetSettings;
+
+use crate::recordings::{ColumnArguments, find_recordings};
+
+/// Recordings, one robot each.
+#[derive(Debug, Clone, clap::Args)]
+pub(crate) struct TrialFiles {
+    /// Recordings (.npy, .csv, .csv.gz), captures (.mcap), or directories of them. PATH@ID assigns
+    /// a robot id, PATH@NAME the ids of a platform: a.csv.gz@100, recordings/@husky
+    #[arg(required = true, value_name = "PATH[@ROBOT|@PLATFORM]")]
+    paths: Vec<OsString>,
+    /// Platform of the config whose ids are assigned in ascending order to paths without an @
+    /// [default: the config's only platform]
+    #[arg(long, value_name = "NAME", conflicts_with = "first_robot")]
+    platform: Option<String>,
+    /// Id of the first robot for paths without an @; the following ids are consecutive
+    #[arg(long, value_name = "ID")]
+    first_robot: Option<u32>,
+    #[command(flatten)]
+    columns: ColumnArguments,
+}
+
+/// Source of the ids of a path's robots.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum IdSource {
+    From(u32),
+    Platform(String),
+}
+
+impl TrialFiles {
+    /// Reads the trials with the ids of their robots, in the order of the arguments. From a
+    /// directory at most as many trials are read as there are ids.
+    ///
+    /// # Errors
+    /// A file cannot be read, the config has no such platform, or a platform has fewer ids than
+    /// there are files.
+    pub(crate) fn read(&self, settings: &FleetSettings) -> anyhow::Result<Vec<(u32, Trial)>> {
+        let mut ids = Ids::new(self.first_robot);
+        let mut trials = Vec::new();
+        for path in &self.paths {
+            let (path, source) = self.id_source(path, settings)?;
+            for (robot, file) in assign(&path, source.as_ref(), settings, &mut ids)? {
+                trials.push((robot, read_one(&file, &self.columns.map())?));
+            }
+        }
+        Ok(trials)
+    }
+
+    /// The paths as they were given.
+    pub(crate) fn arguments(&self) -> impl Iterator<Item = &Path> {
+        self.paths.iter().map(Path::new)
+    }
+
+    /// The names of the recordings' columns.
+    pub(crate) fn map(&self) -> ColumnMap {
+        self.columns.map()
+    }
+
+    /// True if an id or a platform is given.
+    pub(crate) fn names_robots(&self) -> bool {
+        let named = self.platform.is_some() || self.first_robot.is_some();
+        named || self.paths.iter().any(|path| split(path).1.is_some())
+    }
+
+    /// The recordings, if neither ids nor platforms are given.
+    ///
+    /// # Errors
+    /// A directory cannot be read or contains no recordings.
+    pub(crate) fn files(&self) -> anyhow::Result<Vec<PathBuf>> {
+        let paths: Vec<PathBuf> = self.paths.iter().map(PathBuf::from).collect();
+        find_recordings(&paths)
+    }
+
+    /// The recordings with the ids of their robots, for independent robots: once a platform's ids
+    /// are used up, they are assigned again.
+    ///
+    /// # Errors
+    /// As [`TrialFiles::read`], except for too few ids.
+    pub(crate) fn assigned(&self, settings: &FleetSettings) -> anyhow::Result<Vec<(u32, PathBuf)>> {
+        let mut ids = Ids::new(self.first_robot);
+        let mut assigned = Vec::new();
+        for path in &self.paths {
+            let (path, source) = self.id_source(path, settings)?;
+            for file in find_recordings(&[path])? {
+                let mut robot = ids.next(source.as_ref(), settings)?;
+                if robot.is_none() {
+                    ids.taken.clear();
+                    robot = ids.next(source.as_ref(), settings)?;
+                }
+                let Some(robot) = robot else {
+                    let name = file.display();
+                    return Err(UsageError(format!("{name}: its platform has no robot ids")).into());
+                };
+                assigned.push((robot, file));
+            }
+        }
+        Ok(assigned)
+    }
+
+    /// The path, and the source of its ids.
+    fn id_source(
+        &self,
+        argument: &OsString,
+        settings: &FleetSettings,
+    ) -> Result<(PathBuf, Option<IdSource>), UsageError> {
+        let (path, source) = split(argument);
+        let source = match source {
+            Some(source) => Some(source),
+            None => self.default_source(settings)?,
+        };
+        Ok((path, source))
+    }
+
+    /// Source of the ids if the path does not name one; none: consecutive ids.
+    fn default_source(&self, settings: &FleetSettings) -> Result<Option<IdSource>, UsageError> {
+        if self.first_robot.is_some() {
+            return Ok(None);
+        }
+        let platform = match (&self.platform, settings.platforms.as_slice()) {
+            (Some(name), _) => name.clone(),
+            (None, [only]) => only.name.clone(),
+            (None, several) => {
+                let names = names(several);
+                let what = "which platform? The config has several";
+                let remedy = "give --platform NAME or PATH@NAME";
+                return Err(UsageError(format!("{what}: {names}; {remedy}")));
+            }
+        };
+        Ok(Some(IdSource::Platform(platform)))
+    }
+}
+
+/// The files of a path with the ids of their robots.
+fn assign(
+    path: &Path,
+    source: Option<&IdSource>,
+    settings: &FleetSettings,
+    ids: &mut Ids,
+) -> anyhow::Result<Vec<(u32, PathBuf)>> {
+    let is_directory = path.is_dir();
+    let files = if is_directory {
+        recordings(path)?
+    } else {
+        vec![path.to_owned()]
+    };
+    let found = files.len();
+    let mut assigned = Vec::with_capacity(found);
+    for file in files {
+        match ids.next(source, settings)? {
+            Some(robot) => assigned.push((robot, file)),
+            None if is_directory && !assigned.is_empty() => break,
+            None => {
+                let name = file.display();
+                let what = format!("{name}: no robot id is left");
+                let remedy = "enlarge the `robots` of its platform in the config";
+                return Err(UsageError(format!("{what}; give fewer files or {remedy}")).into());
+            }
+        }
+    }
+    if assigned.len() < found {
+        let (name, taken) = (path.display(), assigned.len());
+        say(&format!(
+            "{name}: {taken} of {found} recordings are played: no more robot ids are left"
+        ));
+    }
+    Ok(assigned)
+}
+
+/// The path and the part after its @. A file whose own name contains an @ is not split.
+fn split(argument: &OsString) -> (PathBuf, Option<IdSource>) {
+    let whole = PathBuf::from(argument);
+    if whole.exists() {
+        return (whole, None);
+    }
+    match argument.to_str().and_then(|text| text.rsplit_once('@')) {
+        Some((path, source)) if !path.is_empty() && !source.is_empty() => {
+            let source = source
+                .parse()
+                .map_or_else(|_| IdSource::Platform(source.to_owned()), IdSource::From);
+            (PathBuf::from(path), Some(source))
+        }
+        _ => (whole, None),
+    }
+}
+
+/// The trial of a file with one robot.
+pub(crate) fn read_one(file: &Path, map: &ColumnMap) -> anyhow::Result<Trial> {
+    Ok(Table::only_of(file, map)?.into_trial()?)
+}
+
+/// The recordings in a directory, sorted by name. Those of an archive are in the order of their
+/// export.
+pub(crate) fn recordings(directory: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let failed = || format!("cannot read the directory {}", directory.display());
+    if is_archive(directory) {
+        let files = listings(directory).with_context(failed)?;
+        if !files.is_empty() {
+            return Ok(files);
+        }
+    }
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(directory).with_context(failed)? {
+        let path = entry.with_context(failed)?.path();
+        if is_recording(&path) {
+            files.push(path);
+        }
+    }
+    files.sort();
+    if files.is_empty() {
+        let what = "contains no recordings (.npy, .csv, .csv.gz, .mcap of joulebus)";
+        return Err(UsageError(format!("{} {what}", directory.display())).into());
+    }
+    Ok(files)
+}
+
+/// Unassigned ids.
+struct Ids {
+    next: Option<u32>,
+    taken: Vec<u32>,
+}
+
+impl Ids {
+    const fn new(first: Option<u32>) -> Self {
+        Self {
+            next: first,
+            taken: Vec::new(),
+        }
+    }
+
+    /// The next id; none if all are assigned.
+    fn next(
+        &mut self,
+        source: Option<&IdSource>,
+        settings: &FleetSettings,
+    ) -> Result<Option<u32>, UsageError> {
+        let id = match source {
+            None => {
+                let id = self.next;
+                self.next = id.and_then(|id| id.checked_add(1));
+                id
+            }
+            Some(IdSource::From(first)) => self.first_free(*first..=u32::MAX),
+            Some(IdSource::Platform(name)) => {
+                let platform = platform(settings, name)?;
+                self.first_free(platform.robots.iter().cloned().flatten())
+            }
+        };
+        self.taken.extend(id);
+        Ok(id)
+    }
+
+    fn first_free(&self, mut ids: impl Iterator<Item = u32>) -> Option<u32> {
+        ids.find(|id| !self.taken.contains(id))
+    }
+}

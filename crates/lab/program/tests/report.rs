@@ -1,0 +1,164 @@
+//! `joulebus report`: one command writes a directory with one page.
+#![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
+
+use std::ffi::{OsStr, OsString};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use joulebus_testkit::{Ended, run};
+
+fn output<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Ended {
+    let arguments = arguments.into_iter().map(|word| word.as_ref().to_owned());
+    let words = [OsString::from("report")].into_iter().chain(arguments);
+    run(env!("CARGO_BIN_EXE_joulebus-lab"), words)
+}
+
+/// A recording of `rows` rows at 30 Hz whose power changes in each of them.
+fn recording(folder: &Path, name: &str, rows: u32) -> PathBuf {
+    let mut text = "timestamp_s,power_mW,v_cmd_mps,omega_cmd_radps\n".to_owned();
+    for row in 0..rows {
+        let time_s = f64::from(row) / 30.0;
+        let power_mw = 3_600 + row % 97 + 10 * (row % 7);
+        text += &format!("{time_s},{power_mw},0.1,{}\n", f64::from(row % 5) * 0.1);
+    }
+    let path = folder.join(name);
+    fs::write(&path, text).unwrap();
+    path
+}
+
+#[test]
+fn a_split_reports_on_what_was_held_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    fs::create_dir(&data).unwrap();
+    for trial in 0..6 {
+        recording(&data, &format!("t_{trial}.csv"), 300 + 10 * trial);
+    }
+    let report = |more: &[&str]| {
+        let out = folder.path().join("report");
+        let (data, out) = (data.to_str().unwrap(), out.to_str().unwrap());
+        let arguments = [data, "--model", "builtin:gternal-sim", "-o", out];
+        let made = output([&arguments[..], more].concat());
+        assert_eq!(made.exit_code(), 0, "{}", made.errors());
+        fs::read_to_string(Path::new(out).join("report.txt")).unwrap()
+    };
+    let text = report(&["--split", "trial", "--held-out", "0.3", "--seed", "3"]);
+    assert!(text.contains("split by trial"), "{text}");
+    assert!(
+        text.contains("seed 3") && text.contains("30 % held out"),
+        "{text}"
+    );
+    assert!(text.contains(", on 2 recordings"), "{text}");
+    let text = report(&[
+        "--split",
+        "trial",
+        "--leave-out",
+        data.join("t_4.csv").to_str().unwrap(),
+    ]);
+    assert!(
+        text.contains(", on 1 recordings") && text.contains("t_4.csv held out"),
+        "{text}"
+    );
+    let refused = output([
+        data.to_str().unwrap(),
+        "--model",
+        "builtin:gternal-sim",
+        "--split",
+        "row",
+        "-o",
+        "x",
+    ]);
+    assert_eq!(refused.exit_code(), 2, "{}", refused.errors());
+}
+
+#[test]
+fn one_command_runs_the_simulated_experiments() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("report");
+    let arguments = [
+        "--format",
+        "json",
+        "--simulated",
+        "--samples",
+        "700",
+        "--max-epochs",
+        "2",
+        "--seed",
+        "4",
+        "-o",
+        out.to_str().unwrap(),
+    ];
+    let made = output(arguments);
+    assert_eq!(made.exit_code(), 0, "{}", made.errors());
+    let page = fs::read_to_string(out.join("report.html")).unwrap();
+    assert!(page.contains("Every number here is of simulated robots"));
+    assert!(!page.contains("http"));
+    let written = fs::read_to_string(out.join("report.json")).unwrap();
+    let written: serde_json::Value = serde_json::from_str(&written).unwrap();
+    assert_eq!(made.json(), written, "stdout and the file say the same");
+    for file in [
+        "report.txt",
+        "figures/figure-1-power.png",
+        "figures/figure-5-robots.svg",
+    ] {
+        assert!(fs::metadata(out.join(file)).unwrap().len() > 0, "{file}");
+    }
+
+    // Its network is an ordinary model, usable for reports on recordings.
+    let recordings = ["a.csv", "b.csv"].map(|name| recording(folder.path(), name, 300));
+    let model = out.join("network.safetensors");
+    let second = folder.path().join("second");
+    let mut arguments = vec!["--model", model.to_str().unwrap()];
+    arguments.extend(["-o", second.to_str().unwrap()]);
+    arguments.extend(recordings.iter().map(|path| path.to_str().unwrap()));
+    let made = output(arguments);
+    assert_eq!(made.exit_code(), 0, "{}", made.errors());
+    let text = made.text();
+    for name in [
+        "network",
+        "persistence",
+        "AR(5) + velocities",
+        "trained on simulated robots",
+    ] {
+        assert!(text.contains(name), "{name}: {text}");
+    }
+    assert!(made.errors().contains("report.html"), "{}", made.errors());
+}
+
+#[test]
+fn invalid_requests_are_refused_before_the_evaluation() {
+    let folder = tempfile::tempdir().unwrap();
+    let recording = recording(folder.path(), "a.csv", 100);
+    let recording = recording.to_str().unwrap();
+    let out = folder.path().join("report");
+    let out = out.to_str().unwrap();
+    for (arguments, message, expected) in [
+        (vec!["-o", out], "PATH", 2),
+        (vec![recording, "-o", out], "--model", 2),
+        (vec!["--simulated", recording, "-o", out], "--simulated", 2),
+        (
+            vec![recording, "--model", "none.safetensors", "-o", out],
+            "none.safetensors",
+            1,
+        ),
+        (
+            vec!["--simulated", "--samples", "9", "-o", out],
+            "100 or more",
+            1,
+        ),
+    ] {
+        let refused = output(&arguments);
+        assert_eq!(
+            refused.exit_code(),
+            expected,
+            "{arguments:?}: {}",
+            refused.errors()
+        );
+        assert!(
+            refused.errors().contains(message),
+            "{message}: {}",
+            refused.errors()
+        );
+        assert!(refused.text().is_empty());
+    }
+}

@@ -1,0 +1,216 @@
+//! The paper's experiments on simulated robots: trials, training, evaluation, seven robots.
+
+use std::ops::ControlFlow;
+
+use joulebus_predictor::{Model, Network};
+use joulebus_settings::FleetSettings;
+
+use super::comparison::{self, Numbers};
+use super::document::{Document, Part, Section};
+use super::draw::{Draw, Recordings, scores_only};
+use super::experiment::Simulated;
+use super::material::Material;
+use super::recorded::{all_scores, options};
+use super::robots::Grouping;
+use super::unit::Unit;
+use super::{ReportError, ablation, calibration, forecast, horizons, power, robots, scores};
+use joulebus_eval::score::{Cell as Scores, Recording};
+use joulebus_figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
+use joulebus_train::{Epoch, Trained};
+
+/// The note on every figure of simulated robots.
+pub const NOTE: &str = "simulated robots";
+
+/// Result of the simulated experiments.
+#[derive(Debug, Clone)]
+pub struct SimulatedReport {
+    /// The report.
+    pub document: Document,
+    /// The network of the draw that the figures show.
+    pub network: Network,
+    /// The seed of that draw.
+    pub shown_seed: u64,
+}
+
+/// Simulates, for each seed, the six trials, trains on 1 to 4 with 5 for validation, evaluates on
+/// all six and on seven robots; reports mean and deviation of the results with the paper's numbers,
+/// and the figures of the draw nearest to the means. `progress` is called with the seed after each
+/// epoch, and may end the experiments.
+///
+/// # Errors
+/// [`ReportError`]; [`ReportError::Ended`] when `progress` has ended them.
+pub fn simulated(
+    experiment: &Simulated,
+    settings: &FleetSettings,
+    mut progress: impl FnMut(u64, Epoch) -> ControlFlow<()>,
+) -> Result<SimulatedReport, ReportError> {
+    for (what, found, least) in [
+        ("samples", experiment.samples, 100),
+        ("robot steps", experiment.robot_steps, 100),
+        ("draws", experiment.draws as usize, 2),
+    ] {
+        if found < least {
+            return Err(ReportError::TooShort { what, found, least });
+        }
+    }
+    let mut draws = Vec::new();
+    let mut networks = Vec::new();
+    for seed in (experiment.seed..).take(experiment.draws as usize) {
+        let recordings = Recordings::simulated(experiment, seed);
+        let trained = recordings.train(experiment, |epoch| progress(seed, epoch))?;
+        let draw = recordings.score(&trained.network, settings, &scores_only())?;
+        draws.push(Numbers::of(&draw));
+        networks.push(trained);
+    }
+    let shown = comparison::most_typical(&draws);
+    let (trained, seed) = (networks.swap_remove(shown), draws[shown].seed);
+    let recordings = Recordings::simulated(experiment, seed);
+    let draw = recordings.score(&trained.network, settings, &options())?;
+    let Recordings { trials, robots, .. } = &draw.recordings;
+    let everything: Vec<Recording> = trials.iter().skip(5).chain(robots).cloned().collect();
+    let model = Model::Network(trained.network.clone());
+    let levels = calibration::levels(settings, None, &model, &everything, None)?;
+    Ok(SimulatedReport {
+        document: document(experiment, &draws, &draw, &trained, &levels),
+        network: trained.network,
+        shown_seed: seed,
+    })
+}
+
+fn document(
+    experiment: &Simulated,
+    draws: &[Numbers],
+    shown: &Draw,
+    trained: &Trained,
+    levels: &[calibration::Level],
+) -> Document {
+    let Recordings {
+        seed,
+        trials,
+        robots,
+    } = &shown.recordings;
+    let note = format!("{NOTE}, seed {seed}");
+    let single = Material {
+        recordings: trials,
+        scored: &shown.alone,
+        unit: Unit::Milliwatt,
+        note: Some(&note),
+        beside_paper: true,
+    };
+    let fleet = Material {
+        recordings: robots,
+        scored: &shown.together,
+        ..single
+    };
+    let name =
+        |trial: Option<&Recording>| trial.map(|trial| trial.name.clone()).unwrap_or_default();
+    let (sixth, first) = (name(trials.last()), name(robots.first()));
+    let together = &shown.together.report.robots;
+    let mut sections = vec![
+        comparison::product(draws),
+        comparison::section(draws),
+        power::section(&single),
+        ablation::section(&single),
+        training(trained, &note),
+        per_trial(&single),
+    ];
+    sections.extend(forecast::section(&single, &sixth));
+    sections.push(robots::section(&fleet, Grouping::Robots, together));
+    sections.extend(horizons::section(&fleet));
+    sections.push(calibration::section(&fleet, levels, together, &first));
+    sections.push(all_scores(&fleet, Some(Grouping::Robots)));
+    let (count, samples) = (experiment.draws, experiment.samples);
+    let (from, to) = (experiment.seed, experiment.seed + u64::from(count) - 1);
+    let mut summary = comparison::summary(draws);
+    summary.push(format!(
+        "Seeds {from} to {to}: for each, six simulated trials of {samples} samples, a network trained on \
+         trials 1 to 4 with the paper's recipe, trial 5 for validation, and seven other robots. \
+         Numbers of several draws are mean ± standard deviation over them. The figures, and the \
+         tables that name no draws, show seed {seed}: of all draws the one nearest to the means."
+    ));
+    Document {
+        title: "The paper's experiments on simulated robots".to_owned(),
+        warning: Some(
+            "Every number here is of simulated robots. They stand in for the dataset of arXiv \
+             2603.13908; nothing here is a claim about real robots."
+                .to_owned(),
+        ),
+        summary,
+        sections,
+    }
+}
+
+/// The training history.
+fn training(trained: &Trained, note: &str) -> Section {
+    let curve = |of: fn(&Epoch) -> f64| Mark::Line {
+        points: trained
+            .epochs
+            .iter()
+            .map(|epoch| [f64::from(epoch.number), of(epoch)])
+            .collect(),
+        dashed: false,
+    };
+    let best = trained.epochs.iter().rev().find(|epoch| epoch.best);
+    let number = best.map_or(0, |epoch| epoch.number);
+    let panel = Panel {
+        title: String::new(),
+        x: Axis::new("epoch"),
+        y: Axis::log("loss (share of the training variance)"),
+        layers: vec![
+            Layer::named(
+                "training, with dropout",
+                Colour::Grey,
+                curve(|epoch| epoch.training_loss),
+            ),
+            Layer::named(
+                "validation, trial 5",
+                Colour::Blue,
+                curve(|epoch| epoch.validation_loss),
+            ),
+            Layer::named(
+                "selected epoch",
+                Colour::Vermilion,
+                Mark::Rule {
+                    at: number.into(),
+                    direction: Direction::Up,
+                },
+            ),
+        ],
+    };
+    let mut figure = Figure::new(
+        "figure-training",
+        "Training.",
+        "Mean squared error of the normalised power by epoch.",
+        vec![panel],
+    );
+    figure.note = Some(note.to_owned());
+    Section {
+        id: "training".to_owned(),
+        title: "Training".to_owned(),
+        parts: vec![
+            Part::Words(format!(
+                "{} rows of trials 1 to 4, {} epochs; selected: epoch {number}.",
+                trained.findings.training_rows,
+                trained.epochs.len()
+            )),
+            Part::Figure(figure),
+        ],
+    }
+}
+
+/// The network on each of the six trials.
+fn per_trial(material: &Material<'_>) -> Section {
+    let sets: Vec<&Scores> = material.scored.report.trials.iter().collect();
+    let caption = "Corrected mode, one tick ahead. The network has learned from trials 1 to 4, and \
+                   trial 5 is the validation trial; only trial 6 is held out.";
+    Section {
+        id: "trials".to_owned(),
+        title: "The six trials".to_owned(),
+        parts: vec![Part::Table(scores::table(
+            material,
+            "table-trials",
+            caption,
+            &sets,
+        ))],
+    }
+}

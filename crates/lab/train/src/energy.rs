@@ -1,0 +1,647 @@
+//! The energy model of a platform, fitted to the rows that the network was trained on.
+//!
+//! Errors are estimated by cross-validation on two halves of the recordings, which have whole runs
+//! each: the model of one half is scored on the other. The stored model is fitted to all of them.
+
+use joulebus_dataset::rows::{Dataset, Row};
+use joulebus_energy::{
+    COMBINED_TERMS, CommandModel, EnergyModel, HORIZONS_S, KNOTS, LEVELS, LEVELS_S, QUANTILES,
+    TERMS,
+};
+use joulebus_predictor::{FeatureSet, LAGS};
+
+/// Runs are cut into blocks of about this time, each with a level of its own, when the power of
+/// commands is fitted, s.
+const BLOCK_S: f64 = 20.0;
+/// Prior of a level, in seconds of readings that weigh as much as the platform's own level. Valid
+/// for all levels but the longest.
+const PRIOR_S: f64 = 0.05;
+/// Candidate priors of the longest level. There are no longer ones: if all recordings are of one
+/// robot, the platform's level is that robot's, and another robot must not be held to it for long.
+const LONGEST_PRIORS_S: [f64; 4] = [0.05, 1.0, 3.0, 10.0];
+/// Shares of a level that may be a constant power.
+const ADDED_SHARES: [f64; 3] = [0.0, 0.3, 1.0];
+/// Shares of an error's scale that may be the platform's mean.
+const MEAN_SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
+/// Maximum number of forecast origins per fit.
+const ORIGINS: usize = 1_500;
+/// Fewest origins, and fewest runs, from which the errors at a horizon are known.
+const FEWEST: (usize, usize) = (30, 4);
+
+/// Consecutive rows of one recording.
+struct Run {
+    /// v, ω and their derivatives.
+    motion: Vec<[f32; 4]>,
+    /// The reading that ended each step, W.
+    power_w: Vec<f64>,
+    /// The readings before the first step, oldest first, W.
+    before_w: [f64; LAGS],
+}
+
+/// Fits the energy model, which reads commands if the network does. `None` if the recordings are
+/// too short, or their mean power is not above 0.
+#[must_use]
+pub fn energy_model(dataset: &Dataset, feature_set: FeatureSet) -> Option<EnergyModel> {
+    let period_s = f64::from(dataset.period_s);
+    if !(period_s > 0.0 && period_s.is_finite()) {
+        return None;
+    }
+    let mut runs = runs(&dataset.training, &dataset.validation, period_s);
+    if !feature_set.needs_command() {
+        let motions = runs.iter_mut().flat_map(|run| &mut run.motion);
+        motions.for_each(|motion| *motion = [f32::NAN; 4]);
+    }
+    let halves: [Vec<&Run>; 2] = std::array::from_fn(|half| {
+        let own = runs
+            .iter()
+            .enumerate()
+            .filter(|(place, _)| place % 2 == half);
+        own.map(|(_, run)| run).collect()
+    });
+    let all: Vec<&Run> = runs.iter().collect();
+    let commands = [
+        CommandFit::of(&halves[0], period_s)?,
+        CommandFit::of(&halves[1], period_s)?,
+    ];
+    let (prior_s, crossed) = crossed(&halves, &commands, period_s)?;
+    let known: Vec<&Crossed> = crossed.iter().map_while(Option::as_ref).collect();
+    let longest = known.len().checked_sub(1)?;
+    let command = CommandFit::of(&all, period_s)?;
+    let mean_w = command.model.mean_w.into();
+    let mean_share = mean_share(&known, mean_w);
+    let known: Vec<Known> = known
+        .iter()
+        .zip(HORIZONS_S)
+        .map(|(crossed, horizon_s)| {
+            let origins = Origins::of(&all, &command, horizon_s.into(), period_s);
+            Known {
+                added_share: crossed.with.added as f32,
+                weights: origins.weights(&crossed.with).map(|weight| weight as f32),
+                errors: crossed.quantiles(mean_share, mean_w),
+            }
+        })
+        .collect();
+    let at = |place: usize| &known[place.min(longest)];
+    let ranges = ranges(&all);
+    let model = EnergyModel {
+        command: command.model,
+        prior_s: prior_s.map(|prior_s| prior_s as f32),
+        added_shares: std::array::from_fn(|place| at(place).added_share),
+        weights: std::array::from_fn(|place| at(place).weights),
+        calibrated: known.len(),
+        errors: std::array::from_fn(|place| at(place).errors),
+        mean_share: mean_share as f32,
+        v_mps: ranges[0],
+        omega_radps: ranges[1],
+        combined: Some(combined(&all)),
+    };
+    model.check().is_ok().then_some(model)
+}
+
+/// How levels are turned into forecasts.
+#[derive(Clone, Copy)]
+struct With {
+    prior_s: [f64; LEVELS],
+    added: f64,
+}
+
+/// The best at each horizon with enough recordings, and the best priors for all.
+fn crossed(
+    halves: &[Vec<&Run>; 2],
+    commands: &[CommandFit; 2],
+    period_s: f64,
+) -> Option<([f64; LEVELS], Vec<Option<Crossed>>)> {
+    let of_prior = |longest_s: f64| {
+        let mut prior_s = [PRIOR_S; LEVELS];
+        prior_s[LEVELS - 1] = longest_s;
+        let at = |horizon_s: f32| {
+            let of = |added| {
+                let with = With { prior_s, added };
+                Crossed::of(halves, commands, (horizon_s.into(), period_s), &with)
+            };
+            let all = ADDED_SHARES.map(of).into_iter().filter(Crossed::enough);
+            all.min_by(|a, b| a.loss().total_cmp(&b.loss()))
+        };
+        let found: Vec<Option<Crossed>> = HORIZONS_S.into_iter().map(at).collect();
+        let loss: f64 = found
+            .iter()
+            .flatten()
+            .map(|one| one.loss() / one.measured_j())
+            .sum();
+        (loss, prior_s, found)
+    };
+    let all = LONGEST_PRIORS_S.map(of_prior).into_iter();
+    let (_, prior_s, found) = all.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    Some((prior_s, found))
+}
+
+/// Error estimates at a horizon. Beyond the longest horizon they stay constant.
+struct Known {
+    added_share: f32,
+    weights: [f32; LEVELS],
+    errors: [f32; KNOTS],
+}
+
+/// Lowest and highest velocities.
+fn ranges(runs: &[&Run]) -> [[f32; 2]; 2] {
+    std::array::from_fn(|column| {
+        let values = runs
+            .iter()
+            .flat_map(|run| &run.motion)
+            .map(|motion| motion[column]);
+        let known = values.filter(|value| value.is_finite());
+        let range = known.fold([f32::INFINITY, f32::NEG_INFINITY], |[lo, hi], value| {
+            [lo.min(value), hi.max(value)]
+        });
+        if range[0] <= range[1] {
+            range
+        } else {
+            [f32::MIN, f32::MAX]
+        }
+    })
+}
+
+/// The products and changes of velocities reached in at least two runs. A single wrong stamp, which
+/// divides a change, therefore does not count. A quantile of all rows would not do: jumps between
+/// commands are rare, and the plans of every follower begin and end with one.
+fn combined(runs: &[&Run]) -> [f32; COMBINED_TERMS] {
+    let mut highest = [[0.0f32; 2]; COMBINED_TERMS];
+    for run in runs {
+        let mut of_run = [0.0f32; COMBINED_TERMS];
+        for motion in &run.motion {
+            let terms = CommandModel::combined_terms(*motion);
+            for (highest, term) in of_run.iter_mut().zip(terms) {
+                *highest = highest.max(if term.is_finite() { term } else { 0.0 });
+            }
+        }
+        for (highest, of_run) in highest.iter_mut().zip(of_run) {
+            let [first, second] = *highest;
+            *highest = [first.max(of_run), second.max(first.min(of_run))];
+        }
+    }
+    highest.map(|[_, second]| second)
+}
+
+/// A row follows another of the same recording if its readings are the other's, one later. Few long
+/// runs are cut, so that there are enough for two halves.
+fn runs(training: &[Row], validation: &[Row], period_s: f64) -> Vec<Run> {
+    const LAG1: usize = 6;
+    let follows = |before: &Row, row: &Row| {
+        row.features[LAG1].to_bits() == before.target_w.to_bits()
+            && row.features[LAG1 + 1..LAG1 + 5] == before.features[LAG1..LAG1 + 4]
+    };
+    let parts = [training, validation].into_iter();
+    let found: Vec<&[Row]> = parts.flat_map(|part| part.chunk_by(follows)).collect();
+    let rows: usize = found.iter().map(|rows| rows.len()).sum();
+    // Eight pieces at least, but none shorter than the second horizon.
+    let shortest = (f64::from(HORIZONS_S[1]) / period_s).ceil() as usize + 1;
+    let longest = (rows / 8).max(shortest).max(1);
+    let cut = found.into_iter().flat_map(|rows| {
+        let pieces = if rows.len() > 4 * longest {
+            rows.len() / longest
+        } else {
+            1
+        };
+        rows.chunks(rows.len().div_ceil(pieces).max(1))
+    });
+    let usable = |row: &&Row| row.target_w.is_finite();
+    cut.filter(|rows| rows.iter().any(|row| usable(&row)))
+        .map(|rows| Run {
+            motion: rows
+                .iter()
+                .filter(usable)
+                .map(|row| std::array::from_fn(|column| row.features[column]))
+                .collect(),
+            power_w: rows
+                .iter()
+                .filter(usable)
+                .map(|row| row.target_w.into())
+                .collect(),
+            before_w: std::array::from_fn(|at| rows[0].features[LAG1 + LAGS - 1 - at].into()),
+        })
+        .collect()
+}
+
+/// A command model, and the terms that it reads.
+struct CommandFit {
+    model: CommandModel,
+}
+
+impl CommandFit {
+    /// Least squares with non-negative weights. Each block of a run has its own level, because a
+    /// robot's level is measured live: differences between robots and floors must not be attributed
+    /// to commands. `None` without a mean power above 0.
+    fn of(runs: &[&Run], period_s: f64) -> Option<Self> {
+        let rows: usize = runs.iter().map(|run| run.power_w.len()).sum();
+        let sum_w: f64 = runs.iter().flat_map(|run| &run.power_w).sum();
+        let mean_w = sum_w / rows as f64;
+        if !(mean_w >= f64::from(f32::MIN_POSITIVE) && mean_w.is_finite()) {
+            return None;
+        }
+        let mut model = CommandModel::constant(mean_w as f32);
+        let mut motions = runs.iter().flat_map(|run| &run.motion);
+        if !motions.all(|motion| motion.iter().all(|value| value.is_finite())) {
+            return Some(Self { model });
+        }
+        model.half_v_mps = half(runs, 0);
+        model.half_omega_radps = half(runs, 1);
+        let blocks = blocks(runs, &model, period_s);
+        let scales = scales(&blocks, rows);
+        let mut weights = [0.0; TERMS];
+        weights[0] = mean_w;
+        for _ in 0..8 {
+            weights = Normal::of(&blocks, &weights, &scales, mean_w).solve(&weights);
+            let fitted: f64 = blocks
+                .iter()
+                .flat_map(|block| &block.rows)
+                .map(|(terms, _)| dot(&weights, terms, &scales))
+                .sum();
+            let scale = mean_w * rows as f64 / fitted;
+            if !scale.is_finite() {
+                return Some(Self { model });
+            }
+            weights = weights.map(|weight| weight * scale);
+        }
+        for term in 0..TERMS {
+            model.weights[term] = (weights[term] / scales[term]) as f32;
+        }
+        // A robot draws power at rest. A model without that would divide by zero.
+        model.weights[0] = model.weights[0].max(0.02 * mean_w as f32);
+        Some(Self { model })
+    }
+
+    fn power_w(&self, motion: &[f32; 4]) -> f64 {
+        if !self.model.reads_commands() {
+            return self.model.weights[0].into();
+        }
+        let terms = self.model.terms(*motion);
+        let weighted = self.model.weights.iter().zip(terms);
+        weighted
+            .map(|(weight, term)| f64::from(*weight) * f64::from(term))
+            .sum()
+    }
+}
+
+/// A quarter of the 95 % quantile of a velocity.
+fn half(runs: &[&Run], column: usize) -> f32 {
+    let values = runs
+        .iter()
+        .flat_map(|run| &run.motion)
+        .map(|motion| motion[column].abs());
+    let mut values: Vec<f32> = values.collect();
+    values.sort_by(f32::total_cmp);
+    let high = values.get(values.len() * 95 / 100).copied().unwrap_or(0.0);
+    (0.25 * high).max(1e-3)
+}
+
+/// Rows with a common level: terms and power.
+struct Block {
+    rows: Vec<([f64; TERMS], f64)>,
+}
+
+fn blocks(runs: &[&Run], model: &CommandModel, period_s: f64) -> Vec<Block> {
+    let of_run = |run: &&Run| {
+        let rows = run.motion.iter().zip(&run.power_w);
+        let rows: Vec<([f64; TERMS], f64)> = rows
+            .map(|(motion, power_w)| (model.terms(*motion).map(f64::from), *power_w))
+            .collect();
+        let count = (rows.len() as f64 * period_s / BLOCK_S).round().max(1.0) as usize;
+        let length = rows.len().div_ceil(count).max(1);
+        rows.chunks(length)
+            .map(|rows| Block {
+                rows: rows.to_vec(),
+            })
+            .collect::<Vec<_>>()
+    };
+    runs.iter().flat_map(of_run).collect()
+}
+
+/// Root mean square of each term, 1 for one that is always 0: fits do not depend on units.
+fn scales(blocks: &[Block], rows: usize) -> [f64; TERMS] {
+    std::array::from_fn(|term| {
+        let values = blocks
+            .iter()
+            .flat_map(|block| &block.rows)
+            .map(|(terms, _)| terms[term]);
+        let mean = values.map(|value| value * value).sum::<f64>() / rows as f64;
+        if mean > 1e-18 { libm::sqrt(mean) } else { 1.0 }
+    })
+}
+
+fn dot(weights: &[f64; TERMS], terms: &[f64; TERMS], scales: &[f64; TERMS]) -> f64 {
+    (0..TERMS)
+        .map(|term| weights[term] * terms[term] / scales[term])
+        .sum()
+}
+
+/// Normal equations of the weights.
+struct Normal {
+    left: [[f64; TERMS]; TERMS],
+    right: [f64; TERMS],
+}
+
+impl Normal {
+    /// Scales each block by its level under the weights so far.
+    fn of(blocks: &[Block], weights: &[f64; TERMS], scales: &[f64; TERMS], mean_w: f64) -> Self {
+        /// Against terms that vary together, in shares of the mean square.
+        const RIDGE: f64 = 1e-3;
+        let mut normal = Self {
+            left: [[0.0; TERMS]; TERMS],
+            right: [0.0; TERMS],
+        };
+        let (mut rows, mut squares) = (0.0, 0.0);
+        for block in blocks {
+            let count = block.rows.len() as f64;
+            let read_w = block.rows.iter().map(|(_, power_w)| power_w).sum::<f64>() / count;
+            let said = block
+                .rows
+                .iter()
+                .map(|(terms, _)| dot(weights, terms, scales));
+            let said_w = said.sum::<f64>() / count;
+            let level = ((read_w + 0.02 * mean_w) / (said_w + 0.02 * mean_w)).max(0.0);
+            for (terms, power_w) in &block.rows {
+                let scaled: [f64; TERMS] =
+                    std::array::from_fn(|term| level * terms[term] / scales[term]);
+                for one in 0..TERMS {
+                    normal.right[one] += scaled[one] * power_w;
+                    for other in 0..TERMS {
+                        normal.left[one][other] += scaled[one] * scaled[other];
+                    }
+                }
+            }
+            (rows, squares) = (rows + count, squares + level * level * count);
+        }
+        for term in 1..TERMS {
+            normal.left[term][term] += RIDGE * squares;
+        }
+        let share = 1.0 / f64::max(rows, 1.0);
+        normal.left = normal.left.map(|row| row.map(|value| value * share));
+        normal.right = normal.right.map(|value| value * share);
+        normal
+    }
+
+    /// The best weights that are not negative, by coordinate descent.
+    fn solve(&self, start: &[f64; TERMS]) -> [f64; TERMS] {
+        let mut weights = *start;
+        for _ in 0..300 {
+            for term in 0..TERMS {
+                let own = self.left[term][term];
+                if own > 1e-12 {
+                    let sum: f64 = (0..TERMS)
+                        .map(|other| self.left[term][other] * weights[other])
+                        .sum();
+                    weights[term] = (weights[term] - (sum - self.right[term]) / own).max(0.0);
+                }
+            }
+        }
+        weights
+    }
+}
+
+/// A forecast's inputs, and the measured energy.
+struct Origin {
+    /// Energy, the command model's energy, and time, of each level.
+    levels: [[f64; 3]; LEVELS],
+    command_j: f64,
+    energy_j: f64,
+}
+
+fn advance(levels: &mut [[f64; 3]; LEVELS], power_w: f64, command_w: f64, period_s: f64) {
+    let next = [power_w * period_s, command_w * period_s, period_s];
+    for (level, level_s) in levels.iter_mut().zip(LEVELS_S) {
+        let keeps = f64::from(level_s) / (f64::from(level_s) + period_s);
+        for (sum, next) in level.iter_mut().zip(next) {
+            *sum = keeps * (*sum + next);
+        }
+    }
+}
+
+/// The origins of all runs at one horizon.
+struct Origins {
+    origins: Vec<Origin>,
+    /// Runs that have an origin.
+    runs: usize,
+    duration_s: f64,
+}
+
+impl Origins {
+    fn of(runs: &[&Run], command: &CommandFit, horizon_s: f64, period_s: f64) -> Self {
+        let steps = (horizon_s / period_s).round().max(1.0) as usize;
+        let candidates = |run: &&Run| (run.power_w.len() + 1).saturating_sub(steps);
+        let total: usize = runs.iter().map(candidates).sum();
+        let stride = total.div_ceil(ORIGINS).max(1);
+        let (mut origins, mut used, mut number) = (Vec::new(), 0, 0);
+        for run in runs {
+            let before = origins.len();
+            let commands: Vec<f64> = run
+                .motion
+                .iter()
+                .map(|motion| command.power_w(motion))
+                .collect();
+            let sums = |values: &[f64]| {
+                let mut sum = 0.0;
+                let sums = values.iter().map(|value| {
+                    sum += value * period_s;
+                    sum
+                });
+                std::iter::once(0.0).chain(sums).collect::<Vec<f64>>()
+            };
+            let (read_j, said_j) = (sums(&run.power_w), sums(&commands));
+            let mut levels = [[0.0; 3]; LEVELS];
+            let first_w = commands.first().copied().unwrap_or(1.0);
+            // The first of a recording's readings has no time before it.
+            for power_w in run
+                .before_w
+                .iter()
+                .skip(1)
+                .filter(|power_w| power_w.is_finite())
+            {
+                advance(&mut levels, *power_w, first_w, period_s);
+            }
+            for at in 0..run.power_w.len() {
+                if at + steps <= run.power_w.len() {
+                    if number % stride == stride / 2 {
+                        origins.push(Origin {
+                            levels,
+                            command_j: said_j[at + steps] - said_j[at],
+                            energy_j: read_j[at + steps] - read_j[at],
+                        });
+                    }
+                    number += 1;
+                }
+                advance(&mut levels, run.power_w[at], commands[at], period_s);
+            }
+            used += usize::from(origins.len() > before);
+        }
+        Self {
+            origins,
+            runs: used,
+            duration_s: steps as f64 * period_s,
+        }
+    }
+
+    /// The energy by each level, J.
+    fn experts(&self, origin: &Origin, with: &With) -> [f64; LEVELS] {
+        std::array::from_fn(|level| {
+            let [energy_j, command_j, time_s] = origin.levels[level];
+            if time_s <= 0.0 {
+                return origin.command_j;
+            }
+            let shrunk = time_s / (time_s + with.prior_s[level]);
+            let scaled = origin.command_j * (1.0 + shrunk * (energy_j / command_j - 1.0));
+            let above_w = shrunk * (energy_j - command_j) / time_s;
+            let raised = origin.command_j + above_w * self.duration_s;
+            (1.0 - with.added) * scaled + with.added * raised
+        })
+    }
+
+    /// The non-negative weights with sum 1 and least absolute error, by exponentiated gradients
+    /// with decreasing steps.
+    fn weights(&self, with: &With) -> [f64; LEVELS] {
+        const ROUNDS: usize = 200;
+        let experts: Vec<[f64; LEVELS]> = self
+            .origins
+            .iter()
+            .map(|origin| self.experts(origin, with))
+            .collect();
+        let mut weights = [1.0 / (LEVELS) as f64; LEVELS];
+        let mut best = (f64::INFINITY, weights);
+        for round in 0..ROUNDS {
+            let (mut loss, mut slope) = (0.0, [0.0; LEVELS]);
+            for (origin, experts) in self.origins.iter().zip(&experts) {
+                let error_j = weighted(&weights, experts) - origin.energy_j;
+                loss += error_j.abs();
+                for (slope, expert) in slope.iter_mut().zip(experts) {
+                    *slope += error_j.signum() * (expert - origin.energy_j);
+                }
+            }
+            if loss < best.0 {
+                best = (loss, weights);
+            }
+            let largest = slope
+                .iter()
+                .fold(0.0f64, |largest, slope| largest.max(slope.abs()));
+            if largest.is_nan() || largest <= 0.0 {
+                break;
+            }
+            let step = 0.5 * (1.0 - round as f64 / ROUNDS as f64) / largest;
+            let raw: [f64; LEVELS] =
+                std::array::from_fn(|at| weights[at] * libm::exp(-step * slope[at]) + 1e-9);
+            let sum: f64 = raw.iter().sum();
+            weights = raw.map(|weight| weight / sum);
+        }
+        let sum: f64 = best.1.iter().sum();
+        best.1.map(|weight| weight / sum)
+    }
+}
+
+fn weighted(weights: &[f64; LEVELS], experts: &[f64; LEVELS]) -> f64 {
+    weights
+        .iter()
+        .zip(experts)
+        .map(|(weight, expert)| weight * expert)
+        .sum()
+}
+
+/// The quantile `p` of at least one ascending value, with linear interpolation.
+fn quantile(values: &[f64], p: f64) -> f64 {
+    let at = p * (values.len() - 1) as f64;
+    let below = (at as usize).min(values.len() - 1);
+    let above = (below + 1).min(values.len() - 1);
+    values[below] + (at - below as f64) * (values[above] - values[below])
+}
+
+/// Energies at one origin, J.
+struct Pair {
+    forecast: f64,
+    measured: f64,
+}
+
+/// Both halves, each scored by the model of the other, at one horizon.
+struct Crossed {
+    with: With,
+    pairs: Vec<Pair>,
+    runs: usize,
+    duration_s: f64,
+}
+
+impl Crossed {
+    fn of(
+        halves: &[Vec<&Run>; 2],
+        commands: &[CommandFit; 2],
+        (horizon_s, period_s): (f64, f64),
+        with: &With,
+    ) -> Self {
+        let mut found = Self {
+            with: *with,
+            pairs: Vec::new(),
+            runs: 0,
+            duration_s: 0.0,
+        };
+        for (own, other) in [(0, 1), (1, 0)] {
+            let command = &commands[own];
+            let weights = Origins::of(&halves[own], command, horizon_s, period_s).weights(with);
+            let scored = Origins::of(&halves[other], command, horizon_s, period_s);
+            found.runs += scored.runs;
+            found.duration_s = scored.duration_s;
+            found.pairs.extend(scored.origins.iter().map(|origin| Pair {
+                forecast: weighted(&weights, &scored.experts(origin, with)),
+                measured: origin.energy_j,
+            }));
+        }
+        found
+    }
+
+    fn enough(&self) -> bool {
+        self.pairs.len() >= FEWEST.0 && self.runs >= FEWEST.1
+    }
+
+    fn loss(&self) -> f64 {
+        self.pairs
+            .iter()
+            .map(|pair| (pair.forecast - pair.measured).abs())
+            .sum()
+    }
+
+    fn measured_j(&self) -> f64 {
+        self.pairs.iter().map(|pair| pair.measured.abs()).sum()
+    }
+
+    /// Errors relative to the scale of their forecasts, ascending, and the sum of the scales
+    /// through the mean energy.
+    fn relative(&self, mean_share: f64, mean_w: f64) -> (Vec<f64>, f64) {
+        let mean_j = mean_w * self.duration_s;
+        let mut scales = 0.0;
+        let errors = self.pairs.iter().map(|pair| {
+            let forecast_j = pair.forecast;
+            let scale_j = forecast_j.abs() + mean_share * (mean_j - forecast_j.abs());
+            let scale_j = scale_j.max(1e-6 * mean_j);
+            scales += scale_j / mean_j;
+            (pair.measured - forecast_j) / scale_j
+        });
+        let mut errors: Vec<f64> = errors.collect();
+        errors.sort_by(f64::total_cmp);
+        (errors, scales)
+    }
+
+    fn quantiles(&self, mean_share: f64, mean_w: f64) -> [f32; KNOTS] {
+        let (errors, _) = self.relative(mean_share, mean_w);
+        QUANTILES.map(|p| quantile(&errors, p.into()) as f32)
+    }
+
+    /// Mean width of the 90 % interval, relative to the mean energy.
+    fn width(&self, mean_share: f64, mean_w: f64) -> f64 {
+        let (errors, scales) = self.relative(mean_share, mean_w);
+        let width = quantile(&errors, 0.95) - quantile(&errors, 0.05);
+        width * scales / self.pairs.len() as f64
+    }
+}
+
+/// The share with the narrowest intervals.
+fn mean_share(known: &[&Crossed], mean_w: f64) -> f64 {
+    let width = |share: f64| -> f64 { known.iter().map(|one| one.width(share, mean_w)).sum() };
+    let shares = MEAN_SHARES.into_iter();
+    shares
+        .min_by(|a, b| width(*a).total_cmp(&width(*b)))
+        .unwrap_or(0.0)
+}

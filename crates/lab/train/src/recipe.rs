@@ -1,0 +1,32 @@
+//! A recipe: how a network is trained, and which rows train it.
+
+use joulebus_dataset::split::Split;
+use serde::Deserialize;
+
+use super::TrainSettings;
+
+/// Settings of the training and of the split. The default is the paper's.
+/// `configs/recipes/paper.toml` explains every key.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Recipe {
+    /// The training.
+    pub training: TrainSettings,
+    /// The parts of the rows.
+    pub split: Split,
+}
+
+/// Why a recipe is refused, with its position.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct RecipeError(String);
+
+impl Recipe {
+    /// The recipe of a TOML file's text.
+    ///
+    /// # Errors
+    /// [`RecipeError`]: an unknown key, or a value of another kind.
+    pub fn parse(text: &str) -> Result<Self, RecipeError> {
+        toml::from_str(text).map_err(|error| RecipeError(error.to_string()))
+    }
+}

@@ -1,0 +1,267 @@
+//! The energy model that training stores.
+
+use joulebus_dataset::rows::{Dataset, Row};
+use joulebus_energy::{CommandModel, Commands, EnergyModel, EnergySample, EnergyState};
+use joulebus_predictor::{FeatureSet, INPUTS, LAGS, features};
+use joulebus_statistics::noise::Noise;
+use joulebus_train::energy_model;
+
+const PERIOD_S: f32 = 0.1;
+
+/// A robot whose power is its own level times the power of its commands, with noise.
+struct Robot {
+    level: f32,
+    commands: Vec<(f32, f32)>,
+    power_w: Vec<f32>,
+}
+
+impl Robot {
+    fn new(number: u64, level: f32, steps: usize) -> Self {
+        let mut noise = Noise::new(5, number);
+        let (mut commands, mut power_w) = (Vec::new(), Vec::new());
+        let (mut command, mut drift) = ((0.0, 0.0), 0.0);
+        for step in 0..steps {
+            if step % 20 == 0 {
+                command = (
+                    noise.between(-0.2, 0.3) as f32,
+                    noise.between(-1.0, 1.0) as f32,
+                );
+            }
+            commands.push(command);
+            drift = 0.9 * drift + 0.01 * noise.normal() as f32;
+            power_w.push(level * true_w(command) * (1.0 + drift));
+        }
+        Self {
+            level,
+            commands,
+            power_w,
+        }
+    }
+
+    fn rows(&self) -> Vec<Row> {
+        (LAGS..self.commands.len())
+            .map(|at| {
+                let lag_w = std::array::from_fn(|lag| self.power_w[at - 1 - lag]);
+                let (v, omega) = self.commands[at];
+                let (v_before, omega_before) = self.commands[at - 1];
+                let previous = Some((v_before, omega_before, PERIOD_S));
+                Row {
+                    features: features(v, omega, previous, &lag_w),
+                    target_w: self.power_w[at],
+                }
+            })
+            .collect()
+    }
+
+    /// Forecast and measured energy of `steps` after `from`, and whether the interval contains it.
+    fn judge(&self, model: &EnergyModel, from: usize, steps: usize) -> (f64, f64, bool) {
+        let mut state = EnergyState::new(0);
+        for at in 0..=from {
+            let (v_mps, omega_radps) = self.commands[at];
+            let power_w = if at == 0 {
+                f32::NAN
+            } else {
+                self.power_w[at - 1]
+            };
+            state.observe(
+                model,
+                &EnergySample {
+                    power_w,
+                    elapsed_s: PERIOD_S,
+                    v_mps,
+                    omega_radps,
+                },
+            );
+        }
+        let plan: (Vec<f32>, Vec<f32>) = self.commands[from..from + steps].iter().copied().unzip();
+        let plan = Commands {
+            period_s: PERIOD_S,
+            v_mps: &plan.0,
+            omega_radps: &plan.1,
+        };
+        let forecast = model.forecast(&state, plan);
+        let measured: f64 = self.power_w[from..from + steps]
+            .iter()
+            .map(|p| f64::from(p * PERIOD_S))
+            .sum();
+        let end = |p| f64::from(forecast.quantile_j(p).expect("a known horizon"));
+        (
+            forecast.energy_j.into(),
+            measured,
+            (end(0.05)..=end(0.95)).contains(&measured),
+        )
+    }
+}
+
+fn true_w((v_mps, omega_radps): (f32, f32)) -> f32 {
+    2.0 + 20.0 * v_mps.abs() + 1.5 * omega_radps.abs()
+}
+
+fn robots(numbers: std::ops::Range<u64>) -> Vec<Robot> {
+    numbers
+        .map(|number| Robot::new(number, 0.6 + 0.1 * (number % 9) as f32, 1_200))
+        .collect()
+}
+
+fn dataset(robots: &[Robot]) -> Dataset {
+    Dataset {
+        training: robots.iter().flat_map(Robot::rows).collect(),
+        validation: Vec::new(),
+        held_out: Vec::new(),
+        description: "levels".to_owned(),
+        period_s: PERIOD_S,
+    }
+}
+
+fn trained() -> EnergyModel {
+    energy_model(&dataset(&robots(0..16)), FeatureSet::Full).expect("enough recordings")
+}
+
+#[test]
+fn robots_of_other_levels_are_forecast_by_their_commands_and_intervals_hold() {
+    let model = trained();
+    let (mut error, mut energy, mut inside, mut count) = (0.0, 0.0, 0, 0);
+    for robot in robots(100..124) {
+        for from in (60..1_050).step_by(45) {
+            let (forecast_j, measured_j, covered) = robot.judge(&model, from, 100);
+            error += (forecast_j - measured_j).abs();
+            energy += measured_j;
+            inside += usize::from(covered);
+            count += 1;
+        }
+    }
+    let coverage = inside as f64 / f64::from(count);
+    println!(
+        "error {:.4}, coverage {coverage:.3} of {count}",
+        error / energy
+    );
+    // The commands alone move the mean power of ten seconds by a tenth, levels by a quarter.
+    assert!(error / energy < 0.02, "{}", error / energy);
+    assert!((0.82..=0.96).contains(&coverage), "{coverage}");
+}
+
+#[test]
+fn what_differs_between_robots_is_not_attributed_to_commands() {
+    // Strong robots drive slowly, weak ones fast.
+    let mut robots = robots(0..16);
+    for robot in &mut robots {
+        let share = (1.5 - robot.level).max(0.1);
+        robot
+            .commands
+            .iter_mut()
+            .for_each(|(v, omega)| (*v, *omega) = (*v * share, *omega * share));
+        let powers = robot
+            .commands
+            .iter()
+            .map(|command| robot.level * true_w(*command));
+        robot.power_w = powers.collect();
+    }
+    let model = energy_model(&dataset(&robots), FeatureSet::Full).expect("enough recordings");
+    let (v_mps, omega_radps) = ([0.1f32; 50], [0.4f32; 50]);
+    let moving = Commands {
+        period_s: PERIOD_S,
+        v_mps: &v_mps,
+        omega_radps: &omega_radps,
+    };
+    let at_rest = Commands {
+        period_s: PERIOD_S,
+        v_mps: &[0.0; 50],
+        omega_radps: &[0.0; 50],
+    };
+    let state = EnergyState::new(0);
+    let ratio = model.forecast(&state, moving).energy_j / model.forecast(&state, at_rest).energy_j;
+    let expected = true_w((0.1, 0.4)) / true_w((0.0, 0.0));
+    assert!(
+        (ratio / expected - 1.0).abs() < 0.1,
+        "{ratio}, expected {expected}"
+    );
+}
+
+/// Highest terms of two velocities or of a change in some recordings, by going through all rows.
+fn combined(robots: &[Robot]) -> [f32; 5] {
+    let rows = robots.iter().flat_map(Robot::rows);
+    let terms =
+        rows.map(|row| CommandModel::combined_terms(std::array::from_fn(|at| row.features[at])));
+    terms.fold([0.0f32; 5], |highest, terms| {
+        std::array::from_fn(|term| highest[term].max(terms[term]))
+    })
+}
+
+#[test]
+fn changes_of_commands_are_known_up_to_those_that_two_recordings_reached() {
+    let mut robots = robots(0..16);
+    let sound = energy_model(&dataset(&robots), FeatureSet::Full).expect("enough recordings");
+    let reached = sound.combined.expect("known");
+    for (term, reached) in reached.into_iter().enumerate() {
+        let highest_of = |robot| combined(std::slice::from_ref(robot))[term];
+        let mut all: Vec<f32> = robots.iter().map(highest_of).collect();
+        all.sort_by(f32::total_cmp);
+        assert_eq!(reached, all[all.len() - 2], "{term}");
+    }
+    // A velocity of one recording is wrong for a moment.
+    robots[3].commands[500].0 = 40.0;
+    let spoilt = energy_model(&dataset(&robots), FeatureSet::Full).expect("enough recordings");
+    let highest = combined(&robots);
+    for (term, known) in spoilt.combined.expect("known").into_iter().enumerate() {
+        assert!(known <= combined(&robots[..3])[term].max(combined(&robots[4..])[term]));
+        assert!(known <= highest[term]);
+    }
+    let outside = |v_mps: &[f32]| {
+        let plan = Commands {
+            period_s: PERIOD_S,
+            v_mps,
+            omega_radps: &vec![0.0; v_mps.len()],
+        };
+        spoilt.forecast(&EnergyState::new(0), plan).steps_outside
+    };
+    assert_eq!(outside(&[0.0, 0.25, 0.25, 0.0]), 0);
+    assert_eq!(outside(&[-0.19, 0.25, 0.25]), 0, "as in training");
+    assert_eq!(outside(&[0.0, 0.25, 20.0]), 1);
+}
+
+#[test]
+fn the_same_rows_give_the_same_bits_and_a_model_that_passes_every_check() {
+    let (one, other) = (trained(), trained());
+    assert_eq!(one.to_text(), other.to_text());
+    assert_eq!(one.check(), Ok(()));
+    assert_eq!(EnergyModel::from_text(&one.to_text()), Ok(one));
+}
+
+#[test]
+fn horizons_that_no_recording_is_long_enough_for_are_not_calibrated() {
+    // 120 s each.
+    let model = trained();
+    assert!(
+        (100.0..300.0).contains(&model.longest_s()),
+        "{}",
+        model.longest_s()
+    );
+    let short: Vec<Robot> = (0..16).map(|number| Robot::new(number, 1.0, 60)).collect();
+    let model = energy_model(&dataset(&short), FeatureSet::Full).expect("enough for three seconds");
+    assert!(model.longest_s() <= 3.0, "{}", model.longest_s());
+}
+
+#[test]
+fn without_velocities_commands_make_no_difference() {
+    let model = energy_model(&dataset(&robots(0..8)), FeatureSet::PowerOnly).expect("long enough");
+    assert!(!model.command.reads_commands());
+}
+
+#[test]
+fn recordings_that_say_nothing_give_no_model() {
+    let mut unknown = dataset(&robots(0..8));
+    unknown.period_s = 0.0;
+    assert_eq!(energy_model(&unknown, FeatureSet::Full), None);
+    let none = dataset(&[]);
+    assert_eq!(energy_model(&none, FeatureSet::Full), None);
+    let mut off = dataset(&robots(0..8));
+    off.training.iter_mut().for_each(|row| row.target_w = 0.0);
+    assert_eq!(energy_model(&off, FeatureSet::Full), None);
+    let mut odd = dataset(&robots(0..8));
+    for row in odd.training.iter_mut().step_by(7) {
+        row.features = [f32::NAN; INPUTS];
+    }
+    if let Some(model) = energy_model(&odd, FeatureSet::Full) {
+        assert_eq!(model.check(), Ok(()));
+    }
+}

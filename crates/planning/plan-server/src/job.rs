@@ -1,0 +1,95 @@
+//! A question that waits or is being answered.
+
+use joulebus_bus::{OpenQuery, PeerWatch};
+use joulebus_plan::{Question, Refused, Work};
+use joulebus_wire::{AnswerHeader, QueryHeader, QueryRefusal};
+
+/// A question's process is watched from this age on, ns: most are answered before.
+const WATCHED_FROM_NS: u64 = 1_000_000;
+/// Maximum time for which a question is kept, even if its client asks for more, ns.
+const MAX_AGE_NS: u64 = 10_000_000_000;
+/// A question waits this many ticks for a new frame, then it is answered from the old one.
+const FRAME_TICKS: u64 = 3;
+/// A question waits this long for the first frame, then it is refused, ns.
+const FIRST_FRAME_NS: u64 = 2_000_000_000;
+
+/// A question, copied from shared memory when it was taken.
+#[derive(Debug)]
+pub(crate) struct Job {
+    pub(crate) query: OpenQuery,
+    pub(crate) header: QueryHeader,
+    pub(crate) values: Vec<f64>,
+    /// The process that asked.
+    pub(crate) client: u32,
+    pub(crate) taken_ns: u64,
+    /// Inputs of the answer. Filled when the computation starts.
+    pub(crate) answer: AnswerHeader,
+    pub(crate) state: State,
+    /// Number of times that its computation restarted because the robots' state had become stale.
+    pub(crate) renewals: u32,
+    watch: Option<PeerWatch>,
+}
+
+#[derive(Debug)]
+pub(crate) enum State {
+    Waiting(Question),
+    Working(Work),
+}
+
+impl Job {
+    /// Copies and checks a question.
+    pub(crate) fn take(query: OpenQuery, fleet: u64, now_ns: u64) -> (Self, Result<(), Refused>) {
+        let (header, values) = (*query.header(), query.values().to_vec());
+        let decoded = Question::decode(&header, &values, fleet);
+        let (question, checked) = match decoded {
+            Ok(question) => (question, Ok(())),
+            Err(refused) => (Question::default(), Err(refused)),
+        };
+        let client = query.client();
+        let job = Self {
+            query,
+            header,
+            values,
+            client,
+            taken_ns: now_ns,
+            answer: AnswerHeader::default(),
+            state: State::Waiting(question),
+            renewals: 0,
+            watch: None,
+        };
+        (job, checked)
+    }
+
+    /// Id of the listener that the answer wakes.
+    pub(crate) fn listener(&self) -> u128 {
+        (u128::from(self.header.listener_hi) << 64) | u128::from(self.header.listener_lo)
+    }
+
+    /// Whether it has waited long enough for a new frame; `has_frame`: there is an old one.
+    pub(crate) const fn is_impatient(&self, now_ns: u64, period_ns: u64, has_frame: bool) -> bool {
+        let patience_ns = if has_frame {
+            period_ns.saturating_mul(FRAME_TICKS)
+        } else {
+            FIRST_FRAME_NS
+        };
+        now_ns.saturating_sub(self.taken_ns) >= patience_ns
+    }
+
+    /// Why it is not worth answering any more, if so.
+    pub(crate) fn is_over(&mut self, now_ns: u64) -> Option<Refused> {
+        let limit_ns = self.taken_ns.saturating_add(MAX_AGE_NS);
+        if now_ns >= self.header.deadline_ns.min(limit_ns) {
+            let waited_s = now_ns.saturating_sub(self.taken_ns) as f64 * 1e-9;
+            let text =
+                format!("not answered within the client's time; it waited for {waited_s:.3} s");
+            return Some(Refused::new(QueryRefusal::Deadline, text));
+        }
+        if now_ns.saturating_sub(self.taken_ns) >= WATCHED_FROM_NS {
+            // A client that has already ended costs an unread answer, until the cleanup finds it.
+            self.watch = self.watch.take().or_else(|| PeerWatch::open(self.client));
+        }
+        let is_gone = self.watch.as_ref().is_some_and(PeerWatch::is_gone);
+        (is_gone || !self.query.is_connected())
+            .then(|| Refused::new(QueryRefusal::ClientGone, String::new()))
+    }
+}

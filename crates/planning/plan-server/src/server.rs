@@ -1,0 +1,374 @@
+//! The ports, and the order in which questions are answered.
+
+use joulebus_bus::{
+    Bus, DomainError, JoinError, OpenError, QueryServer, ReceiveError, SendError, WaitError, clock,
+    process_id,
+};
+use joulebus_config::Config;
+use joulebus_plan::{Fleet, QuestionError, Refused, Work};
+use joulebus_planner::{OpenPlannerError, Planner, View};
+use joulebus_wire::{
+    AnswerHeader, QUERY_STEPS, QueryCounts, QueryRecord, QueryRefusal, SCHEMA_VERSION, fnv1a,
+};
+
+use crate::fair::Fair;
+use crate::job::{Job, State};
+use crate::records::Records;
+
+/// Questions of one process that may wait.
+const MAX_OF_A_PROCESS: usize = 4;
+/// Times that an answer is begun again with newer rows, at most: ways are followed once, so that
+/// the first is enough unless the thread is hardly run.
+const MAX_RENEWALS: u32 = 3;
+/// Pause while a frame of the fleet is awaited, ns.
+const FRAME_POLL_NS: u64 = 1_000_000;
+/// Time after the last client has left until plan states are not read any more, ns.
+const LINGER_NS: u64 = 5_000_000_000;
+
+/// Errors of answering. The ports are opened again.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum ServerError {
+    #[error(transparent)]
+    Domain(#[from] DomainError),
+    #[error(transparent)]
+    Join(#[from] JoinError),
+    #[error(transparent)]
+    Open(#[from] OpenError),
+    #[error(transparent)]
+    Planner(#[from] OpenPlannerError),
+    #[error(transparent)]
+    Receive(#[from] ReceiveError),
+    #[error(transparent)]
+    Send(#[from] SendError),
+    #[error(transparent)]
+    Wait(#[from] WaitError),
+}
+
+/// The ports of one run of the worker. Belongs to the thread that opened them.
+pub(crate) struct Server {
+    // Dropped in this order: questions, ports, and then the process leaves the domain.
+    jobs: Vec<Job>,
+    server: QueryServer,
+    records: Records,
+    /// While there are clients.
+    planner: Option<Planner>,
+    bus: Bus,
+    config: Config,
+    models: Fleet,
+    /// Hash of its name.
+    fleet: u64,
+    in_transfer: usize,
+    fair: Fair,
+    counts: QueryCounts,
+    /// When a client was connected last, monotonic ns.
+    asked_ns: u64,
+}
+
+impl Server {
+    /// Opens the ports. `begun_ns` and `counts` are the thread's start and its counts from before
+    /// any loss of ports.
+    pub(crate) fn open(
+        config: &Config,
+        models: &Fleet,
+        (begun_ns, counts): (u64, QueryCounts),
+    ) -> Result<Self, ServerError> {
+        let bus = Bus::join(&config.domain()?, "queries")?;
+        let limits = config.limits();
+        Ok(Self {
+            jobs: Vec::new(),
+            records: Records::open(&bus, &limits, begun_ns)?,
+            server: bus.query_server(&limits)?,
+            planner: None,
+            bus,
+            models: models.clone(),
+            fleet: fnv1a(config.fleet().bytes()),
+            config: config.clone(),
+            in_transfer: limits.queries_in_transfer(),
+            fair: Fair::default(),
+            counts,
+            asked_ns: 0,
+        })
+    }
+
+    pub(crate) const fn counts(&self) -> QueryCounts {
+        self.counts
+    }
+
+    /// Whether files of this process were removed.
+    pub(crate) fn is_lost(&self) -> bool {
+        self.bus.check().is_err()
+    }
+
+    /// Takes all waiting questions, works on one of them, or waits.
+    pub(crate) fn round(&mut self) -> Result<(), ServerError> {
+        self.bus.check().map_err(WaitError::from)?;
+        self.connect()?;
+        self.take()?;
+        let (next, is_awaited) = self.next()?;
+        match next {
+            Some(place) => self.advance(place)?,
+            None if is_awaited => {
+                let until_ns = clock::monotonic_ns().saturating_add(FRAME_POLL_NS);
+                self.server.wait_until(until_ns)?;
+            }
+            None => {}
+        }
+        let due_ns = self.records.flush(self.counts, false)?;
+        if self.jobs.is_empty() {
+            self.server.wait_until(due_ns)?;
+        }
+        Ok(())
+    }
+
+    /// Whether connections of clients that have left may be kept.
+    pub(crate) fn is_worn(&self) -> bool {
+        self.server.is_worn(self.jobs.is_empty())
+    }
+
+    /// With a new port for questions. Clients whose questions are dropped send them again.
+    pub(crate) fn renewed(self) -> Result<Self, ServerError> {
+        // A fleet has one such port, which is there while a question is.
+        drop(self.jobs);
+        drop(self.server);
+        Ok(Self {
+            jobs: Vec::new(),
+            server: self.bus.query_server(&self.config.limits())?,
+            ..self
+        })
+    }
+
+    /// Refuses all questions, because the worker ends.
+    pub(crate) fn end(&mut self) -> Result<(), ServerError> {
+        let taken = self.take();
+        for job in std::mem::take(&mut self.jobs) {
+            let text = "the worker ends: ask again when it has been started again".to_owned();
+            self.refuse(job, &Refused::new(QueryRefusal::Ending, text))?;
+        }
+        self.records.flush(self.counts, true)?;
+        taken
+    }
+
+    /// Receives as many questions as clients can have in transfer: more come from clients that do
+    /// not wait for answers, and wait until the next round.
+    fn take(&mut self) -> Result<(), ServerError> {
+        for _ in 0..self.in_transfer {
+            let Some(query) = self.server.receive()? else {
+                return Ok(());
+            };
+            let (job, checked) = Job::take(query, self.fleet, clock::monotonic_ns());
+            let of_process = self.jobs.iter().filter(|other| other.client == job.client);
+            if let Err(refused) = checked {
+                self.refuse(job, &refused)?;
+            } else if of_process.count() >= MAX_OF_A_PROCESS {
+                let text = format!(
+                    "{MAX_OF_A_PROCESS} questions of process {} wait already: ask when they are answered",
+                    job.client
+                );
+                self.refuse(job, &Refused::new(QueryRefusal::Busy, text))?;
+            } else {
+                self.fair.enter(job.client);
+                self.jobs.push(job);
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads plan states while there are clients: without, the tick does not write them.
+    fn connect(&mut self) -> Result<(), ServerError> {
+        let now_ns = clock::monotonic_ns();
+        if self.server.clients() > 0 {
+            self.asked_ns = now_ns;
+            if self.planner.is_none() {
+                self.planner = Some(Planner::with_fleet(
+                    &self.config,
+                    "queries",
+                    self.models.clone(),
+                )?);
+            }
+        } else if now_ns.saturating_sub(self.asked_ns) > LINGER_NS {
+            self.planner = None;
+        }
+        Ok(())
+    }
+
+    /// The question to work on, and whether one waits for a frame. Gives up those that are over.
+    fn next(&mut self) -> Result<(Option<usize>, bool), ServerError> {
+        let now_ns = clock::monotonic_ns();
+        let mut place = 0;
+        while let Some(job) = self.jobs.get_mut(place) {
+            match job.is_over(now_ns) {
+                Some(refused) => {
+                    let job = self.jobs.remove(place);
+                    self.refuse(job, &refused)?;
+                }
+                None => place += 1,
+            }
+        }
+        let jobs = &self.jobs;
+        self.fair
+            .keep(|process| jobs.iter().any(|job| job.client == process));
+        if jobs.is_empty() {
+            return Ok((None, false));
+        }
+        // A view that cannot be read now is read later, or the question is refused.
+        let view = self.planner.as_mut().map(Planner::view);
+        let view = view.and_then(Result::ok).flatten();
+        let (has_frame, is_current) = (view.is_some(), view.is_some_and(|view| view.is_current()));
+        let period_ns = self.config.tick_period_ns();
+        let is_ready = |job: &&(usize, &Job)| {
+            let works = matches!(job.1.state, State::Working(_));
+            works || is_current || job.1.is_impatient(now_ns, period_ns, has_frame)
+        };
+        let ready: Vec<(usize, &Job)> = jobs
+            .iter()
+            .enumerate()
+            .filter(|job| is_ready(&job))
+            .collect();
+        let next = self.fair.next(ready.iter().map(|(_, job)| job.client));
+        let next = next.map(|at| ready[at].0);
+        Ok((next, next.is_none()))
+    }
+
+    /// Works on a question: up to one robot of it, or one way to be followed.
+    fn advance(&mut self, place: usize) -> Result<(), ServerError> {
+        // Thread time: the time that other threads take is not charged to a client.
+        let begun_ns = clock::thread_cpu_ns();
+        let mut job = self.jobs.remove(place);
+        let client = job.client;
+        let worked = self.work(&mut job);
+        let took_ns = clock::thread_cpu_ns().saturating_sub(begun_ns);
+        self.fair.served(client, took_ns);
+        match worked {
+            // In the order in which they were taken.
+            Ok(None) => self.jobs.insert(place, job),
+            Ok(Some(work)) => self.answer(job, work)?,
+            Err(refused) => self.refuse(job, &refused)?,
+        }
+        Ok(())
+    }
+
+    /// The work, if it is complete.
+    fn work(&mut self, job: &mut Job) -> Result<Option<Work>, Refused> {
+        let refused = |error: QuestionError| Refused::from(&error);
+        let none = || {
+            let text = "the worker has not published the fleet's state yet: ask again".to_owned();
+            Refused::new(QueryRefusal::NoFrame, text)
+        };
+        let planner = self.planner.as_mut().ok_or_else(none)?;
+        if let State::Waiting(question) = &mut job.state {
+            let view = planner.view().map_err(|_| none())?.ok_or_else(none)?;
+            let question = std::mem::take(question);
+            let find = |robot| View::rows(&view, robot);
+            let work = Work::begin(question, find, QUERY_STEPS).map_err(refused);
+            view.state_in(&mut job.answer);
+            job.state = State::Working(work?);
+        }
+        let State::Working(work) = &mut job.state else {
+            return Ok(None);
+        };
+        let fleet = planner.fleet();
+        let is_done = if job.renewals == 0 {
+            work.step(fleet)
+        } else {
+            work.rest(fleet)
+        };
+        if !is_done.map_err(refused)? {
+            return Ok(None);
+        }
+        let work = std::mem::take(work);
+        self.renew(job, work)
+    }
+
+    /// The finished work. If the robots' state has become stale, it is computed again from the
+    /// newest frames. A part that needs another way to be followed stays with the question.
+    fn renew(&mut self, job: &mut Job, work: Work) -> Result<Option<Work>, Refused> {
+        if job.renewals >= MAX_RENEWALS || !work.is_stale(clock::monotonic_ns()) {
+            return Ok(Some(work));
+        }
+        // Without a newer frame the answer states that.
+        let Some(planner) = self.planner.as_mut() else {
+            return Ok(Some(work));
+        };
+        let Some(view) = planner.view().ok().flatten().filter(View::is_current) else {
+            return Ok(Some(work));
+        };
+        let refused = |error: QuestionError| Refused::from(&error);
+        let mut work = work
+            .renew(|robot| View::rows(&view, robot))
+            .map_err(refused)?;
+        view.state_in(&mut job.answer);
+        job.renewals += 1;
+        if work.rest(planner.fleet()).map_err(refused)? {
+            return Ok(Some(work));
+        }
+        job.state = State::Working(work);
+        Ok(None)
+    }
+
+    fn answer(&mut self, mut job: Job, work: Work) -> Result<(), ServerError> {
+        let now_ns = clock::monotonic_ns();
+        if let Some(refused) = job.is_over(now_ns) {
+            return self.refuse(job, &refused);
+        }
+        let mut words = Vec::new();
+        let reply = work.finish_at(now_ns);
+        reply.encode(&mut job.answer, &mut words);
+        if let Err(error) = self.send(&mut job, &words, now_ns) {
+            return self.refuse_unsent(job, &error);
+        }
+        self.counts.answered += 1;
+        self.record(&job, &words)
+    }
+
+    fn refuse(&mut self, mut job: Job, refused: &Refused) -> Result<(), ServerError> {
+        let mut words = Vec::new();
+        refused.encode(&mut job.answer, &mut words);
+        self.counts.refuse(refused.reason);
+        if refused.reason != QueryRefusal::ClientGone {
+            // Its client learns it from the deadline otherwise.
+            let _ = self.send(&mut job, &words, clock::monotonic_ns());
+        }
+        self.record(&job, &words)
+    }
+
+    fn refuse_unsent(&mut self, mut job: Job, error: &SendError) -> Result<(), ServerError> {
+        let mut words = Vec::new();
+        let refused = Refused::new(QueryRefusal::Unsent, error.to_string());
+        (job.answer.rows, job.answer.powers) = (0, 0);
+        refused.encode(&mut job.answer, &mut words);
+        self.counts.refuse(QueryRefusal::Unsent);
+        self.record(&job, &words)
+    }
+
+    /// Sends an answer. The age in the answer depends on `now_ns`.
+    fn send(&mut self, job: &mut Job, words: &[u64], now_ns: u64) -> Result<(), SendError> {
+        job.answer = AnswerHeader {
+            schema: SCHEMA_VERSION,
+            pid: process_id(),
+            number: job.header.number,
+            taken_ns: job.taken_ns,
+            sent_ns: now_ns,
+            ..job.answer
+        };
+        let sent = self
+            .server
+            .answer(&job.query, job.answer, job.listener(), words);
+        match sent {
+            // A client that was not woken finds the answer itself.
+            Err(SendError::Wake(_)) => Ok(()),
+            sent => sent,
+        }
+    }
+
+    fn record(&mut self, job: &Job, words: &[u64]) -> Result<(), ServerError> {
+        let record = QueryRecord {
+            client: job.client,
+            query: job.header,
+            answer: job.answer,
+            ..QueryRecord::default()
+        };
+        self.records
+            .add(record, (&job.values, words), self.counts)?;
+        Ok(())
+    }
+}
