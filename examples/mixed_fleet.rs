@@ -40,7 +40,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         // Two seconds. Where a program gets no processor for a while, the windows of its robots begin anew.
         let frame = planner.current();
         let known = frame.map_or(0, |frame| {
-            frame.iter().filter_map(Forecast::power_w).count()
+            frame.iter().filter_map(Forecast::expected_w).count()
         });
         if tick >= 59 && known == 13 {
             break;
@@ -58,7 +58,9 @@ fn main() -> Result<(), Box<dyn Error>> {
             .robots()
             .iter()
             .filter(|forecast| ids.contains(&forecast.robot));
-        let powers_w: Vec<f32> = robots.filter_map(|forecast| forecast.power_w()).collect();
+        let powers_w: Vec<f32> = robots
+            .filter_map(|forecast| forecast.expected_w())
+            .collect();
         let sum_w: f32 = powers_w.iter().sum();
         println!("{platform}: {} robots, {sum_w:.1} W", powers_w.len());
     }

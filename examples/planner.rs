@@ -20,7 +20,7 @@ pub(crate) fn run(config: &Path, frames: u64) -> Result<(), Box<dyn Error>> {
         match planner.wait_next(Duration::from_secs(1))? {
             Event::Frame(frame) => {
                 let tick = frame.header().tick;
-                let fleet_w: f32 = frame.iter().filter_map(Forecast::power_w).sum();
+                let fleet_w: f32 = frame.iter().filter_map(Forecast::expected_w).sum();
                 match frame.robot(7).and_then(Forecast::interval_w) {
                     Some((lo, hi)) => {
                         println!("tick {tick}: fleet {fleet_w:.1} W, robot 7 {lo:.2} to {hi:.2} W");

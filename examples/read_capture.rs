@@ -23,7 +23,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         *messages.entry(entry.topic.to_string()).or_default() += 1;
         // The payloads are those of shared memory, with the same bits.
         if let Message::Forecasts(_header, robots) = entry.message {
-            for power_w in robots.iter().filter_map(|robot| robot.power_w()) {
+            for power_w in robots.iter().filter_map(|robot| robot.expected_w()) {
                 sum_w += f64::from(power_w);
                 forecasts += 1;
             }

@@ -175,7 +175,7 @@ impl RobotRecord {
             target_ns: heard.then_some(forecast.target_ns),
             reading_w: read.then(|| forecast.reading_w.into()),
             reading_age_ns: read.then_some(forecast.reading_age_ns),
-            power_w: forecast.power_w().map(f64::from),
+            power_w: forecast.expected_w().map(f64::from),
             lo_w: interval_w.map(|(lo_w, _)| lo_w.into()),
             hi_w: interval_w.map(|(_, hi_w)| hi_w.into()),
             residual_w: residual.and_then(|d| known(d.residual_w.into())),

@@ -89,7 +89,7 @@ impl Calls {
                 let Some(frame) = self.planner.latest()? else {
                     return Ok(());
                 };
-                let powers_w = frame.iter().filter_map(|row| row.power_w());
+                let powers_w = frame.iter().filter_map(|row| row.expected_w());
                 black_box(powers_w.sum::<f32>());
             }
             "publish" => {

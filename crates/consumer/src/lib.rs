@@ -25,7 +25,7 @@
 //! ```
 //!
 //! **Units**: W, J, s, ns. Times are of the host's monotonic clock ([`clock::monotonic_ns`]).
-//! Unknown values are `None` from the accessors ([`wire::Forecast::power_w`]), NaN in the fields;
+//! Unknown values are `None` from the accessors ([`wire::Forecast::expected_w`]), NaN in the fields;
 //! [`wire::Forecast::quality`] states how far to trust the rest.
 //!
 //! **The worker** may start later, end, die and be restarted: a planner continues. Its exit is

@@ -54,4 +54,4 @@ pub use joulebus_connect::{ConnectError, error};
 pub use joulebus_wire as wire;
 pub use pace::{Grid, Pace, Slot};
 pub use publisher::{PublishError, Publisher, Sent};
-pub use state::RobotState;
+pub use state::{Charger, RobotState};

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use joulebus_publisher::{Config, Publisher as Port, RobotState, clock};
+use joulebus_publisher::{Charger, Config, Publisher as Port, RobotState, clock};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyFloat};
@@ -123,8 +123,17 @@ fn setter(name: &str) -> Option<Setter> {
         "soc" => Number(|robot, value| robot.soc = value),
         "return_j" => Number(|robot, value| robot.return_j = value),
         "held" => Truth(|robot, value| robot.held = value),
-        "charging" => Truth(|robot, value| robot.charging = value),
-        "full" => Truth(|robot, value| robot.full = value),
+        // A charger that says "full" is connected, in whichever order the columns are given.
+        "charging" => Truth(|robot, value| {
+            if value && robot.charger == Charger::Disconnected {
+                robot.charger = Charger::Charging;
+            }
+        }),
+        "full" => Truth(|robot, value| {
+            if value {
+                robot.charger = Charger::Full;
+            }
+        }),
         "swapped" => Truth(|robot, value| robot.swapped = value),
         _ => return None,
     })

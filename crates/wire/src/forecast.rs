@@ -65,7 +65,7 @@ impl Forecast {
 
     /// The power expected, W, if there is a forecast.
     #[must_use]
-    pub const fn power_w(&self) -> Option<f32> {
+    pub const fn expected_w(&self) -> Option<f32> {
         if self.flags & forecast_flag::POWER != 0 {
             Some(self.power_w)
         } else {

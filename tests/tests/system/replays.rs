@@ -227,7 +227,7 @@ fn a_run_with_a_model_that_reads_freshness_is_verified() {
             continue;
         };
         for row in rows {
-            let known = row.power_w().is_some();
+            let known = row.expected_w().is_some();
             match row.quality() {
                 Quality::Fresh => counts[0] += usize::from(known),
                 Quality::Held => counts[1] += usize::from(known),

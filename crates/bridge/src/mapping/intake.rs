@@ -14,7 +14,7 @@
 
 use std::collections::BTreeMap;
 
-use joulebus_publisher::RobotState;
+use joulebus_publisher::{Charger, RobotState};
 use joulebus_settings::ChargeReading;
 
 use crate::mapping::observation::{Observation, PowerOf, PowerReading};
@@ -148,8 +148,11 @@ impl Intake {
         let mut state = RobotState::new(robot);
         state.v_mps = command(known.v_mps, holds, now_ns);
         state.omega_radps = command(known.omega_radps, holds, now_ns);
-        state.charging = known.charging == Some(true);
-        state.full = state.charging && known.full;
+        state.charger = match (known.charging, known.full) {
+            (Some(true), true) => Charger::Full,
+            (Some(true), false) => Charger::Charging,
+            _ => Charger::Disconnected,
+        };
         let number = |heard: Option<Heard<f32>>| heard?.within(holds.reading_ns, now_ns);
         state.voltage_v = number(known.voltage_v);
         state.current_a = number(known.current_a);

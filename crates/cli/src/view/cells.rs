@@ -68,7 +68,7 @@ pub(crate) fn cells(robot: u32, row: &Row) -> [String; 13] {
         robot.to_string(),
         quality(forecast.quality()),
         or_unknown(read.then(|| watts(forecast.reading_w.into()))),
-        or_unknown(forecast.power_w().map(|power_w| watts(power_w.into()))),
+        or_unknown(forecast.expected_w().map(|power_w| watts(power_w.into()))),
         or_unknown(
             forecast
                 .interval_w()

@@ -224,7 +224,7 @@ fn describe(event: &Event<'_>) -> String {
             assert_eq!(frame.robots().len(), 64);
             for robot in 0..64 {
                 let found = frame.robot(robot).unwrap();
-                assert_eq!(found.power_w(), Some(power_w(robot.into(), tick)));
+                assert_eq!(found.expected_w(), Some(power_w(robot.into(), tick)));
             }
             assert!(frame.robot(64).is_none());
             let arrival = frame.arrival();

@@ -31,7 +31,8 @@
 // Terms and lanes are counted: those are the loops that the compiler makes vectors of.
 #![allow(clippy::needless_range_loop)]
 
-use joulebus_predictor::{FeatureSet, LAGS, Linear, Model, canonical};
+use joulebus_predictor::nan::canonical;
+use joulebus_predictor::{FeatureSet, LAGS, Linear, Model};
 use serde::{Deserialize, Serialize};
 
 use crate::estimate::hedge::{Hedge, MEMBERS, dot};

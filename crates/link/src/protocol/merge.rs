@@ -403,7 +403,7 @@ mod tests {
         assert_eq!((header.model_hash, header.period_ns), (5, 33));
         let known: Vec<_> = rows
             .iter()
-            .map(|row| (row.robot, row.power_w().is_some()))
+            .map(|row| (row.robot, row.expected_w().is_some()))
             .collect();
         assert_eq!(known, [(1, true), (2, true), (3, true), (4, false)]);
         // What a robot said last stays known; the forecast does not.
@@ -473,7 +473,7 @@ mod tests {
                 let mut rows = Vec::new();
                 prop_assert_eq!(merge.len(), newest.iter().flatten().map(Vec::len).sum::<usize>());
                 let header = merge.write(&heard, OWN, now_ns, |row: Forecast| {
-                    rows.push((row.robot, row.power_w().is_some()));
+                    rows.push((row.robot, row.expected_w().is_some()));
                 });
                 prop_assert!(header.is_some());
                 let kept = newest.iter().zip(&heard).filter_map(|(ids, heard)| Some((ids.as_ref()?, *heard)));

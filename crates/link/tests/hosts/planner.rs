@@ -76,7 +76,7 @@ fn row(row: &Forecast) -> Row {
         robot: row.robot,
         stamp_ns: row.stamp_ns,
         target_ns: row.target_ns,
-        has_power: row.power_w().is_some(),
+        has_power: row.expected_w().is_some(),
         bits: bytemuck::bytes_of(&rest).to_vec(),
     }
 }

@@ -3,7 +3,7 @@
 // Lanes are counted: that is the loop that the compiler makes vectors of.
 #![allow(clippy::needless_range_loop)]
 
-use joulebus_predictor::canonical;
+use joulebus_predictor::nan::canonical;
 use joulebus_wire::{Alarm, AlarmSet, Diagnostic, Level, diagnostic_flag};
 
 use crate::layout::lanes::{Block as _, LANES, Lanes};
