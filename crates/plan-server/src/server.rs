@@ -5,7 +5,8 @@ use joulebus_bus::{
     process_id,
 };
 use joulebus_config::Config;
-use joulebus_plan::{Fleet, QuestionError, Refused, Work};
+use joulebus_plan::answering::Work;
+use joulebus_plan::{Fleet, QuestionError, Refused};
 use joulebus_planner::{OpenPlannerError, Planner, View};
 use joulebus_wire::{
     AnswerHeader, QUERY_STEPS, QueryCounts, QueryRecord, QueryRefusal, SCHEMA_VERSION, fnv1a,

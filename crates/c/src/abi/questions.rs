@@ -3,9 +3,8 @@
 use std::ffi::c_char;
 use std::time::Duration;
 
-use joulebus_plan::{
-    Answer, Candidates, Caveats, MAX_STEPS, QuestionError, Row, Unknown, Verdict, Work,
-};
+use joulebus_plan::answering::Work;
+use joulebus_plan::{Answer, Candidates, Caveats, MAX_STEPS, QuestionError, Row, Unknown, Verdict};
 use joulebus_planner::{Config, Planner, ViewError};
 use joulebus_wire::AnswerRow;
 
