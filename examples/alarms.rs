@@ -1,7 +1,6 @@
 //! Alarms: a robot with a stuck power monitor, and one that sends invalid values.
 //! `cargo run -p joulebus-examples --example alarms`
 
-use std::error::Error;
 use std::time::Duration;
 
 use joulebus_consumer::{Event, Planner, wire::Alarm};
@@ -16,7 +15,7 @@ stuck_after_s = 0.5
 stale_after_s = 5.0
 "#;
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> anyhow::Result<()> {
     let fleet = PrivateFleet::with_worker(PLATFORMS)?;
     let mut publisher = Publisher::connect(fleet.config(), "controller")?;
     let mut planner = Planner::connect(fleet.config())?;
@@ -57,5 +56,5 @@ fn main() -> Result<(), Box<dyn Error>> {
             return Ok(());
         }
     }
-    Err("no alarm within five seconds".into())
+    anyhow::bail!("no alarm within five seconds")
 }

@@ -1,7 +1,6 @@
 //! Energy budgets: what each robot has drawn, what it may still use, and for how long.
 //! `cargo run -p joulebus-examples --example budgets`
 
-use std::error::Error;
 use std::time::Duration;
 
 use joulebus_consumer::{Event, Planner};
@@ -17,7 +16,7 @@ capacity_wh = 10.0
 initial_soc_lo = 0.9
 "#;
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> anyhow::Result<()> {
     let fleet = PrivateFleet::with_worker(PLATFORMS)?;
     let mut publisher = Publisher::connect(fleet.config(), "controller")?;
     let mut planner = Planner::connect(fleet.config())?;
@@ -36,7 +35,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         if let Event::Frame(_) = planner.wait_next(Duration::from_secs(1))? {}
     }
     let Some(frame) = budgets.latest()? else {
-        return Err("the worker has sent no budgets".into());
+        anyhow::bail!("the worker has sent no budgets");
     };
     for budget in (0..3).filter_map(|robot| frame.robot(robot)) {
         println!(

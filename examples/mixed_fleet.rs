@@ -2,7 +2,6 @@
 //! all.
 //! `cargo run -p joulebus-examples --example mixed_fleet`
 
-use std::error::Error;
 use std::time::Duration;
 
 use joulebus_consumer::{Event, Planner, wire::Forecast};
@@ -23,7 +22,7 @@ robots = ["200"]
 power_max_w = 150.0
 "#;
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> anyhow::Result<()> {
     let fleet = PrivateFleet::with_worker(PLATFORMS)?;
     let mut publisher = Publisher::connect(fleet.config(), "controller")?;
     let mut planner = Planner::connect(fleet.config())?;
@@ -47,7 +46,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
     }
     let Some(frame) = planner.current() else {
-        return Err("the worker has sent no forecasts".into());
+        anyhow::bail!("the worker has sent no forecasts");
     };
     for (platform, ids) in [
         ("gternal", 0..100),

@@ -1,20 +1,19 @@
 //! A planner waits for forecasts, and is notified at once when the worker ends: `cargo run -p
 //! joulebus-examples --example planner configs/fleet.toml`
 
-use std::error::Error;
 use std::path::Path;
 use std::time::Duration;
 
 use joulebus_consumer::{Event, Planner, wire::Forecast};
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> anyhow::Result<()> {
     let config = std::env::args().nth(1);
     let config = config.as_deref().unwrap_or("configs/fleet.toml");
     run(config.as_ref(), 60)
 }
 
 /// Prints `frames` frames of forecasts, and changes of the worker's state.
-pub(crate) fn run(config: &Path, frames: u64) -> Result<(), Box<dyn Error>> {
+pub(crate) fn run(config: &Path, frames: u64) -> anyhow::Result<()> {
     let mut planner = Planner::connect(config)?;
     while planner.counts().frames < frames {
         match planner.wait_next(Duration::from_secs(1))? {

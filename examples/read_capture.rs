@@ -2,11 +2,10 @@
 //! `cargo run -p joulebus-examples --example read_capture [FILE]`
 
 use std::collections::BTreeMap;
-use std::error::Error;
 
 use joulebus_capture_format::{Message, Reader};
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> anyhow::Result<()> {
     let directory = tempfile::tempdir()?;
     let file = match std::env::args().nth(1) {
         Some(file) => file.into(),

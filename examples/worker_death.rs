@@ -1,7 +1,6 @@
 //! The worker is killed and restarted: a planner is notified of both at once, and stays connected.
 //! `cargo run -p joulebus-examples --example worker_death`
 
-use std::error::Error;
 use std::path::Path;
 use std::process::{Child, Command};
 use std::sync::atomic::AtomicBool;
@@ -17,7 +16,7 @@ file = "builtin:gternal"
 robots = ["0-9"]
 "#;
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> anyhow::Result<()> {
     // This program is also the worker that it starts.
     if let Some(config) = std::env::args().nth(1) {
         Worker::open(&Config::load(config)?)?.run(&AtomicBool::new(false))?;
@@ -45,7 +44,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             }
             Event::TimedOut => {
                 worker.kill()?;
-                return Err("no event for ten seconds".into());
+                anyhow::bail!("no event for ten seconds");
             }
             // Frames sent before the end, and `Stale` before it is reported: nothing to do.
             _ => {}

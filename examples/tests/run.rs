@@ -91,6 +91,16 @@ fn ask_worker_is_answered_and_refused() {
 }
 
 #[test]
+fn an_error_prints_as_a_sentence() {
+    let nowhere = Path::new("/nowhere/fleet.toml");
+    let output = start("controller", &[nowhere]).wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let said = String::from_utf8(output.stderr).unwrap();
+    let begin = "Error: cannot read the config /nowhere/fleet.toml: ";
+    assert!(said.starts_with(begin), "{said}");
+}
+
+#[test]
 fn every_example_has_a_test() {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let tests = fs::read_to_string(here.join("tests/run.rs")).unwrap();

@@ -22,23 +22,12 @@ const PATIENCE: Duration = Duration::from_millis(100);
 const FOLLOW_NS: u64 = 5_000_000;
 const FOLLOW_EVERY: Duration = Duration::from_micros(200);
 
-/// Why a planner cannot read a fleet.
-#[derive(Debug, thiserror::Error)]
-pub enum OpenError {
-    /// The domain cannot be joined.
-    #[error(transparent)]
-    Connect(#[from] ConnectError),
-    /// A port cannot be opened.
-    #[error(transparent)]
-    Port(#[from] joulebus_bus::OpenError),
-}
-
 /// Why the thread of a [`Feed`] does not read, or no longer.
 #[derive(Debug, thiserror::Error)]
 pub enum FeedError {
     /// It cannot join the fleet.
     #[error(transparent)]
-    Open(#[from] OpenError),
+    Connect(#[from] ConnectError),
     /// Reading fails permanently.
     #[error(transparent)]
     Read(#[from] ReadError),
@@ -70,7 +59,7 @@ impl Reading {
     ///
     /// # Errors
     /// The domain cannot be joined.
-    pub fn open(config: &Config, name: &str, taps: bool) -> Result<Self, OpenError> {
+    pub fn open(config: &Config, name: &str, taps: bool) -> Result<Self, ConnectError> {
         let mut reading = Self::of(Planner::with_config(config, name)?)?;
         if taps {
             reading.tap = Some(Tap::open(config)?);
@@ -84,7 +73,7 @@ impl Reading {
     ///
     /// # Errors
     /// The domain cannot be joined.
-    pub fn polling(config: &Config, name: &str, every: Duration) -> Result<Self, OpenError> {
+    pub fn polling(config: &Config, name: &str, every: Duration) -> Result<Self, ConnectError> {
         let reading = Self::of(Planner::polling(config, name, every)?)?;
         Ok(Self {
             polls: true,
@@ -92,7 +81,7 @@ impl Reading {
         })
     }
 
-    fn of(planner: Planner) -> Result<Self, OpenError> {
+    fn of(planner: Planner) -> Result<Self, ConnectError> {
         Ok(Self {
             diagnostics: planner.diagnostics()?,
             budgets: planner.budgets()?,
@@ -229,7 +218,7 @@ struct Tap {
 }
 
 impl Tap {
-    fn open(config: &Config) -> Result<Self, OpenError> {
+    fn open(config: &Config) -> Result<Self, ConnectError> {
         let limits = config.limits();
         let bus = join(config, "tap")?;
         Ok(Self {

@@ -4,9 +4,10 @@ use std::cell::RefCell;
 use std::sync::Arc;
 use std::time::Duration;
 
-use joulebus_board::{Board, OpenError, Reading};
+use joulebus_board::{Board, Reading};
 use joulebus_bus::clock;
 use joulebus_config::Config;
+use joulebus_consumer::ConnectError;
 
 use crate::shared::Shared;
 
@@ -36,7 +37,7 @@ pub(crate) const fn next_due_ns(due_ns: u64, every_ns: u64, now_ns: u64) -> u64 
 
 /// Joins the fleet for topics of which the most frequent is written `every` so often. Where that is much rarer than
 /// ticks, these do not wake the bridge: that would cost the worker time.
-fn open(config: &Config, name: &str, every: Duration) -> Result<Reading, OpenError> {
+fn open(config: &Config, name: &str, every: Duration) -> Result<Reading, ConnectError> {
     let look_every = (every / LATE_PART).min(LOOK_EVERY);
     if look_every.as_nanos() < u128::from(config.tick_period_ns()) {
         return Reading::open(config, name, false);

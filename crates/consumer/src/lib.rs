@@ -5,7 +5,7 @@
 //!
 //! use joulebus_consumer::{Event, Planner};
 //!
-//! fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! fn main() -> anyhow::Result<()> {
 //!     let mut planner = Planner::connect("configs/fleet.toml")?;
 //!     loop {
 //!         match planner.wait_next(Duration::from_secs(1))? {

@@ -7,7 +7,7 @@ use joulebus_bus::{
 use joulebus_config::Config;
 use joulebus_plan::answering::Work;
 use joulebus_plan::{Fleet, QuestionError, Refused};
-use joulebus_planner::{OpenPlannerError, Planner, View};
+use joulebus_planner::{ConnectError, Planner, View};
 use joulebus_wire::{
     AnswerHeader, QUERY_STEPS, QueryCounts, QueryRecord, QueryRefusal, SCHEMA_VERSION, fnv1a,
 };
@@ -36,7 +36,7 @@ pub(crate) enum ServerError {
     #[error(transparent)]
     Open(#[from] OpenError),
     #[error(transparent)]
-    Planner(#[from] OpenPlannerError),
+    Connect(#[from] ConnectError),
     #[error(transparent)]
     Receive(#[from] ReceiveError),
     #[error(transparent)]

@@ -6,10 +6,8 @@ use std::time::{Duration, Instant};
 
 use joulebus_config::Config;
 use joulebus_connect::ConnectError;
-use joulebus_consumer::{
-    BudgetFeed, Budgets, Event, OpenError, PlanStateFeed, PlanStates, ReadError, clock,
-};
-use joulebus_models::{ModelsError, load_models};
+use joulebus_consumer::{BudgetFeed, Budgets, Event, PlanStateFeed, PlanStates, ReadError, clock};
+use joulebus_models::load_models;
 use joulebus_plan::{Differs, Fleet, Robot, RobotRows};
 use joulebus_wire::AnswerHeader;
 
@@ -20,21 +18,6 @@ pub struct Planner {
     states: PlanStateFeed,
     budgets: BudgetFeed,
     fleet: Fleet,
-}
-
-/// Errors of connecting.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum OpenPlannerError {
-    /// The config, or joining the fleet.
-    #[error(transparent)]
-    Connect(#[from] ConnectError),
-    /// A model of the config.
-    #[error(transparent)]
-    Models(#[from] ModelsError),
-    /// A service.
-    #[error(transparent)]
-    Open(#[from] OpenError),
 }
 
 /// Errors of reading the fleet's state.
@@ -67,26 +50,26 @@ impl Planner {
     /// keep it for as long as there are questions.
     ///
     /// # Errors
-    /// [`OpenPlannerError`] with the cause and the remedy.
-    pub fn connect(config_path: impl AsRef<Path>) -> Result<Self, OpenPlannerError> {
-        let config = Config::load(config_path).map_err(ConnectError::from)?;
-        Self::with_config(&config, "planner")
+    /// [`ConnectError`] with the cause and the remedy.
+    pub fn connect(config_path: impl AsRef<Path>) -> Result<Self, ConnectError> {
+        Self::with_config(&Config::load(config_path)?, "planner")
     }
 
     /// As [`Planner::connect`], with a loaded config, and a name that is shown to operators.
     ///
     /// # Errors
-    /// [`OpenPlannerError`].
-    pub fn with_config(config: &Config, name: &str) -> Result<Self, OpenPlannerError> {
-        let fleet = Fleet::new(config.settings(), &load_models(config)?);
+    /// [`ConnectError`].
+    pub fn with_config(config: &Config, name: &str) -> Result<Self, ConnectError> {
+        let models = load_models(config).map_err(|error| ConnectError::Models(error.into()))?;
+        let fleet = Fleet::new(config.settings(), &models);
         Self::with_fleet(config, name, fleet)
     }
 
     /// As [`Planner::with_config`], with models that are loaded already.
     ///
     /// # Errors
-    /// [`OpenPlannerError`].
-    pub fn with_fleet(config: &Config, name: &str, fleet: Fleet) -> Result<Self, OpenPlannerError> {
+    /// [`ConnectError`].
+    pub fn with_fleet(config: &Config, name: &str, fleet: Fleet) -> Result<Self, ConnectError> {
         let planner = joulebus_consumer::Planner::with_config(config, name)?;
         Ok(Self {
             states: planner.plan_states()?,

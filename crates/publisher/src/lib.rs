@@ -6,7 +6,7 @@
 //!
 //! use joulebus_publisher::{Pace, Publisher, RobotState};
 //!
-//! fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! fn main() -> anyhow::Result<()> {
 //!     let mut publisher = Publisher::connect("configs/fleet.toml", "fleet-controller")?;
 //!     let mut pace = Pace::every(Duration::from_nanos(33_333_333));
 //!     loop {
