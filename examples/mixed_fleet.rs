@@ -4,7 +4,7 @@
 
 use std::time::Duration;
 
-use joulebus_consumer::{Event, Planner, wire::Forecast};
+use joulebus_consumer::{Event, Subscriber, wire::Forecast};
 use joulebus_examples::PrivateFleet;
 use joulebus_publisher::{Pace, Publisher, RobotState};
 
@@ -25,7 +25,7 @@ power_max_w = 150.0
 fn main() -> anyhow::Result<()> {
     let fleet = PrivateFleet::with_worker(PLATFORMS)?;
     let mut publisher = Publisher::connect(fleet.config(), "controller")?;
-    let mut planner = Planner::connect(fleet.config())?;
+    let mut subscriber = Subscriber::connect(fleet.config())?;
     let mut pace = Pace::every(Duration::from_nanos(33_333_333));
     for tick in 0..600_u32 {
         pace.wait();
@@ -35,9 +35,9 @@ fn main() -> anyhow::Result<()> {
         let huskies = huskies.map(|id| RobotState::new(id).command(0.5, 0.1).reading(140.0));
         let rovers = [RobotState::new(200).reading(31.0)];
         publisher.publish(gternals.chain(huskies).chain(rovers))?;
-        if let Event::Frame(_) = planner.wait_next(Duration::from_secs(1))? {}
+        if let Event::Frame(_) = subscriber.wait_next(Duration::from_secs(1))? {}
         // Two seconds. Where a program gets no processor for a while, the windows of its robots begin anew.
-        let frame = planner.current();
+        let frame = subscriber.current();
         let known = frame.map_or(0, |frame| {
             frame.iter().filter_map(Forecast::expected_w).count()
         });
@@ -45,7 +45,7 @@ fn main() -> anyhow::Result<()> {
             break;
         }
     }
-    let Some(frame) = planner.current() else {
+    let Some(frame) = subscriber.current() else {
         anyhow::bail!("the worker has sent no forecasts");
     };
     for (platform, ids) in [

@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::time::Duration;
 
-use joulebus_consumer::{Event, Planner, wire::Forecast};
+use joulebus_consumer::{Event, Subscriber, wire::Forecast};
 
 fn main() -> anyhow::Result<()> {
     let config = std::env::args().nth(1);
@@ -14,9 +14,9 @@ fn main() -> anyhow::Result<()> {
 
 /// Prints `frames` frames of forecasts, and changes of the worker's state.
 pub(crate) fn run(config: &Path, frames: u64) -> anyhow::Result<()> {
-    let mut planner = Planner::connect(config)?;
-    while planner.counts().frames < frames {
-        match planner.wait_next(Duration::from_secs(1))? {
+    let mut subscriber = Subscriber::connect(config)?;
+    while subscriber.counts().frames < frames {
+        match subscriber.wait_next(Duration::from_secs(1))? {
             Event::Frame(frame) => {
                 let tick = frame.header().tick;
                 let fleet_w: f32 = frame.iter().filter_map(Forecast::expected_w).sum();

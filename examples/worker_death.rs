@@ -6,7 +6,7 @@ use std::process::{Child, Command};
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use joulebus_consumer::{Config, Event, Planner};
+use joulebus_consumer::{Config, Event, Subscriber};
 use joulebus_examples::PrivateFleet;
 use joulebus_predictor_worker::Worker;
 
@@ -23,11 +23,11 @@ fn main() -> anyhow::Result<()> {
         return Ok(());
     }
     let fleet = PrivateFleet::new(PLATFORMS)?;
-    let mut planner = Planner::connect(fleet.config())?;
+    let mut subscriber = Subscriber::connect(fleet.config())?;
     let mut worker = start(fleet.config())?;
     let mut killed = false;
     loop {
-        match planner.wait_next(Duration::from_secs(10))? {
+        match subscriber.wait_next(Duration::from_secs(10))? {
             Event::Frame(frame) if frame.arrival().restarted => {
                 println!("tick {} of a new worker", frame.header().tick);
                 break;

@@ -11,7 +11,7 @@ use joulebus_bus::{Bus, FrameBuf, SampleReader, clock};
 use joulebus_config::Config;
 use joulebus_connect::{ConnectError, join};
 use joulebus_consumer::{
-    BudgetFeed, DiagnosticFeed, End, Planner, QueryFeed, ReadError, WorkerState,
+    BudgetFeed, DiagnosticFeed, End, Subscriber, QueryFeed, ReadError, WorkerState,
 };
 
 use crate::board::{Board, Link};
@@ -50,7 +50,7 @@ pub struct Reading {
     queries: Option<QueryFeed>,
     tap: Option<Tap>,
     polls: bool,
-    planner: Planner,
+    planner: Subscriber,
 }
 
 impl Reading {
@@ -60,7 +60,7 @@ impl Reading {
     /// # Errors
     /// The domain cannot be joined.
     pub fn open(config: &Config, name: &str, taps: bool) -> Result<Self, ConnectError> {
-        let mut reading = Self::of(Planner::with_config(config, name)?)?;
+        let mut reading = Self::of(Subscriber::with_config(config, name)?)?;
         if taps {
             reading.tap = Some(Tap::open(config)?);
         }
@@ -68,20 +68,20 @@ impl Reading {
     }
 
     /// As [`Reading::open`], for boards that are looked at only `every` so often: ticks do not wake it, as in
-    /// [`Planner::polling`]. No frame of forecasts is skipped. They count as readable when they are sent, since what
+    /// [`Subscriber::polling`]. No frame of forecasts is skipped. They count as readable when they are sent, since what
     /// passes until the next look is not the worker's.
     ///
     /// # Errors
     /// The domain cannot be joined.
     pub fn polling(config: &Config, name: &str, every: Duration) -> Result<Self, ConnectError> {
-        let reading = Self::of(Planner::polling(config, name, every)?)?;
+        let reading = Self::of(Subscriber::polling(config, name, every)?)?;
         Ok(Self {
             polls: true,
             ..reading
         })
     }
 
-    fn of(planner: Planner) -> Result<Self, ConnectError> {
+    fn of(planner: Subscriber) -> Result<Self, ConnectError> {
         Ok(Self {
             diagnostics: planner.diagnostics()?,
             budgets: planner.budgets()?,
@@ -151,7 +151,7 @@ impl Reading {
 
     /// The planner, for further feeds of the same fleet.
     #[must_use]
-    pub const fn planner(&self) -> &Planner {
+    pub const fn planner(&self) -> &Subscriber {
         &self.planner
     }
 

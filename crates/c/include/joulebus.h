@@ -994,7 +994,7 @@ typedef struct joulebus_frame joulebus_frame;
 /**
  * A reader of forecasts, diagnostics and budgets.
  */
-typedef struct joulebus_planner joulebus_planner;
+typedef struct joulebus_subscriber joulebus_subscriber;
 
 /**
  * A network.
@@ -1198,7 +1198,7 @@ typedef struct joulebus_budgets {
 /**
  * What a planner has read.
  */
-typedef struct joulebus_planner_status {
+typedef struct joulebus_subscriber_status {
     /**
      * The worker, as of the last call that read.
      */
@@ -1231,7 +1231,7 @@ typedef struct joulebus_planner_status {
      * Frames passed over because another process than the worker has sent them.
      */
     uint64_t foreign;
-} joulebus_planner_status;
+} joulebus_subscriber_status;
 
 /**
  * A platform, as the fleet's config describes it.
@@ -1557,36 +1557,36 @@ joulebus_error joulebus_publisher_close(struct joulebus_publisher *publisher);
  * @param name        1 to 128 bytes, shown to operators; need not be unique.
  * @param planner     The new handle.
  */
-joulebus_error joulebus_planner_open(const char *header,
+joulebus_error joulebus_subscriber_open(const char *header,
                                      const char *config_path,
                                      const char *name,
-                                     struct joulebus_planner **planner);
+                                     struct joulebus_subscriber **planner);
 
 /**
  * Waits for a frame that was not returned before, the worker's end, a frame that is too old, or a signal. Of several
  * frames it returns the newest; skipped ones are counted. Frames stay where they are in shared memory: the event's
- * pointers are valid until the next call of joulebus_planner_wait, joulebus_planner_latest or joulebus_planner_close
+ * pointers are valid until the next call of joulebus_subscriber_wait, joulebus_subscriber_latest or joulebus_subscriber_close
  * with this planner.
  *
  * @param timeout_ns Time to wait, ns; UINT64_MAX for ever, 0 not at all.
  * @param event      What happened.
  */
-joulebus_error joulebus_planner_wait(struct joulebus_planner *planner,
+joulebus_error joulebus_subscriber_wait(struct joulebus_subscriber *planner,
                                      uint64_t timeout_ns,
                                      struct joulebus_event *event);
 
 /**
  * The newest frame, without waiting, whether or not it was returned before; its header is NULL until the first has
- * arrived. Pointers are valid as of joulebus_planner_wait.
+ * arrived. Pointers are valid as of joulebus_subscriber_wait.
  */
-joulebus_error joulebus_planner_latest(struct joulebus_planner *planner,
+joulebus_error joulebus_subscriber_latest(struct joulebus_subscriber *planner,
                                        struct joulebus_forecasts *frame);
 
 /**
  * One robot of the frame that was returned last, in constant time while no robots join or leave; NULL if it is not in
- * the frame, or the frame was kept. Valid as of joulebus_planner_wait.
+ * the frame, or the frame was kept. Valid as of joulebus_subscriber_wait.
  */
-joulebus_error joulebus_planner_robot(struct joulebus_planner *planner,
+joulebus_error joulebus_subscriber_robot(struct joulebus_subscriber *planner,
                                       uint32_t robot,
                                       const joulebus_forecast **row);
 
@@ -1598,7 +1598,7 @@ joulebus_error joulebus_planner_robot(struct joulebus_planner *planner,
  * @param frame The new handle.
  * @param view  The frame that is kept; NULL if it is not wanted.
  */
-joulebus_error joulebus_planner_keep(struct joulebus_planner *planner,
+joulebus_error joulebus_subscriber_take_current(struct joulebus_subscriber *planner,
                                      struct joulebus_frame **frame,
                                      struct joulebus_forecasts *view);
 
@@ -1609,29 +1609,29 @@ joulebus_error joulebus_frame_close(struct joulebus_frame *frame);
 
 /**
  * The fleet's newest diagnostics, without waiting. The first call opens them: frames sent from then on are read. The
- * header is NULL until the first has arrived. Valid until the next call of this function, or joulebus_planner_close.
+ * header is NULL until the first has arrived. Valid until the next call of this function, or joulebus_subscriber_close.
  */
-joulebus_error joulebus_planner_diagnostics(struct joulebus_planner *planner,
+joulebus_error joulebus_subscriber_diagnostics(struct joulebus_subscriber *planner,
                                             struct joulebus_diagnostics *frame);
 
 /**
  * The fleet's newest budgets, without waiting. The first call opens them: frames sent before are read as soon as the
  * worker sends again. The header is NULL until the first has arrived. Valid until the next call of this function, or
- * joulebus_planner_close.
+ * joulebus_subscriber_close.
  */
-joulebus_error joulebus_planner_budgets(struct joulebus_planner *planner,
+joulebus_error joulebus_subscriber_budgets(struct joulebus_subscriber *planner,
                                         struct joulebus_budgets *frame);
 
 /**
  * The worker as seen by the last call that read, and what was counted.
  */
-joulebus_error joulebus_planner_get_status(struct joulebus_planner *planner,
-                                           struct joulebus_planner_status *status);
+joulebus_error joulebus_subscriber_get_status(struct joulebus_subscriber *planner,
+                                           struct joulebus_subscriber_status *status);
 
 /**
  * Leaves the fleet. Frames that are kept stay valid. NULL is closed already.
  */
-joulebus_error joulebus_planner_close(struct joulebus_planner *planner);
+joulebus_error joulebus_subscriber_close(struct joulebus_subscriber *planner);
 
 /**
  * Joins the fleet of a config file as a planner that asks, and loads the models that the config names. The worker

@@ -8,7 +8,7 @@ use joulebus_plan::{Answer, Candidates, Caveats, MAX_STEPS, QuestionError, Row, 
 use joulebus_planner::{Config, Planner, ViewError};
 use joulebus_wire::AnswerRow;
 
-use crate::abi::planner::read_failed;
+use crate::abi::subscriber::read_failed;
 use crate::abi::types::{
     joulebus_answers, joulebus_error, joulebus_platform, joulebus_question, joulebus_questions,
 };

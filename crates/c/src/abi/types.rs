@@ -46,7 +46,7 @@ pub enum joulebus_error {
 pub struct joulebus_publisher;
 /// A reader of forecasts, diagnostics and budgets.
 #[derive(Debug)]
-pub struct joulebus_planner;
+pub struct joulebus_subscriber;
 /// A frame of forecasts that is kept.
 #[derive(Debug)]
 pub struct joulebus_frame;
@@ -192,7 +192,7 @@ pub enum joulebus_end {
     Unreachable = 4,
 }
 
-/// An event of a planner.
+/// An event of a subscriber.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct joulebus_event {
@@ -206,7 +206,7 @@ pub struct joulebus_event {
     pub frame: joulebus_forecasts,
 }
 
-/// The worker, as seen by a planner.
+/// The worker, as seen by a subscriber.
 #[repr(u32)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum joulebus_worker {
@@ -220,10 +220,10 @@ pub enum joulebus_worker {
     Gone = 3,
 }
 
-/// What a planner has read.
+/// What a subscriber has read.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
-pub struct joulebus_planner_status {
+pub struct joulebus_subscriber_status {
     /// The worker, as of the last call that read.
     pub worker: joulebus_worker,
     /// How it ended.

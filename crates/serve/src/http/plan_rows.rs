@@ -1,7 +1,7 @@
 //! What plans of robots start from, as the worker writes it while somebody asks.
 
 use joulebus_bus::clock;
-use joulebus_consumer::{BudgetFeed, OpenError, PlanStateFeed, Planner};
+use joulebus_consumer::{BudgetFeed, OpenError, PlanStateFeed, Subscriber};
 use joulebus_plan::RobotRows;
 use tokio::sync::oneshot;
 
@@ -60,7 +60,7 @@ impl PlanRows {
     }
 
     /// Answers what can be answered.
-    pub(super) fn turn(&mut self, planner: &Planner, now_ns: u64) {
+    pub(super) fn turn(&mut self, planner: &Subscriber, now_ns: u64) {
         if self.waiting.is_empty() {
             if now_ns.saturating_sub(self.asked_ns) > LEAVE_AFTER_NS {
                 self.feeds = None;
@@ -96,7 +96,7 @@ impl PlanRows {
 }
 
 impl Feeds {
-    fn open(planner: &Planner) -> Result<Self, OpenError> {
+    fn open(planner: &Subscriber) -> Result<Self, OpenError> {
         Ok(Self {
             states: planner.plan_states()?,
             budgets: planner.budgets()?,
