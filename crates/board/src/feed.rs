@@ -11,7 +11,7 @@ use joulebus_bus::{Bus, FrameBuf, SampleReader, clock};
 use joulebus_config::Config;
 use joulebus_connect::{ConnectError, join};
 use joulebus_consumer::{
-    BudgetFeed, DiagnosticFeed, End, Subscriber, QueryFeed, ReadError, WorkerState,
+    BudgetFeed, DiagnosticFeed, End, QueryFeed, ReadError, Subscriber, WorkerState,
 };
 
 use crate::board::{Board, Link};

@@ -226,7 +226,7 @@ pub const fn quality_name(quality: Quality) -> &'static str {
         Quality::Warmup { .. } => "Warmup",
         Quality::OpenLoop { .. } => "OpenLoop",
         Quality::Invalid(_) => "Invalid",
-        Quality::Unknown => "Unknown",
+        _ => "Unknown",
     }
 }
 
@@ -235,7 +235,7 @@ fn quality_detail(quality: Quality) -> Option<String> {
         Quality::Warmup { have } => Some(have.to_string()),
         Quality::OpenLoop { steps } => Some(steps.to_string()),
         Quality::Invalid(reason) => Some(reason.name().to_owned()),
-        Quality::Fresh | Quality::Held | Quality::Unknown => None,
+        _ => None,
     }
 }
 

@@ -14,6 +14,7 @@ use crate::planner::look_every;
 
 /// What has become of an alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Change {
     /// It is raised.
     Raised,
@@ -37,6 +38,7 @@ impl Change {
 
 /// A change of an alarm of a robot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct AlarmChange {
     /// The robot.
     pub robot: u32,

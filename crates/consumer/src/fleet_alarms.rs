@@ -11,6 +11,7 @@ use crate::{AlarmChange, AlarmFeed, AlarmHistory, Change, Event, Planner, ReadEr
 
 /// A raise or an end of an alarm, of a robot or of the worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct FleetAlarm {
     /// The robot; `None` for the worker.
     pub robot: Option<u32>,

@@ -22,6 +22,7 @@ pub struct Question {
 
 /// What robots would do.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub enum Plan {
     /// One robot: each of several sequences of commands ([`Candidates`]).
     WhatIf {

@@ -36,6 +36,7 @@ pub enum ClientError {
 
 /// A reply, and the frames that it was computed from.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Answered {
     /// The reply.
     pub reply: Reply,

@@ -342,7 +342,7 @@ pub(crate) fn quality(
         Quality::Warmup { have } => ("Warmup", number(have)?),
         Quality::OpenLoop { steps } => ("OpenLoop", number(steps)?),
         Quality::Invalid(reason) => ("Invalid", format!("{reason:?}").into_py_any(py)?),
-        Quality::Unknown => ("Unknown", py.None()),
+        _ => ("Unknown", py.None()),
     })
 }
 

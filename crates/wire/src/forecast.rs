@@ -86,6 +86,7 @@ impl Forecast {
 
 /// Quality of a robot's output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Quality {
     /// Made from a new measurement.
     Fresh,

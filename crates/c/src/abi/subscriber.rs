@@ -5,8 +5,8 @@ use std::ptr;
 use std::time::Duration;
 
 use joulebus_consumer::{
-    BudgetFeed, Config, DiagnosticFeed, End, Event, Forecasts, Frame, KeptForecasts, Subscriber,
-    ReadError, WorkerState,
+    BudgetFeed, Config, DiagnosticFeed, End, Event, Forecasts, Frame, KeptForecasts, ReadError,
+    Subscriber, WorkerState,
 };
 use joulebus_wire::Forecast;
 
@@ -259,7 +259,9 @@ pub unsafe extern "C" fn joulebus_subscriber_get_status(
 
 /// Leaves the fleet. Frames that are kept stay valid. NULL is closed already.
 #[unsafe(no_mangle)]
-pub extern "C" fn joulebus_subscriber_close(subscriber: *mut joulebus_subscriber) -> joulebus_error {
+pub extern "C" fn joulebus_subscriber_close(
+    subscriber: *mut joulebus_subscriber,
+) -> joulebus_error {
     entry(|| handles::close::<Ports>(subscriber))
 }
 

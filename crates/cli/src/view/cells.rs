@@ -125,7 +125,7 @@ pub(crate) fn quality(quality: Quality) -> String {
         Quality::Warmup { have } => format!("warmup {have}/5"),
         Quality::OpenLoop { steps } => format!("open loop {steps}"),
         Quality::Invalid(reason) => format!("✗ {}", reason.name()),
-        Quality::Unknown => "unknown".to_owned(),
+        _ => "unknown".to_owned(),
     }
 }
 
