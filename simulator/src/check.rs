@@ -8,9 +8,10 @@ use joulebus_capture_verify::Verifier;
 use joulebus_config::Config;
 use joulebus_predictor::Model;
 use joulebus_wire::{
-    Budget, BudgetHeader, Forecast, ForecastHeader, SampleHeader, budget_flag, fnv1a, forecast_flag,
+    Budget, BudgetHeader, Budgets, Forecast, ForecastHeader, Forecasts, SampleHeader, budget_flag,
+    fnv1a, forecast_flag,
 };
-use simulated_bus::{self as bus, BudgetReader, Bus, ForecastReader};
+use simulated_bus::{self as bus, Bus};
 use simulated_consumer::End;
 use simulated_host::{self as host, disk, time};
 use simulated_recorder::{Options, Summary};
@@ -75,8 +76,8 @@ pub(crate) struct Answers {
 }
 
 struct Ports {
-    forecasts: ForecastReader,
-    budgets: BudgetReader,
+    forecasts: bus::Reader<Forecasts>,
+    budgets: bus::Reader<Budgets>,
 }
 
 /// The run of a worker.
@@ -197,8 +198,8 @@ impl Checker {
         let bus = Bus::join(&self.config.domain().ok()?, "observer").ok()?;
         let limits = self.config.limits();
         Some(Ports {
-            forecasts: bus.forecast_reader(&limits).ok()?,
-            budgets: bus.budget_reader(&limits).ok()?,
+            forecasts: bus.reader(&limits).ok()?,
+            budgets: bus.reader(&limits).ok()?,
         })
     }
 

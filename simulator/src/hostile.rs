@@ -2,9 +2,10 @@
 
 use joulebus_config::Config;
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
-    PlanStateHeader, QueryHeader, SCHEMA_VERSION, Sample, SampleHeader, StateHeader, TickHeader,
-    WakeEvent, budget_flag, sample_flag,
+    Budget, BudgetHeader, Budgets, Diagnostic, DiagnosticHeader, Diagnostics, Forecast,
+    ForecastHeader, Forecasts, PlanState, PlanStateHeader, PlanStates, QueryHeader, SCHEMA_VERSION,
+    Sample, SampleHeader, State, StateHeader, TickHeader, Ticks, WakeEvent, budget_flag,
+    sample_flag,
 };
 use simulated_bus::Bus;
 use simulated_host::{self as host, time};
@@ -108,12 +109,12 @@ fn live(work: impl FnOnce() -> Option<()>) {
 fn send(config: &Config, frames: u64, regular: usize) -> Option<()> {
     let bus = Bus::join(&config.domain().ok()?, "hostile").ok()?;
     let limits = config.limits();
-    let mut forecasts = bus.forecast_writer(&limits).ok()?;
-    let mut diagnostics = bus.diagnostic_writer(&limits).ok()?;
-    let mut budgets = bus.budget_writer(&limits).ok()?;
-    let mut plan_states = bus.plan_state_writer(&limits).ok()?;
-    let mut ticks = bus.tick_writer(&limits).ok()?;
-    let mut state = bus.state_writer(&limits).ok()?;
+    let mut forecasts = bus.writer::<Forecasts>(&limits).ok()?;
+    let mut diagnostics = bus.writer::<Diagnostics>(&limits).ok()?;
+    let mut budgets = bus.writer::<Budgets>(&limits).ok()?;
+    let mut plan_states = bus.writer::<PlanStates>(&limits).ok()?;
+    let mut ticks = bus.writer::<Ticks>(&limits).ok()?;
+    let mut state = bus.writer::<State>(&limits).ok()?;
     let waker = bus.planner_waker(&limits).ok()?;
     let pids = [PID, 100 + host::below(40) as u32];
     for _ in 0..frames {

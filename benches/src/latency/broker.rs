@@ -14,7 +14,7 @@ use joulebus_config::{Config, Demo};
 use joulebus_latency::Spread;
 use joulebus_predictor_worker::Worker;
 use joulebus_publisher::{Publisher, RobotState};
-use joulebus_wire::ForecastHeader;
+use joulebus_wire::{ForecastHeader, Forecasts};
 use serde::{Deserialize, Serialize};
 
 use super::{Launcher, WARM_UP, finish, record_places};
@@ -220,7 +220,7 @@ pub fn planner(path: &Path, period_ns: u64) -> anyhow::Result<()> {
     let limits = config.limits();
     let bus = Bus::join(&config.domain()?, "planner")?;
     let mut waiter = bus.planner_waiter(&limits)?;
-    let mut reader = bus.forecast_reader(&limits)?;
+    let mut reader = bus.reader::<Forecasts>(&limits)?;
     println!("ready");
     let mut seen = Seen::new(period_ns);
     loop {

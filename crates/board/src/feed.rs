@@ -11,7 +11,7 @@ use joulebus_bus::{Bus, FrameBuf, SampleReader, clock};
 use joulebus_config::Config;
 use joulebus_connect::{ConnectError, join};
 use joulebus_consumer::{
-    BudgetFeed, DiagnosticFeed, End, QueryFeed, ReadError, Subscriber, WorkerState,
+    self as consumer, Budgets, Diagnostics, End, Queries, ReadError, Subscriber, WorkerState,
 };
 
 use crate::board::{Board, Link};
@@ -44,10 +44,10 @@ pub enum FeedError {
 
 /// A planner with all its readers. Belongs to the thread that opened it.
 pub struct Reading {
-    diagnostics: DiagnosticFeed,
-    budgets: BudgetFeed,
+    diagnostics: consumer::Feed<Diagnostics>,
+    budgets: consumer::Feed<Budgets>,
     /// None if there are too many readers.
-    queries: Option<QueryFeed>,
+    queries: Option<consumer::Feed<Queries>>,
     tap: Option<Tap>,
     polls: bool,
     planner: Subscriber,
@@ -139,7 +139,7 @@ impl Reading {
         if let Some(tap) = &mut self.tap {
             tap.read(&mut board);
         }
-        if let Some(Ok(Some(frame))) = self.queries.as_mut().map(QueryFeed::latest) {
+        if let Some(Ok(Some(frame))) = self.queries.as_mut().map(consumer::Feed::latest) {
             board.queries = Some(frame.header().counts);
         }
         drop(board);

@@ -6,15 +6,9 @@
 //!
 //! | port | direction | payload |
 //! |---|---|---|
-//! | [`SampleWriter`] → [`SampleReader`] | sources → worker | [`joulebus_wire::Sample`] |
-//! | [`ForecastWriter`] → [`ForecastReader`] | worker → planners | [`joulebus_wire::Forecast`] |
-//! | [`DiagnosticWriter`] → [`DiagnosticReader`] | worker → planners | [`joulebus_wire::Diagnostic`] |
-//! | [`BudgetWriter`] → [`BudgetReader`] | worker → planners | [`joulebus_wire::Budget`], history 1 |
-//! | [`PlanStateWriter`] → [`PlanStateReader`] | worker → planners | [`joulebus_wire::PlanState`], history 1, while somebody reads |
-//! | [`StateWriter`] → [`StateReader`] | worker → recorders | bytes of keyframes |
-//! | [`QueriesWriter`] → [`QueriesReader`] | worker → recorders | [`joulebus_wire::QueryRecord`]s, history 1 |
+//! | [`SampleWriter`] → [`SampleReader`] | sources → worker | [`joulebus_wire::Samples`] |
+//! | [`Bus::writer`] → [`Bus::reader`] | worker → planners, recorders | each other [`joulebus_wire::Channel`] |
 //! | [`QueryClient`] ⇄ [`QueryServer`] | planners ⇄ worker | [`joulebus_wire::QueryHeader`] and values, [`joulebus_wire::AnswerHeader`] and words |
-//! | [`TickWriter`] → [`TickReader`] | worker → recorders | [`joulebus_wire::TakenFrame`] |
 //! | [`Waker`] → [`Waiter`] | sources → worker, worker → planners | events |
 //!
 //! Ports, the [`Bus`] and the [`Waiter`] belong to the thread that made them. Every member runs a
@@ -67,11 +61,9 @@ pub use os::scheduling::{
     try_scheduling, yield_to_the_worker,
 };
 pub use ports::{
-    BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,
-    Frame, FrameBuf, IncomingFrame, KeptFrame, Loan, OpenError, OpenQuery, PlanStateReader,
-    PlanStateWriter, Poller, QueriesReader, QueriesWriter, QueryClient, QueryError, QueryServer,
-    Reader, ReceiveError, SampleReader, SampleTap, SampleWriter, SendError, StateReader,
-    StateWriter, TickReader, TickWriter, WaitError, Waiter, Waker, Woken, Writer,
+    Frame, FrameBuf, IncomingFrame, KeptFrame, Loan, OpenError, OpenQuery, Poller, QueryClient,
+    QueryError, QueryServer, Reader, Readiness, ReceiveError, SampleReader, SampleWriter,
+    SendError, Sent, WaitError, Waiter, Waker, Woken, Writer,
 };
 pub use preflight::{CapacityError, CapacityReport, Ports, check_capacity};
 pub use private::{DomainWarning, RootError};

@@ -4,15 +4,14 @@
 use std::io;
 
 use joulebus_wire::{
-    ANSWER_WORDS, AnswerHeader, Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast,
-    ForecastHeader, PlanState, PlanStateHeader, QUERY_VALUES, QueriesHeader, QueryHeader,
-    RECORD_WORDS, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader,
+    ANSWER_WORDS, AnswerHeader, Budgets, Channel, Diagnostics, Forecasts, PlanStates, QUERY_VALUES,
+    Queries, QueryHeader, Samples, State, Ticks,
 };
 use rustix::process::{Resource, getrlimit};
 
 use crate::Limits;
 use crate::os::memory::SHM_DIR;
-use joulebus_domain::{ACTIVE_QUERIES, Shape};
+use joulebus_domain::ACTIVE_QUERIES;
 
 /// Header and padding of a frame in iceoryx2, upper bound.
 const FRAME_OVERHEAD: usize = 128;
@@ -147,10 +146,10 @@ pub(crate) fn check_free(needed: usize) -> Result<(), CapacityError> {
     Ok(())
 }
 
-/// Bytes of the memory that one publisher writes its frames to: a header `H` and up to `max_len` of `T`.
-pub(crate) const fn segment_bytes<H, T>(shape: Shape, max_len: usize) -> u64 {
-    let frame = FRAME_OVERHEAD + size_of::<H>() + size_of::<T>() * max_len;
-    (shape.frames() * frame + SEGMENT_OVERHEAD) as u64
+/// Bytes of the memory that one publisher writes its frames to: a header and up to `max_len` rows.
+pub(crate) fn segment_bytes<C: Channel>(limits: &Limits, max_len: usize) -> u64 {
+    let frame = FRAME_OVERHEAD + size_of::<C::Header>() + size_of::<C::Row>() * max_len;
+    (limits.shape(C::FLOW).frames() * frame + SEGMENT_OVERHEAD) as u64
 }
 
 /// Bytes of the memory that the port for answers writes to, as iceoryx2 counts them: for each question that
@@ -167,15 +166,17 @@ pub(crate) const fn client_bytes() -> u64 {
 }
 
 fn needed_bytes(limits: &Limits, ports: Ports) -> u64 {
-    let (capacity, listed) = (limits.capacity, limits.listed_frames());
-    let samples = segment_bytes::<SampleHeader, Sample>(limits.samples(), capacity);
-    let of_worker = segment_bytes::<ForecastHeader, Forecast>(limits.forecasts(), capacity)
-        + segment_bytes::<DiagnosticHeader, Diagnostic>(limits.diagnostics(), capacity)
-        + segment_bytes::<BudgetHeader, Budget>(limits.budgets(), capacity)
-        + segment_bytes::<PlanStateHeader, PlanState>(limits.plan_states(), capacity)
-        + segment_bytes::<StateHeader, u8>(limits.state(), limits.state_piece_bytes())
-        + segment_bytes::<TickHeader, TakenFrame>(limits.ticks(), listed)
-        + segment_bytes::<QueriesHeader, u64>(limits.queries(), RECORD_WORDS)
+    fn of<C: Channel>(limits: &Limits) -> u64 {
+        segment_bytes::<C>(limits, limits.rows(C::ROWS))
+    }
+    let samples = of::<Samples>(limits);
+    let of_worker = of::<Forecasts>(limits)
+        + of::<Diagnostics>(limits)
+        + of::<Budgets>(limits)
+        + of::<PlanStates>(limits)
+        + of::<State>(limits)
+        + of::<Ticks>(limits)
+        + of::<Queries>(limits)
         + server_bytes(limits.query_clients());
     let connections = ports.workers * (ports.sources + 4 * ports.planners);
     let processes = ports.sources + ports.workers + ports.planners;
@@ -184,7 +185,8 @@ fn needed_bytes(limits: &Limits, ports: Ports) -> u64 {
 }
 
 fn descriptors(limits: &Limits) -> u64 {
-    let connections = limits.samples().publishers + 5 * limits.forecasts().subscribers;
+    let connections =
+        limits.shape(Samples::FLOW).publishers + 5 * limits.shape(Forecasts::FLOW).subscribers;
     BASE_DESCRIPTORS + CONNECTION_DESCRIPTORS * connections as u64
 }
 

@@ -6,7 +6,7 @@ use std::path::Path;
 use joulebus_bus::{Bus, Domain, FrameBuf, Limits, WorkerLock, clock};
 use joulebus_testkit::counting;
 use joulebus_testkit::counting::allocations;
-use joulebus_wire::{Forecast, ForecastHeader, Sample, SampleHeader, WakeEvent};
+use joulebus_wire::{Forecast, ForecastHeader, Forecasts, Sample, SampleHeader, WakeEvent};
 
 #[global_allocator]
 static ALLOCATOR: counting::Counting = counting::Counting;
@@ -24,8 +24,8 @@ fn only_loans_allocate_and_once_each() {
     let mut source = bus.sample_writer(&limits, 100).unwrap();
     let mut samples = bus.sample_reader(&limits).unwrap();
     let mut arrivals = bus.arrivals_waiter(&limits).unwrap();
-    let mut forecasts = bus.forecast_writer(&limits).unwrap();
-    let mut planner = bus.forecast_reader(&limits).unwrap();
+    let mut forecasts = bus.writer::<Forecasts>(&limits).unwrap();
+    let mut planner = bus.reader::<Forecasts>(&limits).unwrap();
     let waker = bus.planner_waker(&limits).unwrap();
     let mut wake = bus.planner_waiter(&limits).unwrap();
     let mut frame = FrameBuf::new(100);

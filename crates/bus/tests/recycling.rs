@@ -7,7 +7,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use joulebus_bus::{Bus, Domain, FrameBuf, Limits, WorkerLock};
-use joulebus_wire::{Forecast, ForecastHeader, Sample, SampleHeader};
+use joulebus_wire::{Forecast, ForecastHeader, Forecasts, Sample, SampleHeader};
 
 /// Default number of planners and sources, one after the other; many times the limits of the services.
 const LIVES: u64 = 400;
@@ -60,13 +60,13 @@ fn planners_and_sources_that_leave_give_back_every_descriptor_object_and_file() 
     let lives: u64 = std::env::var("JOULEBUS_LIVES").map_or(LIVES, |text| text.parse().unwrap());
     let lock = WorkerLock::acquire(&domain).unwrap();
     let bus = Bus::join(&domain, "worker").unwrap();
-    let mut forecasts = bus.forecast_writer(&limits).unwrap();
+    let mut forecasts = bus.writer::<Forecasts>(&limits).unwrap();
     let mut samples = bus.sample_reader(&limits).unwrap();
     let mut frame = FrameBuf::new(4);
     let mut before = None;
     for life in 0..lives {
         let member = Bus::join(&domain, "guest").unwrap();
-        let mut planner = member.forecast_reader(&limits).unwrap();
+        let mut planner = member.reader::<Forecasts>(&limits).unwrap();
         let mut source = member.sample_writer(&limits, 4).unwrap();
         let header = ForecastHeader {
             tick: life,

@@ -4,13 +4,13 @@ use std::collections::HashMap;
 use std::fmt;
 use std::time::Duration;
 
-use joulebus_bus::{Bus, DiagnosticReader, clock};
+use joulebus_bus::{Bus, Reader, clock};
 use joulebus_config::Config;
 use joulebus_connect::{ConnectError, join};
-use joulebus_wire::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, SCHEMA_VERSION};
+use joulebus_wire::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, Diagnostics, SCHEMA_VERSION};
 
 use crate::newest::{ReadError, check_schema};
-use crate::planner::look_every;
+use crate::subscriber::look_every;
 
 /// What has become of an alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -198,7 +198,7 @@ impl AlarmHistory {
 
 /// All diagnostics of a fleet from now on, as changes of alarms. Belongs to the thread that connected it.
 pub struct AlarmFeed {
-    reader: DiagnosticReader,
+    reader: Reader<Diagnostics>,
     history: AlarmHistory,
     look_every: Duration,
     // After the port, which must be dropped before the process leaves the domain.
@@ -213,7 +213,7 @@ impl AlarmFeed {
     pub fn with_config(config: &Config, name: &str) -> Result<Self, ConnectError> {
         let limits = config.limits();
         let bus = join(config, name)?;
-        let reader = bus.diagnostic_reader(&limits)?;
+        let reader = bus.reader::<Diagnostics>(&limits)?;
         Ok(Self {
             reader,
             history: AlarmHistory::default(),

@@ -7,7 +7,7 @@ use joulebus_config::Config;
 use joulebus_connect::ConnectError;
 use joulebus_wire::Level;
 
-use crate::{AlarmChange, AlarmFeed, AlarmHistory, Change, Event, Planner, ReadError};
+use crate::{AlarmChange, AlarmFeed, AlarmHistory, Change, Event, ReadError, Subscriber};
 
 /// A raise or an end of an alarm, of a robot or of the worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -54,7 +54,7 @@ type OfWorker = (&'static str, Level, u64);
 
 /// All alarms of a running fleet. Belongs to the thread that connected it.
 pub struct FleetAlarms {
-    planner: Planner,
+    planner: Subscriber,
     feed: AlarmFeed,
     worker: Option<OfWorker>,
 }
@@ -67,7 +67,7 @@ impl FleetAlarms {
     pub fn with_config(config: &Config, name: &str) -> Result<Self, ConnectError> {
         let feed = AlarmFeed::with_config(config, name)?;
         Ok(Self {
-            planner: Planner::polling(config, name, feed.look_every())?,
+            planner: Subscriber::polling(config, name, feed.look_every())?,
             feed,
             worker: None,
         })

@@ -4,39 +4,25 @@ use std::cell::RefCell;
 use std::slice;
 
 use joulebus_bus::{KeptFrame, clock};
-use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
-    PlanStateHeader,
-};
+use joulebus_wire::{Channel, Forecast, ForecastHeader, Forecasts};
 
 use crate::Arrival;
 use crate::index::RobotIndex;
 
 /// A frame in shared memory, borrowed from its reader.
 #[derive(Debug, Clone, Copy)]
-pub struct Frame<'a, H, T> {
-    header: &'a H,
-    robots: &'a [T],
+pub struct Frame<'a, C: Channel> {
+    header: &'a C::Header,
+    robots: &'a [C::Row],
     number: u64,
-    id: fn(&T) -> u32,
     index: &'a RefCell<RobotIndex>,
     arrival: Arrival,
 }
 
-/// A frame of forecasts.
-pub type Forecasts<'a> = Frame<'a, ForecastHeader, Forecast>;
-/// A frame of diagnostics.
-pub type Diagnostics<'a> = Frame<'a, DiagnosticHeader, Diagnostic>;
-/// A frame of budgets.
-pub type Budgets<'a> = Frame<'a, BudgetHeader, Budget>;
-/// A frame of what plans start from.
-pub type PlanStates<'a> = Frame<'a, PlanStateHeader, PlanState>;
-
-impl<'a, H, T> Frame<'a, H, T> {
+impl<'a, C: Channel> Frame<'a, C> {
     pub(crate) const fn new(
-        (header, robots): (&'a H, &'a [T]),
+        (header, robots): (&'a C::Header, &'a [C::Row]),
         number: u64,
-        id: fn(&T) -> u32,
         index: &'a RefCell<RobotIndex>,
         arrival: Arrival,
     ) -> Self {
@@ -44,7 +30,6 @@ impl<'a, H, T> Frame<'a, H, T> {
             header,
             robots,
             number,
-            id,
             index,
             arrival,
         }
@@ -52,18 +37,18 @@ impl<'a, H, T> Frame<'a, H, T> {
 
     /// The frame's header.
     #[must_use]
-    pub const fn header(&self) -> &'a H {
+    pub const fn header(&self) -> &'a C::Header {
         self.header
     }
 
     /// All robots of the frame, in no particular order.
     #[must_use]
-    pub const fn robots(&self) -> &'a [T] {
+    pub const fn robots(&self) -> &'a [C::Row] {
         self.robots
     }
 
     /// Iterates over [`Frame::robots`].
-    pub fn iter(&self) -> slice::Iter<'a, T> {
+    pub fn iter(&self) -> slice::Iter<'a, C::Row> {
         self.robots.iter()
     }
 
@@ -71,8 +56,9 @@ impl<'a, H, T> Frame<'a, H, T> {
     /// kept from frame to frame; when a robot has moved or is missing, one pass over the frame, at
     /// most once per frame.
     #[must_use]
-    pub fn robot(&self, robot: u32) -> Option<&'a T> {
-        let id = |position: usize| (self.id)(&self.robots[position]);
+    pub fn robot(&self, robot: u32) -> Option<&'a C::Row> {
+        // Rows of other channels have no robot.
+        let id = |position: usize| C::robot(&self.robots[position]).unwrap_or_default();
         // Not borrowed elsewhere: it is borrowed only here, and `id` does not recurse.
         let mut index = self.index.borrow_mut();
         let position = index.position(robot, self.number, self.robots.len(), id)?;
@@ -80,10 +66,10 @@ impl<'a, H, T> Frame<'a, H, T> {
     }
 }
 
-/// A frame of forecasts that is kept beyond the next call: [`crate::Planner::keep`]. Belongs to the planner's thread,
+/// A frame of forecasts that is kept beyond the next call: [`crate::Subscriber::keep`]. Belongs to the planner's thread,
 /// and may outlive the planner.
 #[derive(Debug)]
-pub struct KeptForecasts(pub(crate) KeptFrame<ForecastHeader, Forecast>);
+pub struct KeptForecasts(pub(crate) KeptFrame<Forecasts>);
 
 impl KeptForecasts {
     /// The frame's header.
@@ -99,16 +85,16 @@ impl KeptForecasts {
     }
 }
 
-impl<'a, H, T> IntoIterator for &Frame<'a, H, T> {
-    type Item = &'a T;
-    type IntoIter = slice::Iter<'a, T>;
+impl<'a, C: Channel> IntoIterator for &Frame<'a, C> {
+    type Item = &'a C::Row;
+    type IntoIter = slice::Iter<'a, C::Row>;
 
     fn into_iter(self) -> Self::IntoIter {
         self.iter()
     }
 }
 
-impl Forecasts<'_> {
+impl Frame<'_, Forecasts> {
     /// Ticks missed and restarts between this frame and the previous one.
     #[must_use]
     pub const fn arrival(&self) -> Arrival {

@@ -1,6 +1,7 @@
 //! Limits of a fleet's services, and the resulting size of each.
 
 use joulebus_settings::bounds;
+use joulebus_wire::{Flow, FrameRows};
 
 /// Limits of a fleet's services. Every process of the fleet must use the same: the first to open a
 /// service fixes them, and a later one that differs gets an error with both.
@@ -39,28 +40,19 @@ const SPARE: usize = 2;
 pub const ACTIVE_QUERIES: usize = 1;
 /// Most clients that ask the worker.
 const MOST_QUERY_CLIENTS: usize = 16;
-/// Frames of records of questions queued for a recorder.
-const QUERY_FRAMES: usize = 6;
 /// The thread that answers questions waits as a planner does.
 const ANSWERING: usize = 1;
 /// Readers in the worker's own process: the checkpointer, and the thread that answers questions or, of diagnostics, the one
 /// that logs alarms.
 const OF_WORKER: usize = 2;
-/// Frames of forecasts that a planner can keep beside the newest: that of the loop's variable while the next is
-/// waited for, and one more.
-const KEPT: usize = 2;
 /// Recorders that a fleet can have at once.
 const RECORDERS: usize = 2;
-/// Journals queued for a recorder: a second at 30 Hz.
-const TICK_FRAMES: usize = 32;
 /// Maximum number of frames that a journal lists, whatever the limits: 160 KiB.
 const MOST_LISTED: usize = 4_096;
 
 /// Bytes per robot in a piece of a keyframe: a robot takes about 350.
 const STATE_BYTES_PER_ROBOT: usize = 512;
 const STATE_PIECE_BYTES: (usize, usize) = (4 * 1024, 64 * 1024);
-/// Pieces of a keyframe queued for a reader; older ones are overwritten.
-const STATE_PIECES: usize = 8;
 
 impl Limits {
     /// The limits, if all are in their ranges.
@@ -122,91 +114,44 @@ impl Limits {
         }
     }
 
-    /// The service of samples.
+    /// The size of a channel's service.
     #[must_use]
-    pub const fn samples(&self) -> Shape {
-        Shape {
-            publishers: self.max_sources + SPARE,
-            // The worker, and recorders.
-            subscribers: 1 + RECORDERS + SPARE,
-            buffer: self.sample_frames,
-            borrowed: 1,
-            history: 0,
+    pub const fn shape(&self, flow: Flow) -> Shape {
+        match flow {
+            Flow::Sources => Shape {
+                publishers: self.max_sources + SPARE,
+                // The worker, and recorders.
+                subscribers: 1 + RECORDERS + SPARE,
+                buffer: self.sample_frames,
+                borrowed: 1,
+                history: 0,
+            },
+            Flow::Planners { kept, history } => Shape {
+                publishers: 1 + SPARE,
+                subscribers: self.max_planners + OF_WORKER + SPARE,
+                buffer: self.forecast_frames,
+                // The newest is received while the previous one is held.
+                borrowed: 2 + kept,
+                history,
+            },
+            Flow::Recorders { queued, history } => Shape {
+                publishers: 1 + SPARE,
+                subscribers: RECORDERS + SPARE,
+                buffer: queued,
+                borrowed: 1,
+                history,
+            },
         }
     }
 
-    /// The service of forecasts.
+    /// The most rows that a frame may have.
     #[must_use]
-    pub const fn forecasts(&self) -> Shape {
-        let shape = self.diagnostics();
-        Shape {
-            borrowed: shape.borrowed + KEPT,
-            ..shape
-        }
-    }
-
-    /// The service of diagnostics.
-    #[must_use]
-    pub const fn diagnostics(&self) -> Shape {
-        Shape {
-            publishers: 1 + SPARE,
-            subscribers: self.max_planners + OF_WORKER + SPARE,
-            buffer: self.forecast_frames,
-            // The newest is received while the previous one is held.
-            borrowed: 2,
-            history: 0,
-        }
-    }
-
-    /// The service of budgets.
-    #[must_use]
-    pub const fn budgets(&self) -> Shape {
-        Shape {
-            // Planners need the newest frame at once; recorders read all.
-            history: 1,
-            ..self.diagnostics()
-        }
-    }
-
-    /// As budgets: planners need the newest at once, recorders read all.
-    #[must_use]
-    pub const fn plan_states(&self) -> Shape {
-        self.budgets()
-    }
-
-    /// Keyframes, in pieces: a reader empties the queue at every tick.
-    #[must_use]
-    pub const fn state(&self) -> Shape {
-        Shape {
-            publishers: 1 + SPARE,
-            subscribers: RECORDERS + SPARE,
-            buffer: STATE_PIECES,
-            borrowed: 1,
-            history: 0,
-        }
-    }
-
-    /// The service of the ticks' journal.
-    #[must_use]
-    pub const fn ticks(&self) -> Shape {
-        Shape {
-            publishers: 1 + SPARE,
-            subscribers: RECORDERS + SPARE,
-            buffer: TICK_FRAMES,
-            borrowed: 1,
-            history: 0,
-        }
-    }
-
-    /// Records of questions: a reader that comes later needs the newest counts.
-    #[must_use]
-    pub const fn queries(&self) -> Shape {
-        Shape {
-            publishers: 1 + SPARE,
-            subscribers: RECORDERS + SPARE,
-            buffer: QUERY_FRAMES,
-            borrowed: 1,
-            history: 1,
+    pub fn rows(&self, rows: FrameRows) -> usize {
+        match rows {
+            FrameRows::Robots => self.capacity,
+            FrameRows::Taken => self.listed_frames(),
+            FrameRows::Bytes => self.state_piece_bytes(),
+            FrameRows::Words(words) => words,
         }
     }
 
@@ -235,8 +180,7 @@ impl Limits {
     }
 
     /// Bytes of a piece of a keyframe.
-    #[must_use]
-    pub fn state_piece_bytes(&self) -> usize {
+    fn state_piece_bytes(&self) -> usize {
         let (least, most) = STATE_PIECE_BYTES;
         self.capacity
             .saturating_mul(STATE_BYTES_PER_ROBOT)

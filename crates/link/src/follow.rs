@@ -211,7 +211,7 @@ struct Following {
 impl Following {
     fn turn(&mut self, inbox: &Inbox) -> anyhow::Result<()> {
         // Sent only while somebody reads them, as the worker itself does.
-        let plans = Carried::PlanStates.bit();
+        let plans = Carried::PLAN_STATES.bit();
         let is_read = self.outlets.plan_states.readers() > 0;
         let services = if is_read {
             self.asks

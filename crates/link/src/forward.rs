@@ -88,7 +88,7 @@ fn tell_who_has_not_asked(to: &[String], asked: &[GivenRecord], own: &str) {
 
 fn local<'a>(header: &'a SampleHeader, samples: &'a [Sample]) -> LocalFrame<'a> {
     LocalFrame {
-        service: Carried::Samples,
+        service: Carried::SAMPLES,
         source: header.source_id,
         tick: 0,
         header: bytes_of(header),

@@ -5,16 +5,15 @@ use std::sync::Arc;
 use joulebus_bus::{SendError, Writer, clock, process_id};
 use joulebus_config::Config;
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Payload,
-    PlanState, PlanStateHeader, WakeEvent,
+    Budgets, Diagnostics, Forecasts, Place, PlanStateHeader, PlanStates, WakeEvent,
 };
 
-use crate::outlets::{Outlets, PassError, frames_apart_ns, not_ahead};
-use crate::protocol::carried::{Carried, RawFrame};
-use crate::protocol::merge::{Continued, Header, Merge, Own, Row};
+use crate::outlets::{Outlets, PassError, header_here};
+use crate::protocol::carried::Carried;
+use crate::protocol::merge::{Continued, Merge, Merged, Own};
 use crate::protocol::receiver::Accepted;
 use crate::protocol::shards::Shards;
-use crate::protocol::shift::Instants;
+use crate::protocol::shift::shift;
 
 /// Periods after which a worker's forecasts are stale.
 const STALE_PERIODS: u64 = 2;
@@ -31,10 +30,10 @@ pub(crate) struct Gathered {
     run: u64,
     tick: u64,
     counters: Vec<Continued>,
-    forecasts: Merge<ForecastHeader, Forecast>,
-    diagnostics: Merge<DiagnosticHeader, Diagnostic>,
-    budgets: Merge<BudgetHeader, Budget>,
-    plan_states: Merge<PlanStateHeader, PlanState>,
+    forecasts: Merge<Forecasts>,
+    diagnostics: Merge<Diagnostics>,
+    budgets: Merge<Budgets>,
+    plan_states: Merge<PlanStates>,
     /// Shards whose plans are made with other settings or models, as told last.
     differ: Vec<bool>,
 }
@@ -60,39 +59,29 @@ impl Gathered {
 
     /// Takes a frame of a shard's worker. Rows of robots that are not the shard's are left out.
     pub(crate) fn put(&mut self, shard: usize, accepted: &Accepted<'_>) -> Result<(), PassError> {
-        let (frame, offset_ns) = (&accepted.frame, accepted.offset_ns);
         let shards = &self.shards;
         let is_own = |robot| shards.of_robot(robot) == Some(shard);
-        let now_ns = clock::monotonic_ns();
-        match frame.service {
-            Carried::Forecasts => {
-                let mut header: ForecastHeader = frame.header();
-                header.shift(offset_ns);
-                header.period_ns = frames_apart_ns(header.period_ns, self.every);
-                not_ahead(&header)?;
+        let every = self.every;
+        match accepted.frame.service {
+            Carried::FORECASTS => {
+                let mut header = header_here::<Forecasts>(accepted, every)?;
                 self.counters[shard].add(&mut header);
-                let rows = rows(frame, offset_ns, is_own);
-                self.forecasts.put(shard, header, rows, now_ns);
+                put(&mut self.forecasts, (shard, header), accepted, is_own);
             }
-            Carried::Diagnostics => {
-                let rows = rows(frame, offset_ns, is_own);
-                self.diagnostics.put(shard, frame.header(), rows, now_ns);
+            Carried::DIAGNOSTICS => {
+                let header = header_here::<Diagnostics>(accepted, every)?;
+                put(&mut self.diagnostics, (shard, header), accepted, is_own);
             }
-            Carried::Budgets => {
-                let mut header: BudgetHeader = frame.header();
-                header.shift(offset_ns);
-                let rows = rows(frame, offset_ns, is_own);
-                self.budgets.put(shard, header, rows, now_ns);
+            Carried::BUDGETS => {
+                let header = header_here::<Budgets>(accepted, every)?;
+                put(&mut self.budgets, (shard, header), accepted, is_own);
             }
-            Carried::PlanStates => {
-                let mut header: PlanStateHeader = frame.header();
-                header.shift(offset_ns);
-                header.period_ns = frames_apart_ns(header.period_ns, self.every);
-                let rows = rows(frame, offset_ns, is_own);
-                self.plan_states.put(shard, header, rows, now_ns);
+            Carried::PLAN_STATES => {
+                let header = header_here::<PlanStates>(accepted, every)?;
+                put(&mut self.plan_states, (shard, header), accepted, is_own);
             }
             // Of one worker: not asked for.
-            Carried::Ticks | Carried::Samples | Carried::State => {}
+            _ => {}
         }
         Ok(())
     }
@@ -116,10 +105,7 @@ impl Gathered {
                 (now_ns, self.capacity),
             )? {
                 self.tick += 1;
-                outlets
-                    .planners
-                    .wake(WakeEvent::Frame)
-                    .map_err(SendError::Wake)?;
+                outlets.wake_planners();
             }
         }
         if self.tick == 0 {
@@ -145,8 +131,10 @@ impl Gathered {
     fn own(&self, tick: u64) -> Own {
         Own {
             pid: process_id(),
-            worker_epoch: self.run,
-            tick,
+            place: Place {
+                run: self.run,
+                number: tick,
+            },
         }
     }
 
@@ -196,24 +184,27 @@ const fn is_fresh(sent_ns: u64, period_ns: u64, now_ns: u64) -> bool {
     now_ns.saturating_sub(sent_ns) <= period_ns.saturating_mul(STALE_PERIODS)
 }
 
-/// The rows that a shard speaks for, with the times of this host.
-fn rows<T: Payload + Instants + Row>(
-    frame: &RawFrame<'_>,
-    offset_ns: i128,
+/// Takes a shard's frame: the rows that the shard speaks for, with the times of this host.
+fn put<C: Merged>(
+    merge: &mut Merge<C>,
+    (shard, header): (usize, C::Header),
+    accepted: &Accepted<'_>,
     is_own: impl Fn(u32) -> bool,
-) -> impl Iterator<Item = T> {
-    let rows = (0..frame.len()).map(|at| frame.element::<T>(at));
-    rows.filter(move |row| is_own(row.robot()))
-        .map(move |mut row| {
-            row.shift(offset_ns);
+) {
+    let rows = accepted.frame.elements::<C::Row>();
+    let rows = rows
+        .filter(|row| C::robot(row).is_some_and(&is_own))
+        .map(|mut row| {
+            shift(&mut row, accepted.offset_ns);
             row
-        })
+        });
+    merge.put(shard, header, rows, clock::monotonic_ns());
 }
 
 /// Writes a frame; false if there is none.
-fn send<H: Header + Payload, T: Row + Payload>(
-    merge: &mut Merge<H, T>,
-    writer: &mut Writer<H, T>,
+fn send<C: Merged>(
+    merge: &mut Merge<C>,
+    writer: &mut Writer<C>,
     (is_heard, own): (&[bool], Own),
     (now_ns, capacity): (u64, usize),
 ) -> Result<bool, SendError> {

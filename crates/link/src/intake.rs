@@ -16,7 +16,7 @@ use crate::network::{Event, Inbox, Kind, Network, longest_bytes};
 use crate::protocol::carried::Carried;
 use crate::protocol::receiver::Accepted;
 use crate::protocol::selection::Selection;
-use crate::protocol::shift::Instants;
+use crate::protocol::shift::shift;
 use crate::taking::{TakenRecord, Taking};
 
 /// Longest sleep: how late a stop or a silence may be noticed.
@@ -41,7 +41,7 @@ pub(crate) fn run(
     let mut inbox = Inbox::new(longest_bytes(limits.capacity));
     let (mut hosts, mut told) = (BTreeMap::new(), BTreeSet::new());
     for take in takes {
-        let selection = Selection::new(Carried::Samples.bit(), 1, take.robots.ranges().to_vec());
+        let selection = Selection::new(Carried::SAMPLES.bit(), 1, take.robots.ranges().to_vec());
         let of_fleet = (settings.fleet(config), limits.capacity);
         let from = (Kind::Samples, take.from.as_str());
         let taking = Taking::open(network, from, of_fleet, selection, &mut inbox)?;
@@ -123,13 +123,13 @@ fn publish(
 ) -> Result<(), SendError> {
     let (frame, offset_ns) = (&accepted.frame, accepted.offset_ns);
     let mut header: SampleHeader = frame.header();
-    header.shift(offset_ns);
+    shift(&mut header, offset_ns);
     header.pid = process_id();
     header.source_id = source_here(from, header.source_id);
     let samples = (0..frame.len()).map(|at| frame.element::<Sample>(at));
     let mut kept: Vec<Sample> = samples.filter(|sample| has(sample.robot)).collect();
     for sample in &mut kept {
-        sample.shift(offset_ns);
+        shift(sample, offset_ns);
     }
     writer.send(header, kept.len(), |at| kept[at]).map(drop)
 }

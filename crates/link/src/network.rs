@@ -38,14 +38,14 @@ const LONGEST_HEADER: usize = 4_096;
 
 /// The longest message of a fleet with that capacity, bytes.
 pub(crate) fn longest_bytes(capacity: usize) -> usize {
-    let rows = Carried::ALL.map(|service| service.sizes().1);
-    let longest = rows.into_iter().max().unwrap_or_default();
+    let rows = Carried::all().map(|service| service.sizes().1);
+    let longest = rows.max().unwrap_or_default();
     LONGEST_HEADER + capacity.saturating_mul(longest)
 }
 
 /// The same with a worker's state.
 pub(crate) fn longest_state_bytes(capacity: usize) -> usize {
-    let state = LONGEST_HEADER.saturating_add(Carried::State.most(capacity));
+    let state = LONGEST_HEADER.saturating_add(Carried::STATE.most(capacity));
     state.max(longest_bytes(capacity))
 }
 

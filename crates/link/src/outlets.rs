@@ -1,25 +1,22 @@
 //! The ports of a worker, on a host where a link writes in its place.
 
-use joulebus_bus::{
-    BudgetWriter, Bus, DiagnosticWriter, ForecastWriter, PlanStateWriter, SendError, TickWriter,
-    Waker, Writer, clock, process_id,
-};
+use joulebus_bus::{Bus, SendError, Waker, Writer, clock, process_id};
 use joulebus_config::Config;
 use joulebus_wire::{
-    BudgetHeader, DiagnosticHeader, ForecastHeader, Payload, PlanStateHeader, TickHeader, WakeEvent,
+    Budgets, Channel, Diagnostics, Forecasts, FrameHeader as _, Place, PlanStates, Ticks, WakeEvent,
 };
 
-use crate::protocol::carried::{Carried, RawFrame};
+use crate::protocol::carried::Carried;
 use crate::protocol::receiver::Accepted;
-use crate::protocol::shift::Instants;
+use crate::protocol::shift::shift;
 
 /// The ports.
 pub(crate) struct Outlets {
-    pub(crate) forecasts: ForecastWriter,
-    pub(crate) diagnostics: DiagnosticWriter,
-    pub(crate) budgets: BudgetWriter,
-    pub(crate) plan_states: PlanStateWriter,
-    ticks: TickWriter,
+    pub(crate) forecasts: Writer<Forecasts>,
+    pub(crate) diagnostics: Writer<Diagnostics>,
+    pub(crate) budgets: Writer<Budgets>,
+    pub(crate) plan_states: Writer<PlanStates>,
+    ticks: Writer<Ticks>,
     pub(crate) planners: Waker,
     runs: Runs,
     /// Every how many ticks a frame comes, at least 1.
@@ -30,92 +27,93 @@ impl Outlets {
     pub(crate) fn open(bus: &Bus, config: &Config, every: u32) -> anyhow::Result<Self> {
         let limits = config.limits();
         Ok(Self {
-            forecasts: bus.forecast_writer(&limits)?,
-            diagnostics: bus.diagnostic_writer(&limits)?,
-            budgets: bus.budget_writer(&limits)?,
-            plan_states: bus.plan_state_writer(&limits)?,
-            ticks: bus.tick_writer(&limits)?,
+            forecasts: bus.writer(&limits)?,
+            diagnostics: bus.writer(&limits)?,
+            budgets: bus.writer(&limits)?,
+            plan_states: bus.writer(&limits)?,
+            ticks: bus.writer(&limits)?,
             planners: bus.planner_waker(&limits)?,
             runs: Runs::default(),
             every,
         })
     }
 
+    /// After a frame of forecasts. Who is not woken finds it within 100 ms.
+    pub(crate) fn wake_planners(&self) {
+        if let Err(error) = self.planners.wake(WakeEvent::Frame) {
+            tracing::debug!(%error, "planners were not woken");
+        }
+    }
+
     /// Writes a frame where the worker of this host would.
     pub(crate) fn pass_on(&mut self, accepted: &Accepted<'_>) -> Result<(), PassError> {
-        let (frame, offset_ns) = (&accepted.frame, accepted.offset_ns);
-        // As of a slower worker: consecutive where none is lost, so that readers miss only what was lost.
-        let (pid, every) = (process_id(), u64::from(self.every));
-        let runs = &mut self.runs;
-        let mut place = |run, tick: u64| (pid, runs.of(run), tick / every);
-        match frame.service {
-            Carried::Forecasts => {
-                let mut header: ForecastHeader = frame.header();
-                header.shift(offset_ns);
-                (header.pid, header.worker_epoch, header.tick) =
-                    place(header.worker_epoch, header.tick);
-                header.period_ns = frames_apart_ns(header.period_ns, self.every);
-                not_ahead(&header)?;
-                write(&mut self.forecasts, header, frame, offset_ns)?;
-                self.planners
-                    .wake(WakeEvent::Frame)
-                    .map_err(SendError::Wake)?;
+        let to = (&mut self.runs, self.every);
+        match accepted.frame.service {
+            Carried::FORECASTS => {
+                pass_on(&mut self.forecasts, accepted, to)?;
+                self.wake_planners();
+                Ok(())
             }
-            Carried::Diagnostics => {
-                let mut header: DiagnosticHeader = frame.header();
-                (header.pid, header.worker_epoch, header.tick) =
-                    place(header.worker_epoch, header.tick);
-                write(&mut self.diagnostics, header, frame, offset_ns)?;
-            }
-            Carried::Budgets => {
-                let mut header: BudgetHeader = frame.header();
-                header.shift(offset_ns);
-                (header.pid, header.worker_epoch, header.tick) =
-                    place(header.worker_epoch, header.tick);
-                write(&mut self.budgets, header, frame, offset_ns)?;
-            }
-            Carried::PlanStates => {
-                let mut header: PlanStateHeader = frame.header();
-                header.shift(offset_ns);
-                (header.pid, header.worker_epoch, header.tick) =
-                    place(header.worker_epoch, header.tick);
-                header.period_ns = frames_apart_ns(header.period_ns, self.every);
-                write(&mut self.plan_states, header, frame, offset_ns)?;
-            }
-            Carried::Ticks => {
-                let mut header: TickHeader = frame.header();
-                header.shift(offset_ns);
-                (header.pid, header.worker_epoch, header.tick) =
-                    place(header.worker_epoch, header.tick);
-                write(&mut self.ticks, header, frame, offset_ns)?;
-            }
+            Carried::DIAGNOSTICS => pass_on(&mut self.diagnostics, accepted, to),
+            Carried::BUDGETS => pass_on(&mut self.budgets, accepted, to),
+            Carried::PLAN_STATES => pass_on(&mut self.plan_states, accepted, to),
+            Carried::TICKS => pass_on(&mut self.ticks, accepted, to),
             // Not asked for, and therefore not accepted.
-            Carried::Samples | Carried::State => {}
+            _ => Ok(()),
         }
-        Ok(())
     }
 }
 
-fn write<H: Payload, T: Payload + Instants>(
-    writer: &mut Writer<H, T>,
-    header: H,
-    frame: &RawFrame<'_>,
-    offset_ns: i128,
-) -> Result<(), SendError> {
+/// Writes a frame as of a slower worker of this host: consecutive where none is lost, so that readers miss only what was
+/// lost. A worker's frame from the future is refused.
+pub(crate) fn pass_on<C: Channel>(
+    writer: &mut Writer<C>,
+    accepted: &Accepted<'_>,
+    (runs, every): (&mut Runs, u32),
+) -> Result<(), PassError> {
+    let (frame, offset_ns) = (&accepted.frame, accepted.offset_ns);
+    let mut header = header_here::<C>(accepted, every)?;
+    let place = header.place();
+    let place = Place {
+        run: runs.of(place.run),
+        number: place.number / u64::from(every),
+    };
+    header.set_place(process_id(), place);
     let mut loan = writer.loan_to_fill(frame.len())?;
     *loan.header_mut() = header;
-    for (to, mut element) in loan.payload_mut().iter_mut().zip(frame.elements::<T>()) {
-        element.shift(offset_ns);
+    for (to, mut element) in loan.payload_mut().iter_mut().zip(frame.elements()) {
+        shift(&mut element, offset_ns);
         *to = element;
     }
     loan.send()?;
     Ok(())
 }
 
+/// The header of a frame with the times of this host, where every n-th tick has a frame.
+pub(crate) fn header_here<C: Channel>(
+    accepted: &Accepted<'_>,
+    every: u32,
+) -> Result<C::Header, PassError> {
+    let mut header: C::Header = accepted.frame.header();
+    shift(&mut header, accepted.offset_ns);
+    if let Some(period_ns) = header.period_ns() {
+        // One of two periods without a frame is stale.
+        *period_ns = period_ns.saturating_mul(u64::from(every));
+    }
+    if accepted.frame.service == Carried::FORECASTS {
+        let sent_ns = header.sent_ns().unwrap_or_default();
+        let ahead_ns = sent_ns.saturating_sub(clock::monotonic_ns());
+        if ahead_ns > 0 {
+            return Err(PassError::Future { ahead_ns });
+        }
+    }
+    Ok(header)
+}
+
 /// Runs of the worker. Planners take a later run for one with a greater number, and a host that has booted counts from
 /// the beginning.
 #[derive(Debug, Default)]
-struct Runs {
+pub(crate) struct Runs {
     /// The worker's own number, and that under which it is known here.
     now: Option<(u64, u64)>,
 }
@@ -130,20 +128,6 @@ impl Runs {
         self.now = Some((run, here));
         here
     }
-}
-
-/// The period that a header states where every n-th tick has a frame: one of two periods without a frame is stale.
-pub(crate) fn frames_apart_ns(period_ns: u64, every: u32) -> u64 {
-    period_ns.saturating_mul(u64::from(every))
-}
-
-/// Refuses a frame from the future.
-pub(crate) fn not_ahead(header: &ForecastHeader) -> Result<(), PassError> {
-    let ahead_ns = header.sent_ns.saturating_sub(clock::monotonic_ns());
-    if ahead_ns > 0 {
-        return Err(PassError::Future { ahead_ns });
-    }
-    Ok(())
 }
 
 /// Why a frame was not passed on.

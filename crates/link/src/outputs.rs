@@ -7,14 +7,14 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use bytemuck::{bytes_of, cast_slice};
-use joulebus_bus::{Bus, TickReader, clock, process_id};
+use joulebus_bus::{Bus, Reader, clock, process_id};
 use joulebus_config::Config;
 use joulebus_connect::join;
 use joulebus_consumer::{
-    BudgetFeed, DiagnosticFeed, Event, Feed, PlanStateFeed, Planner, ReadError, WorkerState,
+    Budgets, Diagnostics, Event, Feed, PlanStates, ReadError, Subscriber, WorkerState,
 };
 use joulebus_standby::SavedState;
-use joulebus_wire::{Payload, SCHEMA_VERSION, StateHeader};
+use joulebus_wire::{Channel, FrameHeader as _, Place, SCHEMA_VERSION, StateHeader, Ticks};
 
 use crate::giving::{GivenRecord, Giving};
 use crate::network::{Kind, Network};
@@ -35,10 +35,10 @@ const OPEN_EVERY_NS: u64 = 1_000_000_000;
 const BEHIND: Duration = Duration::from_millis(1);
 /// What the worker writes behind its forecasts.
 const BEHIND_FORECASTS: [Carried; 4] = [
-    Carried::Diagnostics,
-    Carried::Budgets,
-    Carried::PlanStates,
-    Carried::Ticks,
+    Carried::DIAGNOSTICS,
+    Carried::BUDGETS,
+    Carried::PLAN_STATES,
+    Carried::TICKS,
 ];
 /// How often is looked for a newer state of the worker, which writes one a second.
 const STATE_EVERY_NS: u64 = 100_000_000;
@@ -56,7 +56,7 @@ pub(crate) fn run(
     stop: &AtomicBool,
     ready: impl FnOnce(),
 ) -> anyhow::Result<(Vec<GivenRecord>, Refusals)> {
-    let mut planner = Planner::with_config(config, "link")?;
+    let mut planner = Subscriber::with_config(config, "link")?;
     let mut giving = Giving::open(network, Kind::Outputs, None, fleet)?;
     let mut feeds = Feeds::new(config);
     let mut state = turn.map(StateFeed::new);
@@ -83,7 +83,7 @@ pub(crate) fn run(
                     giving.take()?;
                     let header = frame.header();
                     giving.offer(LocalFrame {
-                        service: Carried::Forecasts,
+                        service: Carried::FORECASTS,
                         source: 0,
                         tick: header.tick,
                         header: bytes_of(header),
@@ -164,7 +164,7 @@ impl<'a> StateFeed<'a> {
 
     fn give(&mut self, giving: &mut Giving) {
         let now_ns = clock::monotonic_ns();
-        if now_ns < self.look_ns || giving.voice.term == 0 || !giving.wants(Carried::State) {
+        if now_ns < self.look_ns || giving.voice.term == 0 || !giving.wants(Carried::STATE) {
             return;
         }
         self.look_ns = now_ns + STATE_EVERY_NS;
@@ -198,7 +198,7 @@ impl<'a> StateFeed<'a> {
             ..StateHeader::default()
         };
         giving.offer(LocalFrame {
-            service: Carried::State,
+            service: Carried::STATE,
             source: 0,
             tick: 0,
             header: bytes_of(&header),
@@ -210,13 +210,13 @@ impl<'a> StateFeed<'a> {
 /// What the worker writes behind its forecasts: read while somebody asks for it.
 struct Feeds<'a> {
     config: &'a Config,
-    diagnostics: Wanted<DiagnosticFeed>,
-    budgets: Wanted<BudgetFeed>,
-    plan_states: Wanted<PlanStateFeed>,
+    diagnostics: Wanted<Feed<Diagnostics>>,
+    budgets: Wanted<Feed<Budgets>>,
+    plan_states: Wanted<Feed<PlanStates>>,
     // The port before the membership.
-    ticks: Wanted<(TickReader, Bus)>,
-    /// Epoch and tick of the last frame of each feed.
-    given: [(u64, u64); 3],
+    ticks: Wanted<(Reader<Ticks>, Bus)>,
+    /// The last frame of each feed.
+    given: [Place; 3],
 }
 
 impl<'a> Feeds<'a> {
@@ -227,36 +227,27 @@ impl<'a> Feeds<'a> {
             budgets: Wanted::new("budgets"),
             plan_states: Wanted::new("plan states"),
             ticks: Wanted::new("the journal"),
-            given: [(0, 0); 3],
+            given: [Place { run: 0, number: 0 }; 3],
         }
     }
 
-    fn give(&mut self, planner: &Planner, giving: &mut Giving) -> anyhow::Result<()> {
+    fn give(&mut self, planner: &Subscriber, giving: &mut Giving) -> anyhow::Result<()> {
         let [of_diagnostics, of_budgets, of_plan_states] = &mut self.given;
-        let (service, feed) = (Carried::Diagnostics, &mut self.diagnostics);
-        feed.keep(giving.wants(service), || planner.diagnostics());
-        pass((service, feed), of_diagnostics, giving, |header| {
-            (header.worker_epoch, header.tick)
-        })?;
-        let (service, feed) = (Carried::Budgets, &mut self.budgets);
-        feed.keep(giving.wants(service), || planner.budgets());
-        pass((service, feed), of_budgets, giving, |header| {
-            (header.worker_epoch, header.tick)
-        })?;
-        let (service, feed) = (Carried::PlanStates, &mut self.plan_states);
-        feed.keep(giving.wants(service), || planner.plan_states());
-        pass((service, feed), of_plan_states, giving, |header| {
-            (header.worker_epoch, header.tick)
-        })?;
+        let feed = (Carried::DIAGNOSTICS, &mut self.diagnostics);
+        pass(feed, of_diagnostics, giving, planner)?;
+        let feed = (Carried::BUDGETS, &mut self.budgets);
+        pass(feed, of_budgets, giving, planner)?;
+        let feed = (Carried::PLAN_STATES, &mut self.plan_states);
+        pass(feed, of_plan_states, giving, planner)?;
         self.ticks(giving);
         Ok(())
     }
 
     fn ticks(&mut self, giving: &mut Giving) {
         let config = self.config;
-        self.ticks.keep(giving.wants(Carried::Ticks), || {
+        self.ticks.keep(giving.wants(Carried::TICKS), || {
             let bus = join(config, "link-journal")?;
-            let reader = bus.tick_reader(&config.limits())?;
+            let reader = bus.reader::<Ticks>(&config.limits())?;
             Ok::<_, anyhow::Error>((reader, bus))
         });
         let Some((reader, _)) = &mut self.ticks.feed else {
@@ -264,7 +255,7 @@ impl<'a> Feeds<'a> {
         };
         let taken = reader.take_all(|header, frames| {
             giving.offer(LocalFrame {
-                service: Carried::Ticks,
+                service: Carried::TICKS,
                 source: 0,
                 tick: header.tick,
                 header: bytes_of(header),
@@ -319,12 +310,13 @@ impl<F> Wanted<F> {
 }
 
 /// Gives the newest frame, unless it was given.
-fn pass<H: Payload, T: Payload>(
-    (service, wanted): (Carried, &mut Wanted<Feed<H, T>>),
-    given: &mut (u64, u64),
+fn pass<C: Channel>(
+    (service, wanted): (Carried, &mut Wanted<Feed<C>>),
+    given: &mut Place,
     giving: &mut Giving,
-    place: fn(&H) -> (u64, u64),
+    planner: &Subscriber,
 ) -> Result<(), ReadError> {
+    wanted.keep(giving.wants(service), || planner.feed());
     let Some(feed) = &mut wanted.feed else {
         return Ok(());
     };
@@ -337,15 +329,15 @@ fn pass<H: Payload, T: Payload>(
         }
         Err(error) => return Err(error),
     };
-    let now = place(frame.header());
-    if now == *given {
+    let place = frame.header().place();
+    if place == *given {
         return Ok(());
     }
-    *given = now;
+    *given = place;
     giving.offer(LocalFrame {
         service,
         source: 0,
-        tick: now.1,
+        tick: place.number,
         header: bytes_of(frame.header()),
         elements: cast_slice(frame.robots()),
     });

@@ -21,7 +21,7 @@ use crate::protocol::lease::{Candidate, Next, Right};
 use crate::protocol::message::Worker;
 use crate::protocol::receiver::Accepted;
 use crate::protocol::selection::Selection;
-use crate::protocol::shift::Instants as _;
+use crate::protocol::shift::shift;
 use crate::taking::{TakenRecord, Taking};
 use crate::turn::Turn;
 
@@ -237,7 +237,7 @@ struct Following<'a> {
 impl Following<'_> {
     fn turn(&mut self, inbox: &Inbox) -> anyhow::Result<()> {
         let services = match self.turn.term() {
-            0 => Carried::State.bit(),
+            0 => Carried::STATE.bit(),
             _ => 0,
         };
         for (_, taking) in &mut self.others {
@@ -342,11 +342,11 @@ fn remove(request: &Path) -> anyhow::Result<()> {
 /// Keeps the state of the worker that serves for the one of this host.
 fn keep(turn: &Turn, accepted: &Accepted<'_>) -> anyhow::Result<()> {
     let frame = &accepted.frame;
-    if frame.service != Carried::State || turn.term() > 0 {
+    if frame.service != Carried::STATE || turn.term() > 0 {
         return Ok(());
     }
     let mut header: StateHeader = frame.header();
-    header.shift(accepted.offset_ns);
+    shift(&mut header, accepted.offset_ns);
     let bytes = frame.bytes();
     anyhow::ensure!(
         header.offset == 0 && header.total_bytes == bytes.len() as u64,

@@ -1,8 +1,8 @@
 //! Records of questions and answers, sent in frames to whoever reads them.
 
-use joulebus_bus::{Bus, Limits, OpenError, QueriesWriter, SendError, clock, process_id};
+use joulebus_bus::{Bus, Limits, OpenError, SendError, Writer, clock, process_id};
 use joulebus_wire::{
-    QueriesHeader, QueryCounts, QueryRecord, RECORD_WORDS, SCHEMA_VERSION, push_record,
+    Queries, QueriesHeader, QueryCounts, QueryRecord, RECORD_WORDS, SCHEMA_VERSION, push_record,
 };
 
 /// Longest time that a record waits for others, ns: a recorder looks every 10 ms.
@@ -12,7 +12,7 @@ const COUNTS_EVERY_NS: u64 = 500_000_000;
 
 /// Gathers records, and sends them.
 pub(crate) struct Records {
-    writer: QueriesWriter,
+    writer: Writer<Queries>,
     words: Vec<u64>,
     begun_ns: u64,
     /// When the oldest record was gathered.
@@ -26,7 +26,7 @@ impl Records {
     /// `begun_ns`: when the thread began to answer, whatever ports it has lost since.
     pub(crate) fn open(bus: &Bus, limits: &Limits, begun_ns: u64) -> Result<Self, OpenError> {
         Ok(Self {
-            writer: bus.queries_writer(limits)?,
+            writer: bus.writer(limits)?,
             words: Vec::with_capacity(RECORD_WORDS),
             begun_ns,
             since_ns: 0,

@@ -350,14 +350,10 @@ impl Server {
             sent_ns: now_ns,
             ..job.answer
         };
-        let sent = self
-            .server
-            .answer(&job.query, job.answer, job.listener(), words);
-        match sent {
-            // A client that was not woken finds the answer itself.
-            Err(SendError::Wake(_)) => Ok(()),
-            sent => sent,
-        }
+        // A client that was not woken finds the answer itself.
+        self.server
+            .answer(&job.query, job.answer, job.listener(), words)?;
+        Ok(())
     }
 
     fn record(&mut self, job: &Job, words: &[u64]) -> Result<(), ServerError> {

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use joulebus_config::Config;
 use joulebus_connect::ConnectError;
-use joulebus_consumer::{BudgetFeed, Budgets, Event, PlanStateFeed, PlanStates, ReadError, clock};
+use joulebus_consumer::{Budgets, Event, Feed, Frame, PlanStates, ReadError, Subscriber, clock};
 use joulebus_models::load_models;
 use joulebus_plan::{Differs, Fleet, Robot, RobotRows};
 use joulebus_wire::AnswerHeader;
@@ -14,9 +14,9 @@ use joulebus_wire::AnswerHeader;
 /// Reads what plans start from, and answers questions about them. Belongs to one thread, as every
 /// reader of shared memory; the [`Robot`]s that it gives do not.
 pub struct Planner {
-    planner: joulebus_consumer::Planner,
-    states: PlanStateFeed,
-    budgets: BudgetFeed,
+    subscriber: Subscriber,
+    states: Feed<PlanStates>,
+    budgets: Feed<Budgets>,
     fleet: Fleet,
 }
 
@@ -70,7 +70,7 @@ impl Planner {
     /// # Errors
     /// [`ConnectError`].
     pub fn with_fleet(config: &Config, name: &str, fleet: Fleet) -> Result<Self, ConnectError> {
-        let planner = joulebus_consumer::Planner::with_config(config, name)?;
+        let planner = Subscriber::with_config(config, name)?;
         Ok(Self {
             states: planner.plan_states()?,
             budgets: planner.budgets()?,
@@ -116,7 +116,7 @@ impl Planner {
             if left.is_zero() {
                 break;
             }
-            if let Event::Interrupted = self.planner.wait_next(left)? {
+            if let Event::Interrupted = self.subscriber.wait_next(left)? {
                 return Err(ViewError::Interrupted);
             }
         }
@@ -142,8 +142,8 @@ impl fmt::Debug for Planner {
 /// The fleet as of one tick, read in shared memory.
 #[derive(Debug, Clone, Copy)]
 pub struct View<'a> {
-    states: PlanStates<'a>,
-    budgets: Option<Budgets<'a>>,
+    states: Frame<'a, PlanStates>,
+    budgets: Option<Frame<'a, Budgets>>,
     fleet: &'a Fleet,
     now_ns: u64,
 }
@@ -197,7 +197,7 @@ impl<'a> View<'a> {
         answer.period_ns = states.period_ns;
         answer.sent_state_ns = states.sent_ns;
         answer.now_ns = self.now_ns;
-        if let Some(budgets) = self.budgets.as_ref().map(Budgets::header) {
+        if let Some(budgets) = self.budgets.as_ref().map(Frame::header) {
             answer.budget_epoch = budgets.worker_epoch;
             answer.budget_tick = budgets.tick;
             answer.sent_budget_ns = budgets.sent_ns;
@@ -211,7 +211,7 @@ impl<'a> View<'a> {
         let fresh = |sent_ns: u64| {
             self.now_ns.saturating_sub(sent_ns) <= header.period_ns.saturating_mul(2)
         };
-        let budgets = self.budgets.as_ref().map(Budgets::header);
+        let budgets = self.budgets.as_ref().map(Frame::header);
         fresh(header.sent_ns)
             && budgets.is_some_and(|of| of.worker_epoch == header.worker_epoch && fresh(of.sent_ns))
     }

@@ -5,13 +5,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
-use joulebus_bus::{
-    Background, BudgetReader, Bus, DiagnosticReader, Domain, ForecastReader, JoinError, OpenError,
-    Steps, clock,
-};
+use joulebus_bus::{Background, Bus, Domain, JoinError, OpenError, Reader, Steps, clock};
 use joulebus_config::Config;
 use joulebus_standby::Places;
-use joulebus_wire::{DropCounts, DropReason};
+use joulebus_wire::{Budgets, Diagnostics, DropCounts, DropReason, Forecasts};
 
 use crate::checkpoint::Checkpoint;
 use crate::keyframes::{KeyframeOrders, KeyframeSender};
@@ -72,9 +69,9 @@ pub(crate) fn start(
 /// The checkpointer.
 struct Checkpointer {
     // Before the bus, because ports must be dropped first.
-    budgets: BudgetReader,
-    diagnostics: DiagnosticReader,
-    forecasts: ForecastReader,
+    budgets: Reader<Budgets>,
+    diagnostics: Reader<Diagnostics>,
+    forecasts: Reader<Forecasts>,
     keyframes: KeyframeSender,
     _bus: Bus,
     failures: Arc<Failures>,
@@ -107,9 +104,9 @@ impl Checkpointer {
         let every_ns = files.as_ref().map(|_| config.checkpoint_every_ns());
         let now_ns = clock::monotonic_ns();
         Ok(Self {
-            budgets: bus.budget_reader(&limits)?,
-            diagnostics: bus.diagnostic_reader(&limits)?,
-            forecasts: bus.forecast_reader(&limits)?,
+            budgets: bus.reader(&limits)?,
+            diagnostics: bus.reader(&limits)?,
+            forecasts: bus.reader(&limits)?,
             keyframes: KeyframeSender::open(
                 &bus,
                 &limits,

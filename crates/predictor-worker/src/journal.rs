@@ -2,15 +2,15 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use joulebus_bus::{Bus, IncomingFrame, Limits, OpenError, TickWriter, clock, process_id};
-use joulebus_wire::{SCHEMA_VERSION, TakenFrame, TickHeader, tick_flag};
+use joulebus_bus::{Bus, IncomingFrame, Limits, OpenError, Writer, clock, process_id};
+use joulebus_wire::{SCHEMA_VERSION, TakenFrame, TickHeader, Ticks, tick_flag};
 
 use crate::outbox::LeftOut;
 
 /// Collects the frames that ingest takes, and sends the list after each tick.
 #[derive(Debug)]
 pub(crate) struct Journal {
-    writer: TickWriter,
+    writer: Writer<Ticks>,
     taken: Vec<TakenFrame>,
     unlisted: u32,
 }
@@ -18,7 +18,7 @@ pub(crate) struct Journal {
 impl Journal {
     /// Opens the port. The list's memory is allocated here, once.
     pub(crate) fn open(bus: &Bus, limits: &Limits) -> Result<Self, OpenError> {
-        let writer = bus.tick_writer(limits)?;
+        let writer = bus.writer::<Ticks>(limits)?;
         Ok(Self {
             taken: Vec::with_capacity(writer.max_len()),
             writer,

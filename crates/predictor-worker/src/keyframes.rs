@@ -8,11 +8,11 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
-use joulebus_bus::{Bus, Limits, OpenError, StateWriter, clock, process_id};
+use joulebus_bus::{Bus, Limits, OpenError, Writer, clock, process_id};
 use joulebus_fleet::{Fleet, FleetState};
 use joulebus_settings::FleetSettings;
 use joulebus_standby::SavedState;
-use joulebus_wire::{SCHEMA_VERSION, StateHeader};
+use joulebus_wire::{SCHEMA_VERSION, State, StateHeader};
 
 use crate::standby::watch::Speaking;
 
@@ -95,7 +95,7 @@ impl Keyframes {
 
 /// The checkpointer's end of the channel.
 pub(crate) struct KeyframeSender {
-    writer: StateWriter,
+    writer: Writer<State>,
     orders: KeyframeOrders,
     settings: FleetSettings,
     /// The unused box; `None` before the first reader.
@@ -124,7 +124,7 @@ impl KeyframeSender {
         (orders, file): (KeyframeOrders, PathBuf),
     ) -> Result<Self, OpenError> {
         let mut sender = Self {
-            writer: bus.state_writer(limits)?,
+            writer: bus.writer(limits)?,
             orders,
             settings: settings.clone(),
             spare: None,

@@ -1,13 +1,10 @@
 //! Output of a tick, computed directly into loaned shared memory.
 
-use joulebus_bus::{
-    BudgetWriter, Bus, DiagnosticWriter, ForecastWriter, Limits, Loan, OpenError, PlanStateWriter,
-    SendError, Waker, clock,
-};
+use joulebus_bus::{Bus, Limits, Loan, OpenError, SendError, Waker, Writer, clock};
 use joulebus_fleet::{Accounts, Fleet, Outputs};
 use joulebus_wire::{
-    BudgetHeader, DiagnosticHeader, Forecast, ForecastHeader, Payload, PlanStateHeader,
-    SCHEMA_VERSION, WakeEvent,
+    BudgetHeader, Budgets, Channel, DiagnosticHeader, Diagnostics, ForecastHeader, Forecasts,
+    FrameHeader as _, PlanStateHeader, PlanStates, SCHEMA_VERSION, WakeEvent,
 };
 
 use crate::standby::watch::Speaking;
@@ -16,20 +13,20 @@ use crate::tick_pool::TickPool;
 /// The four ports, and the event that wakes planners.
 #[derive(Debug)]
 pub(crate) struct Outbox {
-    forecasts: ForecastWriter,
-    diagnostics: DiagnosticWriter,
-    budgets: BudgetWriter,
-    plan_states: PlanStateWriter,
+    forecasts: Writer<Forecasts>,
+    diagnostics: Writer<Diagnostics>,
+    budgets: Writer<Budgets>,
+    plan_states: Writer<PlanStates>,
     planners: Waker,
 }
 
 impl Outbox {
     pub(crate) fn open(bus: &Bus, limits: &Limits) -> Result<Self, OpenError> {
         Ok(Self {
-            forecasts: bus.forecast_writer(limits)?,
-            diagnostics: bus.diagnostic_writer(limits)?,
-            budgets: bus.budget_writer(limits)?,
-            plan_states: bus.plan_state_writer(limits)?,
+            forecasts: bus.writer(limits)?,
+            diagnostics: bus.writer(limits)?,
+            budgets: bus.writer(limits)?,
+            plan_states: bus.writer(limits)?,
             planners: bus.planner_waker(limits)?,
         })
     }
@@ -81,24 +78,14 @@ impl Outbox {
             pool.account(&mut shard, accounts);
             unsent
         };
-        let (sent_ns, sent_unix_ns) = (clock::monotonic_ns(), clock::unix_ns());
-        let budget_header = BudgetHeader {
-            sent_ns,
-            sent_unix_ns,
-            ..headers.budgets
-        };
-        let plan_state_header = PlanStateHeader {
-            sent_ns,
-            sent_unix_ns,
-            ..headers.plan_states
-        };
+        let sent = (clock::monotonic_ns(), clock::unix_ns());
         if !speaking.holds(clock::boot_ns()) {
             return unsent;
         }
         unsent
-            + send(diagnostics, headers.diagnostics)
-            + send(budgets, budget_header)
-            + send(plan_states, plan_state_header)
+            + send(diagnostics, headers.diagnostics, sent)
+            + send(budgets, headers.budgets, sent)
+            + send(plan_states, headers.plan_states, sent)
     }
 
     /// Sends planners the end event.
@@ -161,16 +148,16 @@ impl Headers {
 }
 
 /// The memory of a frame; empty if it is left out, or if there is no memory for it.
-fn payload<'a, H: Payload, T: Payload>(
-    loan: Option<&'a mut Result<Loan<'_, H, T>, SendError>>,
-) -> &'a mut [T] {
+fn payload<'a, C: Channel>(
+    loan: Option<&'a mut Result<Loan<'_, C>, SendError>>,
+) -> &'a mut [C::Row] {
     loan.and_then(|loan| loan.as_mut().ok())
         .map_or(&mut [], Loan::payload_mut)
 }
 
 /// Sends the forecasts and wakes the planners. Returns the number of frames that could not be sent.
 fn send_forecasts(
-    forecasts: Result<ForecastLoan<'_>, SendError>,
+    forecasts: Result<Loan<'_, Forecasts>, SendError>,
     planners: &Waker,
     mut header: ForecastHeader,
     speaking: &Speaking,
@@ -190,7 +177,12 @@ fn send_forecasts(
 }
 
 /// Sends a frame, unless it is left out. Returns the number of frames that could not be sent.
-fn send<H: Payload, T: Payload>(loan: Option<Result<Loan<'_, H, T>, SendError>>, header: H) -> u64 {
+fn send<C: Channel>(
+    loan: Option<Result<Loan<'_, C>, SendError>>,
+    mut header: C::Header,
+    (sent_ns, sent_unix_ns): (u64, u64),
+) -> u64 {
+    header.set_sent(sent_ns, sent_unix_ns);
     let sent = loan.is_none_or(|loan| {
         loan.is_ok_and(|mut loan| {
             *loan.header_mut() = header;
@@ -199,5 +191,3 @@ fn send<H: Payload, T: Payload>(loan: Option<Result<Loan<'_, H, T>, SendError>>,
     });
     u64::from(!sent)
 }
-
-type ForecastLoan<'a> = Loan<'a, ForecastHeader, Forecast>;

@@ -11,7 +11,7 @@ use joulebus_bus::{Bus, Domain, clock};
 use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
 use joulebus_testkit::{OnDrop, counting};
-use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader};
+use joulebus_wire::{PlanStates, SCHEMA_VERSION, Sample, SampleHeader, State};
 
 #[global_allocator]
 static ALLOCATOR: counting::Counting = counting::Counting;
@@ -88,7 +88,7 @@ fn feed(domain: &Domain, config: &Config, robots: u32, sent: &AtomicU64, stop: &
 /// Reads what plans start from until `stop`, and counts the frames.
 fn plan(domain: &Domain, config: &Config, plan_states: &AtomicU64, stop: &AtomicBool) {
     let bus = Bus::join(domain, "planner").unwrap();
-    let mut reader = bus.plan_state_reader(&config.limits()).unwrap();
+    let mut reader = bus.reader::<PlanStates>(&config.limits()).unwrap();
     while !stop.load(Ordering::Relaxed) {
         let found = reader.take_latest().unwrap();
         plan_states.fetch_add(u64::from(found.is_some()), Ordering::Relaxed);
@@ -100,7 +100,7 @@ fn plan(domain: &Domain, config: &Config, plan_states: &AtomicU64, stop: &Atomic
 /// Reads keyframes until `stop`, and counts the complete ones.
 fn record(domain: &Domain, config: &Config, keyframes: &AtomicU32, stop: &AtomicBool) {
     let bus = Bus::join(domain, "recorder").unwrap();
-    let mut states = bus.state_reader(&config.limits()).unwrap();
+    let mut states = bus.reader::<State>(&config.limits()).unwrap();
     let mut bytes = 0;
     while !stop.load(Ordering::Relaxed) {
         while let Some(piece) = states.take_next().unwrap() {

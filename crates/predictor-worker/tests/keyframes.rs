@@ -14,8 +14,8 @@ use joulebus_models::load_models;
 use joulebus_predictor_worker::Worker;
 use joulebus_testkit::OnDrop;
 use joulebus_wire::{
-    Budget, Forecast, SCHEMA_VERSION, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader,
-    tick_flag,
+    Budget, Budgets, Forecast, Forecasts, SCHEMA_VERSION, Sample, SampleHeader, State, StateHeader,
+    TakenFrame, TickHeader, Ticks, tick_flag,
 };
 
 const ROBOTS: u32 = 300;
@@ -59,10 +59,10 @@ fn record(config: &Config, ready: &AtomicBool, read: &AtomicU64, stop: &AtomicBo
     let bus = Bus::join(&domain, "recorder").unwrap();
     let mut waiter = bus.planner_waiter(&limits).unwrap();
     let mut samples = bus.sample_reader(&limits).unwrap();
-    let mut ticks = bus.tick_reader(&limits).unwrap();
-    let mut forecasts = bus.forecast_reader(&limits).unwrap();
-    let mut budgets = bus.budget_reader(&limits).unwrap();
-    let mut states = bus.state_reader(&limits).unwrap();
+    let mut ticks = bus.reader::<Ticks>(&limits).unwrap();
+    let mut forecasts = bus.reader::<Forecasts>(&limits).unwrap();
+    let mut budgets = bus.reader::<Budgets>(&limits).unwrap();
+    let mut states = bus.reader::<State>(&limits).unwrap();
     let mut frame = FrameBuf::new(limits.capacity);
     let (mut recorded, mut pieces) = (Recorded::default(), Vec::new());
     ready.store(true, Ordering::Relaxed);

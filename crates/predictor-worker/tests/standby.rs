@@ -13,7 +13,9 @@ use joulebus_config::Config;
 use joulebus_predictor_worker::{RunError, Worker};
 use joulebus_standby::{Permit, Places, SavedState};
 use joulebus_testkit::OnDrop;
-use joulebus_wire::{Budget, Forecast, Quality, SCHEMA_VERSION, Sample, SampleHeader};
+use joulebus_wire::{
+    Budget, Budgets, Forecast, Forecasts, Quality, SCHEMA_VERSION, Sample, SampleHeader,
+};
 
 const ROBOTS: u32 = 20;
 const PERIOD_NS: u64 = 33_333_333;
@@ -113,8 +115,8 @@ impl Scene {
     fn planner(&self) {
         let bus = Bus::join(&self.config.domain().unwrap(), "planner").unwrap();
         let limits = self.config.limits();
-        let mut forecasts = bus.forecast_reader(&limits).unwrap();
-        let mut budgets = bus.budget_reader(&limits).unwrap();
+        let mut forecasts = bus.reader::<Forecasts>(&limits).unwrap();
+        let mut budgets = bus.reader::<Budgets>(&limits).unwrap();
         while !self.stop.load(Ordering::Relaxed) {
             while let Some(frame) = forecasts.take_next().unwrap() {
                 self.sent_ns

@@ -48,7 +48,7 @@ mod pace;
 mod publisher;
 mod state;
 
-pub use joulebus_bus::{SendError, clock};
+pub use joulebus_bus::{SendError, WaitError, clock};
 pub use joulebus_config::Config;
 pub use joulebus_connect::{ConnectError, error};
 pub use joulebus_wire as wire;

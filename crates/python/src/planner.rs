@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use bytemuck::cast_slice;
 use joulebus_consumer::wire::{ForecastHeader, Quality};
 use joulebus_consumer::{
-    Arrival, BudgetFeed, Config, DiagnosticFeed, End, Event, KeptForecasts, Planner as Ports,
-    ReadError, WorkerState,
+    Arrival, Budgets, Config, Diagnostics, End, Event, Feed, KeptForecasts, ReadError,
+    Subscriber as Ports, WorkerState,
 };
 use pyo3::IntoPyObjectExt as _;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
@@ -37,8 +37,8 @@ pub(crate) struct State {
 
 struct Open {
     planner: Ports,
-    diagnostics: Option<DiagnosticFeed>,
-    budgets: Option<BudgetFeed>,
+    diagnostics: Option<Feed<Diagnostics>>,
+    budgets: Option<Feed<Budgets>>,
 }
 
 /// What happened, as the thread tells it.
@@ -214,7 +214,7 @@ impl State {
             Ok(_) => return Ok(Told::Nothing),
             Err(error) => return Err(read_failed(&error, kept)),
         };
-        let Some(frame) = open.planner.keep() else {
+        let Some(frame) = open.planner.take_current() else {
             return Ok(Told::Nothing);
         };
         let number = self.next;

@@ -1,9 +1,9 @@
 //! Flow control: follows the worker, so that it does not get more than it can take.
 
-use joulebus_bus::{Bus, Domain, ForecastReader, Limits, PeerWatch, Waiter, WorkerLock, clock};
+use joulebus_bus::{Bus, Domain, Limits, PeerWatch, Reader, Waiter, WorkerLock, clock};
 use joulebus_program::output::say;
 use joulebus_program::stop::Stop;
-use joulebus_wire::{SCHEMA_VERSION, Sample, forecast_flag};
+use joulebus_wire::{Forecasts, SCHEMA_VERSION, Sample, forecast_flag};
 
 use crate::window::Window;
 
@@ -17,7 +17,7 @@ const LOOK_EVERY_NS: u64 = 50_000_000;
 pub struct Flow {
     window: Window,
     // Drop order: ports before the bus.
-    forecasts: ForecastReader,
+    forecasts: Reader<Forecasts>,
     waiter: Waiter,
     _bus: Bus,
     domain: Domain,
@@ -58,7 +58,7 @@ impl Flow {
         let bus = Bus::join(domain, "flow-control")?;
         Ok(Self {
             window,
-            forecasts: bus.forecast_reader(limits)?,
+            forecasts: bus.reader(limits)?,
             waiter: bus.planner_waiter(limits)?,
             _bus: bus,
             domain: domain.clone(),

@@ -23,6 +23,14 @@ pub trait Channel: std::fmt::Debug + Copy + Send + Sync + 'static {
     type Header: FrameHeader;
     /// What it consists of.
     type Row: Row;
+
+    /// The robot of a row; none where rows are not of [`FrameRows::Robots`].
+    #[must_use]
+    fn robot(row: &Self::Row) -> Option<u32> {
+        let id = bytemuck::bytes_of(row).first_chunk();
+        id.filter(|_| Self::ROWS == FrameRows::Robots)
+            .map(|id| u32::from_ne_bytes(*id))
+    }
 }
 
 /// Who sends on a channel and who reads, which sizes its service.
@@ -64,20 +72,26 @@ pub enum FrameRows {
 pub struct Place {
     /// The run of the worker, or of the source.
     pub run: u64,
-    /// The tick within it, or the number of the source's frame.
+    /// The tick within it, the number of the source's frame, or the time of sending where frames have no number.
     pub number: u64,
 }
 
 /// The header of a frame. It begins with [`crate::SCHEMA_VERSION`].
 pub trait FrameHeader: Row {
-    /// Its place; none where frames are not numbered.
-    fn place(&self) -> Option<Place>;
+    /// Version of its payloads.
+    fn schema(&self) -> u32;
+
+    /// Its place: a later frame has a greater one.
+    fn place(&self) -> Place;
 
     /// Puts the frame at another place, sent by process `pid`.
     fn set_place(&mut self, pid: u32, place: Place);
 
     /// When the frame was sent, monotonic ns; none where that is not stated.
     fn sent_ns(&self) -> Option<u64>;
+
+    /// When the frame was sent, Unix ns; none where that is not stated.
+    fn sent_unix_ns(&self) -> Option<u64>;
 
     /// States when the frame is sent, monotonic ns and Unix ns, where it states that.
     fn set_sent(&mut self, sent_ns: u64, sent_unix_ns: u64);
@@ -106,27 +120,34 @@ macro_rules! channels {
     )*};
 }
 
-/// Implements [`FrameHeader`]: the fields of the place, of the times of sending, and of the period, each where there is one.
+/// Implements [`FrameHeader`]: the fields of the place; of the times of sending and of the period, each where there is one.
 /// `frame_header!(ForecastHeader { place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns; })`.
 #[macro_export]
 macro_rules! frame_header {
     ($header:ident {
-        $(place: $run:ident, $number:ident;)?
+        place: $run:ident, $number:ident;
         $(sent: $sent:ident $(, $unix:ident)?;)?
         $(period: $period:ident;)?
     }) => {
         impl $crate::FrameHeader for $header {
-            fn place(&self) -> Option<$crate::Place> {
-                $crate::frame_header!(@or None $(Some($crate::Place { run: self.$run, number: self.$number }))?)
+            fn schema(&self) -> u32 {
+                self.schema
             }
 
-            fn set_place(&mut self, pid: u32, _place: $crate::Place) {
-                self.pid = pid;
-                $((self.$run, self.$number) = (_place.run, _place.number);)?
+            fn place(&self) -> $crate::Place {
+                $crate::Place { run: self.$run, number: self.$number }
+            }
+
+            fn set_place(&mut self, pid: u32, place: $crate::Place) {
+                (self.pid, self.$run, self.$number) = (pid, place.run, place.number);
             }
 
             fn sent_ns(&self) -> Option<u64> {
                 $crate::frame_header!(@or None $(Some(self.$sent))?)
+            }
+
+            fn sent_unix_ns(&self) -> Option<u64> {
+                $crate::frame_header!(@or None $($(Some(self.$unix))?)?)
             }
 
             fn set_sent(&mut self, _sent_ns: u64, _sent_unix_ns: u64) {
@@ -138,8 +159,7 @@ macro_rules! frame_header {
             }
         }
     };
-    (@or $none:expr) => { $none };
-    (@or $none:expr, $some:expr) => { $some };
+    (@or $none:ident) => { $none };
     (@or $none:ident $some:expr) => { $some };
 }
 
@@ -147,7 +167,8 @@ channels! {
     /// Samples of the robots, from their controllers.
     Samples: "samples", SampleHeader { place: source_epoch, frame_seq; sent: sent_ns, sent_unix_ns; },
         Sample, Flow::Sources, FrameRows::Robots;
-    /// Forecasts, of every tick.
+    /// Forecasts, of every tick. A planner can keep two frames beside the newest: that of its loop's variable while
+    /// the next is waited for, and one more.
     Forecasts: "forecasts", ForecastHeader {
             place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns;
         }, Forecast, Flow::Planners { kept: 2, history: 0 }, FrameRows::Robots;
@@ -168,6 +189,6 @@ channels! {
     State: "state", StateHeader { place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; },
         u8, Flow::Recorders { queued: 8, history: 0 }, FrameRows::Bytes;
     /// Records of questions and answers: a reader that comes later needs the newest counts.
-    Queries: "queries", QueriesHeader { sent: sent_ns; },
+    Queries: "queries", QueriesHeader { place: begun_ns, sent_ns; sent: sent_ns; },
         u64, Flow::Recorders { queued: 6, history: 1 }, FrameRows::Words(RECORD_WORDS);
 }

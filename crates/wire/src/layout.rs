@@ -20,12 +20,12 @@ pub trait Row: Payload {
 
     /// Calls `each` with every [`FieldRole::Instant`]; 0 is one that is not known.
     fn instants(&mut self, each: impl FnMut(&mut u64)) {
-        fields_of(self, FieldRole::Instant, each);
+        each_at(self, const { &offsets::<Self>([false, true, false]) }, each);
     }
 
     /// Calls `each` with every [`FieldRole::Run`]; 0 is one that is not known.
     fn runs(&mut self, each: impl FnMut(&mut u64)) {
-        fields_of(self, FieldRole::Run, each);
+        each_at(self, const { &offsets::<Self>([false, false, true]) }, each);
     }
 }
 
@@ -49,15 +49,34 @@ const fn element<T>(name: &'static str) -> StructLayout {
     }
 }
 
-fn fields_of<R: Row>(row: &mut R, role: FieldRole, mut each: impl FnMut(&mut u64)) {
-    for field in R::LAYOUT.fields {
-        if field.role == role {
-            let words: &mut [u8] = &mut bytemuck::bytes_of_mut(row)[field.offset..];
-            if let Some(bytes) = words.first_chunk_mut() {
-                let mut value = u64::from_ne_bytes(*bytes);
-                each(&mut value);
-                *bytes = value.to_ne_bytes();
-            }
+/// The most instants or runs that a row has.
+const MAX_MOVED: usize = 16;
+
+/// Offsets of the fields with a role, and their number.
+const fn offsets<R: Row>(is_wanted: [bool; 3]) -> ([usize; MAX_MOVED], usize) {
+    let fields = R::LAYOUT.fields;
+    let (mut found, mut count, mut at) = ([0; MAX_MOVED], 0, 0);
+    while at < fields.len() {
+        if is_wanted[fields[at].role as usize] {
+            found[count] = fields[at].offset;
+            count += 1;
+        }
+        at += 1;
+    }
+    (found, count)
+}
+
+fn each_at<R: Row>(
+    row: &mut R,
+    (offsets, count): &([usize; MAX_MOVED], usize),
+    mut each: impl FnMut(&mut u64),
+) {
+    let bytes = bytemuck::bytes_of_mut(row);
+    for offset in &offsets[..*count] {
+        if let Some(word) = bytes[*offset..].first_chunk_mut() {
+            let mut value = u64::from_ne_bytes(*word);
+            each(&mut value);
+            *word = value.to_ne_bytes();
         }
     }
 }

@@ -20,20 +20,18 @@ pub use begin::{begin, remove_process, size};
 pub use bus::{Bus, remove_files};
 pub use joulebus_bus::{
     CapacityError, FilesRemoved, IceoryxConfigError, JoinError, OpenError, Panicked, QueryError,
-    ReceiveError, RootError, SchedulingError, SendError, SweepError, WaitError, Woken,
+    ReceiveError, RootError, SchedulingError, SendError, Sent, SweepError, WaitError, Woken,
     WorkerLockError, schedule_process, schedule_thread,
 };
 pub use joulebus_domain::{Domain, DomainError, Limits, LimitsError, STANDBY_FILES, Scheduling};
 pub use liveness::peer_watch::PeerWatch;
 pub use liveness::worker_lock::WorkerLock;
 pub use ports::{
-    BudgetReader, BudgetWriter, DiagnosticReader, DiagnosticWriter, ForecastReader, ForecastWriter,
-    Frame, IncomingFrame, KeptFrame, Loan, PlanStateReader, PlanStateWriter, QueriesReader,
-    QueriesWriter, Reader, SampleReader, SampleTap, SampleWriter, StateReader, StateWriter, Taken,
-    TickReader, TickWriter, Writer, taken_frames,
+    Frame, IncomingFrame, KeptFrame, Loan, Reader, SampleReader, SampleWriter, Taken, Writer,
+    taken_frames,
 };
 pub use query::{OpenQuery, QueryClient, QueryServer};
-pub use wait::{Poller, Waiter, Waker};
+pub use wait::{Poller, Readiness, Waiter, Waker};
 
 /// The id of the process that runs.
 #[must_use]

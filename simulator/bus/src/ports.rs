@@ -6,51 +6,15 @@ use std::marker::PhantomData;
 use std::rc::Rc;
 
 use joulebus_simulated_host::{self as host, memory::outside};
-use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, Payload,
-    PlanState, PlanStateHeader, QueriesHeader, Sample, SampleHeader, Service, StateHeader,
-    TakenFrame, TickHeader, WakeEvent,
-};
+use joulebus_wire::{Channel, Flow, Sample, SampleHeader, Samples, Service, WakeEvent};
 
 use crate::liveness::worker_ports::WorkerPorts;
 use crate::query::{QueryClient, QueryServer};
 use crate::queues::{Connection, Listed, Queue, Sent, port_id, with};
-use crate::{Bus, Limits, OpenError, Poller, ReceiveError, SendError, Waiter, Waker};
-use joulebus_domain::Shape;
+use crate::{Bus, Limits, OpenError, Poller, ReceiveError, SendError, Sent, Waiter, Waker};
 
 /// As of the real reader.
 const MOST_PASSED_OVER: u32 = 4_096;
-
-/// The worker's port for forecasts.
-pub type ForecastWriter = Writer<ForecastHeader, Forecast>;
-/// The worker's port for diagnostics.
-pub type DiagnosticWriter = Writer<DiagnosticHeader, Diagnostic>;
-/// The worker's port for budgets.
-pub type BudgetWriter = Writer<BudgetHeader, Budget>;
-/// The worker's port for what plans start from.
-pub type PlanStateWriter = Writer<PlanStateHeader, PlanState>;
-/// A planner's port for what plans start from.
-pub type PlanStateReader = Reader<PlanStateHeader, PlanState>;
-/// The worker's port for its journal.
-pub type TickWriter = Writer<TickHeader, TakenFrame>;
-/// The worker's port for keyframes.
-pub type StateWriter = Writer<StateHeader, u8>;
-/// A planner's port for forecasts.
-pub type ForecastReader = Reader<ForecastHeader, Forecast>;
-/// A planner's port for diagnostics.
-pub type DiagnosticReader = Reader<DiagnosticHeader, Diagnostic>;
-/// A planner's port for budgets.
-pub type BudgetReader = Reader<BudgetHeader, Budget>;
-/// A recorder's port for keyframes.
-pub type StateReader = Reader<StateHeader, u8>;
-/// The worker's port for records of questions.
-pub type QueriesWriter = Writer<QueriesHeader, u64>;
-/// A recorder's port for records of questions.
-pub type QueriesReader = Reader<QueriesHeader, u64>;
-/// A recorder's port for samples.
-pub type SampleTap = Reader<SampleHeader, Sample>;
-/// A recorder's port for the worker's journal.
-pub type TickReader = Reader<TickHeader, TakenFrame>;
 
 fn refused(service: Service, reason: &str) -> OpenError {
     OpenError::Port {
@@ -61,18 +25,18 @@ fn refused(service: Service, reason: &str) -> OpenError {
 
 /// Sends frames.
 #[derive(Debug)]
-pub struct Writer<H: Payload, T: Payload> {
+pub struct Writer<C: Channel> {
     port: u128,
-    service: Service,
     max_len: usize,
     /// The last frame, for readers that join later.
-    history: Option<Rc<Sent<H, T>>>,
+    history: Option<Rc<Sent<C>>>,
     keeps_history: bool,
     bus: Bus,
 }
 
-impl<H: Payload, T: Payload> Writer<H, T> {
-    fn open(bus: &Bus, service: Service, shape: Shape, max_len: usize) -> Result<Self, OpenError> {
+impl<C: Channel> Writer<C> {
+    fn open(bus: &Bus, limits: &Limits, max_len: usize) -> Result<Self, OpenError> {
+        let (service, shape) = (C::SERVICE, limits.shape(C::FLOW));
         host::operation();
         crate::left::check_left()?;
         bus.check()?;
@@ -86,7 +50,6 @@ impl<H: Payload, T: Payload> Writer<H, T> {
         })?;
         Ok(Self {
             port,
-            service,
             max_len,
             history: None,
             keeps_history: shape.history > 0,
@@ -100,9 +63,9 @@ impl<H: Payload, T: Payload> Writer<H, T> {
     /// [`SendError`].
     pub fn send(
         &mut self,
-        header: H,
+        header: C::Header,
         len: usize,
-        element: impl FnMut(usize) -> T,
+        element: impl FnMut(usize) -> C::Row,
     ) -> Result<usize, SendError> {
         self.check(len)?;
         let payload = outside(|| (0..len).map(element).collect());
@@ -113,11 +76,11 @@ impl<H: Payload, T: Payload> Writer<H, T> {
     ///
     /// # Errors
     /// [`SendError`].
-    pub fn loan_to_fill(&mut self, len: usize) -> Result<Loan<'_, H, T>, SendError> {
+    pub fn loan_to_fill(&mut self, len: usize) -> Result<Loan<'_, C>, SendError> {
         self.check(len)?;
         Ok(Loan {
-            header: H::default(),
-            payload: outside(|| vec![T::default(); len]),
+            header: C::Header::default(),
+            payload: outside(|| vec![C::Row::default(); len]),
             writer: self,
         })
     }
@@ -129,7 +92,7 @@ impl<H: Payload, T: Payload> Writer<H, T> {
             return;
         };
         for (pid, queue) in self.queues() {
-            if let Ok(queue) = queue.downcast::<RefCell<Queue<H, T>>>() {
+            if let Ok(queue) = queue.downcast::<RefCell<Queue<C>>>() {
                 let mut queue = queue.borrow_mut();
                 let mut connections = queue.connections.iter();
                 let is_new = !connections.any(|connection| connection.port == self.port);
@@ -148,7 +111,7 @@ impl<H: Payload, T: Payload> Writer<H, T> {
     /// Number of readers.
     #[must_use]
     pub fn readers(&self) -> usize {
-        with(self.service, |state| state.readers.len())
+        with(C::SERVICE, |state| state.readers.len())
     }
 
     /// Maximum number of elements per frame.
@@ -175,7 +138,7 @@ impl<H: Payload, T: Payload> Writer<H, T> {
         Ok(())
     }
 
-    fn deliver(&mut self, header: H, payload: Vec<T>) -> usize {
+    fn deliver(&mut self, header: C::Header, payload: Vec<C::Row>) -> usize {
         host::operation();
         if host::is_dead() {
             return 0;
@@ -190,7 +153,7 @@ impl<H: Payload, T: Payload> Writer<H, T> {
         let mut reached = 0;
         for (pid, queue) in self.queues() {
             // A process of another version would be refused by iceoryx2.
-            if let Ok(queue) = queue.downcast::<RefCell<Queue<H, T>>>() {
+            if let Ok(queue) = queue.downcast::<RefCell<Queue<C>>>() {
                 let is_reached = outside(|| self.push(&frame, pid, &mut queue.borrow_mut()));
                 reached += usize::from(is_reached);
             }
@@ -201,7 +164,7 @@ impl<H: Payload, T: Payload> Writer<H, T> {
 
     /// The readers' queues, each with the reader's process.
     fn queues(&self) -> Vec<(u32, Rc<dyn Any>)> {
-        with(self.service, |state| {
+        with(C::SERVICE, |state| {
             let readers = state.readers.iter();
             readers
                 .map(|reader| (reader.pid, Rc::clone(&reader.queue)))
@@ -210,7 +173,7 @@ impl<H: Payload, T: Payload> Writer<H, T> {
     }
 
     /// Puts a frame into the queue of a reader of process `pid`; the oldest is overwritten.
-    fn push(&self, frame: &Rc<Sent<H, T>>, pid: u32, queue: &mut Queue<H, T>) -> bool {
+    fn push(&self, frame: &Rc<Sent<C>>, pid: u32, queue: &mut Queue<C>) -> bool {
         let mut connections = queue.connections.iter_mut();
         let buffer = queue.buffer;
         if let Some(connection) = connections.find(|connection| connection.port == self.port) {
@@ -233,9 +196,9 @@ impl<H: Payload, T: Payload> Writer<H, T> {
     }
 }
 
-impl<H: Payload, T: Payload> Drop for Writer<H, T> {
+impl<C: Channel> Drop for Writer<C> {
     fn drop(&mut self) {
-        with(self.service, |state| {
+        with(C::SERVICE, |state| {
             state.writers.retain(|(port, _)| *port != self.port);
         });
     }
@@ -243,20 +206,20 @@ impl<H: Payload, T: Payload> Drop for Writer<H, T> {
 
 /// Memory of a frame to send.
 #[derive(Debug)]
-pub struct Loan<'a, H: Payload, T: Payload> {
-    header: H,
-    payload: Vec<T>,
-    writer: &'a mut Writer<H, T>,
+pub struct Loan<'a, C: Channel> {
+    header: C::Header,
+    payload: Vec<C::Row>,
+    writer: &'a mut Writer<C>,
 }
 
-impl<H: Payload, T: Payload> Loan<'_, H, T> {
+impl<C: Channel> Loan<'_, C> {
     /// The frame's header.
-    pub const fn header_mut(&mut self) -> &mut H {
+    pub const fn header_mut(&mut self) -> &mut C::Header {
         &mut self.header
     }
 
     /// The frame's slice.
-    pub fn payload_mut(&mut self) -> &mut [T] {
+    pub fn payload_mut(&mut self) -> &mut [C::Row] {
         &mut self.payload
     }
 
@@ -271,19 +234,19 @@ impl<H: Payload, T: Payload> Loan<'_, H, T> {
 
 /// Reads frames.
 #[derive(Debug)]
-pub struct Reader<H: Payload, T: Payload> {
+pub struct Reader<C: Channel> {
     number: u64,
-    held: Option<Rc<Sent<H, T>>>,
-    queue: Rc<RefCell<Queue<H, T>>>,
+    held: Option<Rc<Sent<C>>>,
+    queue: Rc<RefCell<Queue<C>>>,
     /// Frames that can be queued at once, of all writers.
     queued: usize,
-    service: Service,
     worker: Option<WorkerPorts>,
     bus: Bus,
 }
 
-impl<H: Payload, T: Payload> Reader<H, T> {
-    fn open(bus: &Bus, service: Service, shape: Shape) -> Result<Self, OpenError> {
+impl<C: Channel> Reader<C> {
+    fn open(bus: &Bus, limits: &Limits) -> Result<Self, OpenError> {
+        let (service, shape) = (C::SERVICE, limits.shape(C::FLOW));
         host::operation();
         crate::left::check_left()?;
         bus.check()?;
@@ -311,8 +274,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
             held: None,
             queue,
             queued: shape.buffer * shape.publishers,
-            service,
-            worker: (service != Service::Samples).then(|| WorkerPorts::new(&bus.domain)),
+            worker: (C::FLOW != Flow::Sources).then(|| WorkerPorts::new(&bus.domain)),
             bus: bus.clone(),
         })
     }
@@ -321,7 +283,10 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     ///
     /// # Errors
     /// [`ReceiveError`].
-    pub fn take_all(&mut self, mut each: impl FnMut(&H, &[T])) -> Result<(), ReceiveError> {
+    pub fn take_all(
+        &mut self,
+        mut each: impl FnMut(&C::Header, &[C::Row]),
+    ) -> Result<(), ReceiveError> {
         for _ in 0..self.queued {
             let Some(frame) = self.receive()? else {
                 break;
@@ -335,7 +300,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     ///
     /// # Errors
     /// [`ReceiveError`].
-    pub fn take_latest(&mut self) -> Result<Option<Frame<'_, H, T>>, ReceiveError> {
+    pub fn take_latest(&mut self) -> Result<Option<Frame<'_, C>>, ReceiveError> {
         let mut latest = None;
         while let Some(newer) = self.receive()? {
             latest = Some(newer);
@@ -352,7 +317,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     /// [`ReceiveError`].
     pub fn hold_latest(
         &mut self,
-        mut newer: impl FnMut(&H, &[T], u64) -> bool,
+        mut newer: impl FnMut(&C::Header, &[C::Row], u64) -> bool,
     ) -> Result<bool, ReceiveError> {
         let mut found = false;
         while let Some(frame) = self.receive()? {
@@ -367,14 +332,14 @@ impl<H: Payload, T: Payload> Reader<H, T> {
 
     /// The frame held.
     #[must_use]
-    pub fn held(&self) -> Option<(&H, &[T])> {
+    pub fn held(&self) -> Option<(&C::Header, &[C::Row])> {
         let held = self.held.as_ref()?;
         Some((&held.header, &held.payload))
     }
 
     /// Moves the frame of [`Reader::held`] out of the reader.
     #[must_use]
-    pub fn take_held(&mut self) -> Option<KeptFrame<H, T>> {
+    pub fn take_held(&mut self) -> Option<KeptFrame<C>> {
         let frame = self.held.take()?;
         Some(KeptFrame { frame })
     }
@@ -391,7 +356,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
         self.worker.as_ref().map_or(0, WorkerPorts::foreign)
     }
 
-    fn receive(&mut self) -> Result<Option<Rc<Sent<H, T>>>, ReceiveError> {
+    fn receive(&mut self) -> Result<Option<Rc<Sent<C>>>, ReceiveError> {
         host::operation();
         self.bus.check()?;
         let mut passed_over = 0;
@@ -411,7 +376,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     }
 
     /// The oldest frame of one of the writers, any of them.
-    fn pop(&mut self) -> Option<Rc<Sent<H, T>>> {
+    fn pop(&mut self) -> Option<Rc<Sent<C>>> {
         let queue = &mut *self.queue.borrow_mut();
         let count = queue.connections.len();
         if count == 0 {
@@ -424,7 +389,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
                 return Some(frame);
             }
         }
-        with(self.service, |state| {
+        with(C::SERVICE, |state| {
             let lives = |port: u128| state.writers.iter().any(|(other, _)| *other == port);
             queue
                 .connections
@@ -434,10 +399,10 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     }
 }
 
-impl<H: Payload, T: Payload> Drop for Reader<H, T> {
+impl<C: Channel> Drop for Reader<C> {
     fn drop(&mut self) {
         let number = self.number;
-        with(self.service, |state| {
+        with(C::SERVICE, |state| {
             state.readers.retain(|reader| reader.number != number);
         });
     }
@@ -445,41 +410,41 @@ impl<H: Payload, T: Payload> Drop for Reader<H, T> {
 
 /// A frame that is kept while this value lives.
 #[derive(Debug)]
-pub struct KeptFrame<H: Payload, T: Payload> {
-    frame: Rc<Sent<H, T>>,
+pub struct KeptFrame<C: Channel> {
+    frame: Rc<Sent<C>>,
 }
 
-impl<H: Payload, T: Payload> KeptFrame<H, T> {
+impl<C: Channel> KeptFrame<C> {
     /// The frame's header.
     #[must_use]
-    pub fn header(&self) -> &H {
+    pub fn header(&self) -> &C::Header {
         &self.frame.header
     }
 
     /// The frame's slice.
     #[must_use]
-    pub fn payload(&self) -> &[T] {
+    pub fn payload(&self) -> &[C::Row] {
         &self.frame.payload
     }
 }
 
 /// A frame that was received.
 #[derive(Debug)]
-pub struct Frame<'a, H: Payload, T: Payload> {
-    sent: Rc<Sent<H, T>>,
-    reader: PhantomData<&'a mut Reader<H, T>>,
+pub struct Frame<'a, C: Channel> {
+    sent: Rc<Sent<C>>,
+    reader: PhantomData<&'a mut Reader<C>>,
 }
 
-impl<H: Payload, T: Payload> Frame<'_, H, T> {
+impl<C: Channel> Frame<'_, C> {
     /// The frame's header.
     #[must_use]
-    pub fn header(&self) -> &H {
+    pub fn header(&self) -> &C::Header {
         &self.sent.header
     }
 
     /// The frame's slice.
     #[must_use]
-    pub fn payload(&self) -> &[T] {
+    pub fn payload(&self) -> &[C::Row] {
         &self.sent.payload
     }
 }
@@ -500,7 +465,7 @@ pub fn taken_frames() -> Vec<Taken> {
 /// The worker's port for samples.
 #[derive(Debug)]
 pub struct SampleReader {
-    reader: Reader<SampleHeader, Sample>,
+    reader: Reader<Samples>,
 }
 
 impl SampleReader {
@@ -526,7 +491,7 @@ impl SampleReader {
 /// A frame of samples that is being received.
 #[derive(Debug)]
 pub struct IncomingFrame<'a> {
-    sent: Rc<Sent<SampleHeader, Sample>>,
+    sent: Rc<Sent<Samples>>,
     kept: usize,
     copied: usize,
     reader: PhantomData<&'a mut SampleReader>,
@@ -574,7 +539,7 @@ impl IncomingFrame<'_> {
 /// A source's port.
 #[derive(Debug)]
 pub struct SampleWriter {
-    writer: Writer<SampleHeader, Sample>,
+    writer: Writer<Samples>,
     waker: Waker,
 }
 
@@ -588,10 +553,11 @@ impl SampleWriter {
         header: SampleHeader,
         len: usize,
         sample: impl FnMut(usize) -> Sample,
-    ) -> Result<usize, SendError> {
-        let readers = self.writer.send(header, len, sample)?;
-        self.waker.wake(WakeEvent::Frame).map_err(SendError::Wake)?;
-        Ok(readers)
+    ) -> Result<Sent, SendError> {
+        Ok(Sent {
+            readers: self.writer.send(header, len, sample)?,
+            not_woken: self.waker.wake(WakeEvent::Frame).err(),
+        })
     }
 
     /// Maximum number of samples per frame.
@@ -607,107 +573,7 @@ impl SampleWriter {
     }
 }
 
-/// A method that opens a port, as of the real bus.
-macro_rules! opens {
-    ($(#[$about:meta] $name:ident -> $port:ty: $open:expr;)*) => {
-        impl Bus {
-            $(
-                #[$about]
-                ///
-                /// # Errors
-                /// [`OpenError`].
-                pub fn $name(&self, limits: &Limits) -> Result<$port, OpenError> {
-                    ($open)(self, limits)
-                }
-            )*
-        }
-    };
-}
-
-opens! {
-    /// The worker's port for samples.
-    sample_reader -> SampleReader: |bus, limits: &Limits| {
-        Reader::open(bus, Service::Samples, limits.samples()).map(|reader| SampleReader { reader })
-    };
-    /// A recorder's port for samples.
-    sample_tap -> SampleTap: |bus, limits: &Limits| {
-        Reader::open(bus, Service::Samples, limits.samples())
-    };
-    /// The worker's port for forecasts.
-    forecast_writer -> ForecastWriter: |bus, limits: &Limits| {
-        Writer::open(bus, Service::Forecasts, limits.forecasts(), limits.capacity)
-    };
-    /// A planner's port for forecasts.
-    forecast_reader -> ForecastReader: |bus, limits: &Limits| {
-        Reader::open(bus, Service::Forecasts, limits.forecasts())
-    };
-    /// The worker's port for diagnostics.
-    diagnostic_writer -> DiagnosticWriter: |bus, limits: &Limits| {
-        Writer::open(bus, Service::Diagnostics, limits.diagnostics(), limits.capacity)
-    };
-    /// A planner's port for diagnostics.
-    diagnostic_reader -> DiagnosticReader: |bus, limits: &Limits| {
-        Reader::open(bus, Service::Diagnostics, limits.diagnostics())
-    };
-    /// The worker's port for budgets.
-    budget_writer -> BudgetWriter: |bus, limits: &Limits| {
-        Writer::open(bus, Service::Budgets, limits.budgets(), limits.capacity)
-    };
-    /// The worker's port for what plans start from.
-    plan_state_writer -> PlanStateWriter: |bus, limits: &Limits| {
-        Writer::open(bus, Service::PlanStates, limits.plan_states(), limits.capacity)
-    };
-    /// A planner's port for what plans start from.
-    plan_state_reader -> PlanStateReader: |bus, limits: &Limits| {
-        Reader::open(bus, Service::PlanStates, limits.plan_states())
-    };
-    /// A planner's port for budgets.
-    budget_reader -> BudgetReader: |bus, limits: &Limits| {
-        Reader::open(bus, Service::Budgets, limits.budgets())
-    };
-    /// The worker's port for its journal.
-    tick_writer -> TickWriter: |bus, limits: &Limits| {
-        Writer::open(bus, Service::Ticks, limits.ticks(), limits.listed_frames())
-    };
-    /// A recorder's port for the worker's journal.
-    tick_reader -> TickReader: |bus, limits: &Limits| {
-        Reader::open(bus, Service::Ticks, limits.ticks())
-    };
-    /// The worker's port for keyframes.
-    state_writer -> StateWriter: |bus, limits: &Limits| {
-        Writer::open(bus, Service::State, limits.state(), limits.state_piece_bytes())
-    };
-    /// A recorder's port for keyframes.
-    state_reader -> StateReader: |bus, limits: &Limits| {
-        Reader::open(bus, Service::State, limits.state())
-    };
-    /// The worker's port for records of questions.
-    queries_writer -> QueriesWriter: |bus, limits: &Limits| {
-        Writer::open(bus, Service::Queries, limits.queries(), joulebus_wire::RECORD_WORDS)
-    };
-    /// The worker's port for questions.
-    query_server -> QueryServer: |bus, limits: &Limits| QueryServer::open(bus, limits);
-    /// A client's port for questions.
-    query_client -> QueryClient: |bus, limits: &Limits| QueryClient::open(bus, limits);
-    /// A recorder's port for records of questions.
-    queries_reader -> QueriesReader: |bus, limits: &Limits| {
-        Reader::open(bus, Service::Queries, limits.queries())
-    };
-    /// Waits for samples.
-    arrivals_waiter -> Waiter: |bus, _: &Limits| Waiter::open(bus, Service::Arrivals);
-    /// Wakes planners.
-    planner_waker -> Waker: |bus, _: &Limits| Waker::open(bus, Service::Wake);
-    /// Waits for forecasts.
-    planner_waiter -> Waiter: |bus, _: &Limits| Waiter::open(bus, Service::Wake);
-}
-
 impl Bus {
-    /// Waits for times.
-    #[must_use]
-    pub fn planner_poller(&self) -> Poller {
-        Poller::new(self)
-    }
-
     /// A source's port.
     ///
     /// # Errors
@@ -718,8 +584,78 @@ impl Bus {
         max_len: usize,
     ) -> Result<SampleWriter, OpenError> {
         Ok(SampleWriter {
-            writer: Writer::open(self, Service::Samples, limits.samples(), max_len)?,
-            waker: Waker::open(self, Service::Arrivals)?,
+            writer: Writer::open(self, limits, max_len)?,
+            waker: Waker::open(self, Service::ARRIVALS)?,
         })
+    }
+
+    /// The worker's port for samples.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn sample_reader(&self, limits: &Limits) -> Result<SampleReader, OpenError> {
+        self.reader(limits).map(|reader| SampleReader { reader })
+    }
+
+    /// Reads a channel.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn reader<C: Channel>(&self, limits: &Limits) -> Result<Reader<C>, OpenError> {
+        Reader::open(self, limits)
+    }
+
+    /// Writes a channel.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn writer<C: Channel>(&self, limits: &Limits) -> Result<Writer<C>, OpenError> {
+        Writer::open(self, limits, limits.rows(C::ROWS))
+    }
+
+    /// The worker's port for questions.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn query_server(&self, limits: &Limits) -> Result<QueryServer, OpenError> {
+        QueryServer::open(self, limits)
+    }
+
+    /// A client's port for questions.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn query_client(&self, limits: &Limits) -> Result<QueryClient, OpenError> {
+        QueryClient::open(self, limits)
+    }
+
+    /// Waits for samples.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn arrivals_waiter(&self, _: &Limits) -> Result<Waiter, OpenError> {
+        Waiter::open(self, Service::ARRIVALS)
+    }
+
+    /// Wakes planners.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn planner_waker(&self, _: &Limits) -> Result<Waker, OpenError> {
+        Waker::open(self, Service::WAKE)
+    }
+
+    /// Waits for forecasts.
+    ///
+    /// # Errors
+    /// [`OpenError`].
+    pub fn planner_waiter(&self, _: &Limits) -> Result<Waiter, OpenError> {
+        Waiter::open(self, Service::WAKE)
+    }
+
+    /// Waits for times.
+    #[must_use]
+    pub fn planner_poller(&self) -> Poller {
+        Poller::new(self)
     }
 }

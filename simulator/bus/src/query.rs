@@ -12,8 +12,8 @@ use crate::liveness::worker_lock::WorkerLock;
 use crate::liveness::worker_ports::WorkerPorts;
 use crate::queues::port_id;
 use crate::{
-    Bus, Limits, OpenError, PeerWatch, QueryError, ReceiveError, SendError, WaitError, Waiter,
-    Waker, clock,
+    Bus, Limits, OpenError, PeerWatch, QueryError, ReceiveError, SendError, Sent, WaitError,
+    Waiter, Waker, clock,
 };
 
 #[path = "../../../crates/bus/src/ports/worn.rs"]
@@ -88,7 +88,7 @@ pub(crate) fn remove_process(pid: u32) {
 
 fn refused(reason: &str) -> OpenError {
     OpenError::Port {
-        service: Service::Ask.name(),
+        service: Service::ASK.name(),
         reason: reason.to_owned(),
     }
 }
@@ -111,8 +111,8 @@ pub struct OpenQuery {
 
 impl QueryServer {
     pub(crate) fn open(bus: &Bus, _: &Limits) -> Result<Self, OpenError> {
-        let asked = Waiter::open(bus, Service::Asked)?;
-        let answered = Waker::open(bus, Service::Answered)?;
+        let asked = Waiter::open(bus, Service::ASKED)?;
+        let answered = Waker::open(bus, Service::ANSWERED)?;
         let server = outside(|| {
             Rc::new(Server {
                 port: port_id(bus.pid),
@@ -175,7 +175,7 @@ impl QueryServer {
         header: AnswerHeader,
         listener: u128,
         words: &[u64],
-    ) -> Result<(), SendError> {
+    ) -> Result<Sent, SendError> {
         host::operation();
         self.bus.check()?;
         if !host::is_dead() {
@@ -183,7 +183,10 @@ impl QueryServer {
             *query.transfer.answer.borrow_mut() = Some((header, words));
         }
         let woken = self.answered.wake_one(listener, WakeEvent::Frame);
-        woken.map_err(SendError::Wake)
+        Ok(Sent {
+            readers: 1,
+            not_woken: woken.err(),
+        })
     }
 
     /// Waits for questions.
@@ -263,8 +266,8 @@ pub struct QueryClient {
 
 impl QueryClient {
     pub(crate) fn open(bus: &Bus, limits: &Limits) -> Result<Self, OpenError> {
-        let answered = Waiter::open(bus, Service::Answered)?;
-        let asked = Waker::open(bus, Service::Asked)?;
+        let answered = Waiter::open(bus, Service::ANSWERED)?;
+        let asked = Waker::open(bus, Service::ASKED)?;
         let port = port_id(bus.pid);
         with(|state| {
             if state.clients.len() == limits.query_clients() {

@@ -2,33 +2,33 @@
 
 use std::any::Any;
 use std::cell::{Cell, RefCell};
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::rc::Rc;
 
 use joulebus_simulated_host::{self as host, memory::outside};
-use joulebus_wire::Service;
+use joulebus_wire::{Channel, Service};
 
 use crate::Woken;
 
 /// A frame that was sent.
 #[derive(Debug)]
-pub(crate) struct Sent<H, T> {
-    pub(crate) header: H,
-    pub(crate) payload: Vec<T>,
+pub(crate) struct Sent<C: Channel> {
+    pub(crate) header: C::Header,
+    pub(crate) payload: Vec<C::Row>,
     pub(crate) port: u128,
 }
 
 /// Frames of one writer that a reader has not taken.
 #[derive(Debug)]
-pub(crate) struct Connection<H, T> {
+pub(crate) struct Connection<C: Channel> {
     pub(crate) port: u128,
-    pub(crate) frames: VecDeque<Rc<Sent<H, T>>>,
+    pub(crate) frames: VecDeque<Rc<Sent<C>>>,
 }
 
 /// The queue of a reader.
 #[derive(Debug)]
-pub(crate) struct Queue<H, T> {
-    pub(crate) connections: Vec<Connection<H, T>>,
+pub(crate) struct Queue<C: Channel> {
+    pub(crate) connections: Vec<Connection<C>>,
     pub(crate) buffer: usize,
     pub(crate) failed: u64,
 }
@@ -58,14 +58,13 @@ pub(crate) struct State {
     pub(crate) waiting: Vec<Rc<Waiting>>,
 }
 
-const SERVICES: usize = Service::ALL.len();
-
 thread_local! {
-    static STATES: RefCell<[State; SERVICES]> = RefCell::default();
+    /// By the name of the service.
+    static STATES: RefCell<BTreeMap<&'static str, State>> = RefCell::default();
 }
 
 pub(crate) fn with<T>(service: Service, work: impl FnOnce(&mut State) -> T) -> T {
-    outside(|| STATES.with_borrow_mut(|states| work(&mut states[service as usize])))
+    outside(|| STATES.with_borrow_mut(|states| work(states.entry(service.name()).or_default())))
 }
 
 /// Begins with empty queues.
@@ -77,7 +76,7 @@ pub(crate) fn begin() {
 pub(crate) fn remove_process(pid: u32) {
     let removed = STATES.with_borrow_mut(|states| {
         let mut removed = Vec::new();
-        for state in states {
+        for state in states.values_mut() {
             state.writers.retain(|(_, of)| *of != pid);
             state.waiting.retain(|waiting| waiting.pid != pid);
             let (gone, left) = std::mem::take(&mut state.readers)
@@ -95,7 +94,7 @@ pub(crate) fn remove_process(pid: u32) {
 pub(crate) fn size() -> usize {
     STATES.with_borrow(|states| {
         let ports = |state: &State| state.readers.len() + state.writers.len() + state.waiting.len();
-        states.iter().map(ports).sum()
+        states.values().map(ports).sum()
     })
 }
 

@@ -16,7 +16,7 @@ use joulebus_eval::evaluate::{Evaluation, RobotEvaluation, Step, evaluate};
 use joulebus_models::load_models;
 use joulebus_testkit::recordings::trials;
 use joulebus_tests::{Child, PATIENCE, program};
-use joulebus_wire::{Diagnostic, Forecast, Quality};
+use joulebus_wire::{Diagnostic, Diagnostics, Forecast, Forecasts, Quality};
 
 /// 100 Robotino trials, 12 of the Husky and 12 of the rover, with the ids of the config below.
 fn fleet() -> Option<Vec<(u32, PathBuf)>> {
@@ -94,8 +94,8 @@ impl Published {
         let bus = Bus::join(&config.domain().unwrap(), "planner").unwrap();
         let limits = config.limits();
         let mut waiter = bus.planner_waiter(&limits).unwrap();
-        let mut forecasts = bus.forecast_reader(&limits).unwrap();
-        let mut diagnostics = bus.diagnostic_reader(&limits).unwrap();
+        let mut forecasts = bus.reader::<Forecasts>(&limits).unwrap();
+        let mut diagnostics = bus.reader::<Diagnostics>(&limits).unwrap();
         let mut published = Self::default();
         let mut rounds_after = 0;
         let begun = Instant::now();

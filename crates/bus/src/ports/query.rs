@@ -28,7 +28,7 @@ use super::repair::Repair;
 use super::service::{self, OpenError, QueryFactory};
 use super::wait::{WaitError, Waiter, Waker};
 use super::worn::Wear;
-use super::{ReceiveError, SendError};
+use super::{ReceiveError, SendError, Sent};
 use crate::ipc::Ipc;
 use crate::liveness::kept::Kept;
 use crate::liveness::worker_lock::{Owner, WorkerLock};
@@ -82,8 +82,8 @@ impl QueryServer {
         check_free(usize::try_from(needed).unwrap_or(usize::MAX))?;
         let events = limits.query_events();
         // The waiter first: a question that arrives in between is found without an event.
-        let asked = Waiter::open(bus, Service::Asked, limits, (events.1, events.0))?;
-        let answered = Waker::open(bus, Service::Answered, limits, events)?;
+        let asked = Waiter::open(bus, Service::ASKED, limits, (events.1, events.0))?;
+        let answered = Waker::open(bus, Service::ANSWERED, limits, events)?;
         let factory = service::open_queries(bus, limits)?;
         let failures = Failures::new();
         let server = factory
@@ -95,7 +95,7 @@ impl QueryServer {
             .set_request_degradation_handler(failures.handler(|info| info.sender_port_id))
             .set_response_degradation_handler(|_, _| DegradationAction::Ignore)
             .create()
-            .map_err(|reason| OpenError::port(Service::Ask, reason))?;
+            .map_err(|reason| OpenError::port(Service::ASK, reason))?;
         service::check_shortage()?;
         let id = server.id().value();
         memory::populate(&id.to_string());
@@ -152,14 +152,14 @@ impl QueryServer {
     /// Answers a question and wakes its client. The words beyond [`ANSWER_WORDS`] are not sent.
     ///
     /// # Errors
-    /// [`SendError`]; nothing was sent, or the client was not woken and finds the answer within 100 ms.
+    /// [`SendError`]; nothing was sent.
     pub fn answer(
         &self,
         query: &OpenQuery,
         header: AnswerHeader,
         listener: u128,
         words: &[u64],
-    ) -> Result<(), SendError> {
+    ) -> Result<Sent, SendError> {
         self.member.presence.check()?;
         let words = &words[..words.len().min(ANSWER_WORDS)];
         let loan = query.request.loan_slice_uninit(words.len());
@@ -167,7 +167,10 @@ impl QueryServer {
         *response.user_header_mut() = header;
         response.send().map_err(SendError::send)?;
         let woken = self.answered.wake_one(listener, WakeEvent::Frame);
-        woken.map_err(SendError::Wake)
+        Ok(Sent {
+            readers: 1,
+            not_woken: woken.err(),
+        })
     }
 
     /// Waits for questions, at most until `deadline_ns` (monotonic), and at most 100 ms.
@@ -247,8 +250,8 @@ impl QueryClient {
         let needed = client_bytes();
         check_free(usize::try_from(needed).unwrap_or(usize::MAX))?;
         let events = limits.query_events();
-        let answered = Waiter::open(bus, Service::Answered, limits, events)?;
-        let asked = Waker::open(bus, Service::Asked, limits, (events.1, events.0))?;
+        let answered = Waiter::open(bus, Service::ANSWERED, limits, events)?;
+        let asked = Waker::open(bus, Service::ASKED, limits, (events.1, events.0))?;
         let factory = service::open_queries(bus, limits)?;
         let create = || {
             factory
@@ -262,7 +265,7 @@ impl QueryClient {
         };
         let is_full = |error: &_| matches!(error, ClientCreateError::ExceedsMaxSupportedClients);
         let client = service::create(bus, create, is_full)
-            .map_err(|reason| OpenError::port(Service::Ask, reason))?;
+            .map_err(|reason| OpenError::port(Service::ASK, reason))?;
         service::check_shortage()?;
         let id = client.id().value();
         memory::populate(&id.to_string());

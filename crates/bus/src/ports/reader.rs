@@ -9,7 +9,7 @@ use iceoryx2::prelude::CallbackProgression;
 use iceoryx2::sample::Sample as Borrowed;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
-use joulebus_wire::{Payload, Service};
+use joulebus_wire::{Channel, Flow};
 
 use super::degradation::Failures;
 use super::repair::Repair;
@@ -19,21 +19,27 @@ use crate::liveness::kept::Kept;
 use crate::liveness::worker_ports::WorkerPorts;
 use crate::membership::Membership;
 use crate::{Bus, FilesRemoved, Limits, clock};
-use joulebus_domain::Shape;
 
 /// Maximum number of frames of other processes than the worker that one call skips.
 const MOST_PASSED_OVER: u32 = 4_096;
 
 /// A port and its service.
-type Port<H, T> = (Subscriber<Ipc, [T], H>, PortFactory<Ipc, [T], H>);
+type Port<C> = (
+    Subscriber<Ipc, [<C as Channel>::Row], <C as Channel>::Header>,
+    Factory<C>,
+);
+/// A frame that was received.
+type Received<C> = Borrowed<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
+/// What a subscriber is made with.
+type Factory<C> = PortFactory<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
 
 /// Reads frames in place; on a service of the worker, only those of the process that holds the worker's
 /// lock.
 #[derive(Debug)]
-pub struct Reader<H: Payload, T: Payload> {
+pub struct Reader<C: Channel> {
     // Dropped in this order: held frame, port, factory, membership.
-    held: Option<Borrowed<Ipc, [T], H>>,
-    port: Kept<Port<H, T>>,
+    held: Option<Received<C>>,
+    port: Kept<Port<C>>,
     buffer: usize,
     /// Frames that can be queued at once, of all writers.
     queued: usize,
@@ -44,16 +50,12 @@ pub struct Reader<H: Payload, T: Payload> {
     member: Rc<Membership>,
 }
 
-impl<H: Payload, T: Payload> Reader<H, T> {
-    pub(super) fn open(
-        bus: &Bus,
-        service: Service,
-        limits: &Limits,
-        shape: Shape,
-    ) -> Result<Self, OpenError> {
-        let factory = service::open::<H, T>(bus, service, limits, shape)?;
+impl<C: Channel> Reader<C> {
+    pub(super) fn open(bus: &Bus, limits: &Limits) -> Result<Self, OpenError> {
+        let (service, shape) = (C::SERVICE, limits.shape(C::FLOW));
+        let factory = service::open::<C>(bus, limits)?;
         let failures = Failures::new();
-        let create = || subscribe(&factory, shape.buffer, &failures);
+        let create = || subscribe::<C>(&factory, shape.buffer, &failures);
         let is_full =
             |error: &_| matches!(error, SubscriberCreateError::ExceedsMaxSupportedSubscribers);
         let subscriber = service::create(bus, create, is_full)
@@ -68,7 +70,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
             queued: shape.buffer * shape.publishers,
             failures,
             repair: Repair::default(),
-            worker: (service != Service::Samples).then(|| WorkerPorts::new(bus.domain())),
+            worker: (C::FLOW != Flow::Sources).then(|| WorkerPorts::new(bus.domain())),
             member: Rc::clone(&bus.member),
         })
     }
@@ -78,7 +80,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     ///
     /// # Errors
     /// [`ReceiveError`]; the next call may succeed.
-    pub fn take_next(&mut self) -> Result<Option<Frame<'_, H, T>>, ReceiveError> {
+    pub fn take_next(&mut self) -> Result<Option<Frame<'_, C>>, ReceiveError> {
         Ok(self.receive()?.map(Frame::new))
     }
 
@@ -87,7 +89,10 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     ///
     /// # Errors
     /// [`ReceiveError`]; the next call may succeed.
-    pub fn take_all(&mut self, mut each: impl FnMut(&H, &[T])) -> Result<(), ReceiveError> {
+    pub fn take_all(
+        &mut self,
+        mut each: impl FnMut(&C::Header, &[C::Row]),
+    ) -> Result<(), ReceiveError> {
         for _ in 0..self.queued {
             let Some(frame) = self.receive()? else {
                 break;
@@ -101,7 +106,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     ///
     /// # Errors
     /// [`ReceiveError`]; the next call may succeed.
-    pub fn take_latest(&mut self) -> Result<Option<Frame<'_, H, T>>, ReceiveError> {
+    pub fn take_latest(&mut self) -> Result<Option<Frame<'_, C>>, ReceiveError> {
         let mut latest = None;
         while let Some(newer) = self.receive()? {
             latest = Some(newer);
@@ -119,7 +124,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     /// [`ReceiveError`] if nothing newer was found; the next call may succeed.
     pub fn hold_latest(
         &mut self,
-        mut newer: impl FnMut(&H, &[T], u64) -> bool,
+        mut newer: impl FnMut(&C::Header, &[C::Row], u64) -> bool,
     ) -> Result<bool, ReceiveError> {
         let mut found = false;
         loop {
@@ -141,7 +146,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     /// The frame held by [`Reader::hold_latest`]: its header and its slice. Its writer could still
     /// change it (it does not): copy it where that matters.
     #[must_use]
-    pub fn held(&self) -> Option<(&H, &[T])> {
+    pub fn held(&self) -> Option<(&C::Header, &[C::Row])> {
         let held = self.held.as_ref()?;
         Some((held.user_header(), held.payload()))
     }
@@ -149,7 +154,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     /// Moves the frame of [`Reader::held`] out of the reader, to keep it for longer. Of the forecasts, a
     /// process can keep two beside the newest; with more, receiving is an error until one is dropped.
     #[must_use]
-    pub fn take_held(&mut self) -> Option<KeptFrame<H, T>> {
+    pub fn take_held(&mut self) -> Option<KeptFrame<C>> {
         let frame = self.held.take()?;
         Some(KeptFrame {
             frame,
@@ -175,7 +180,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
 
     /// A writer that dies while its connection is established leaves a failed connection, which is
     /// not an error: only one to a writer that is still there three seconds later is.
-    pub(super) fn receive(&mut self) -> Result<Option<Borrowed<Ipc, [T], H>>, ReceiveError> {
+    pub(super) fn receive(&mut self) -> Result<Option<Received<C>>, ReceiveError> {
         self.member.presence.check()?;
         let mut passed_over = 0;
         loop {
@@ -223,7 +228,7 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     fn reconnect(&mut self) -> Result<(), ReceiveError> {
         self.member.presence.look()?;
         let before = self.failures.count();
-        let created = subscribe(&self.port.1, self.buffer, &self.failures);
+        let created = subscribe::<C>(&self.port.1, self.buffer, &self.failures);
         let connections = self.failures.count();
         let is_whole = created.is_ok() && connections == before;
         self.repair.retried(connections, is_whole);
@@ -238,11 +243,11 @@ impl<H: Payload, T: Payload> Reader<H, T> {
     }
 }
 
-fn subscribe<H: Payload, T: Payload>(
-    factory: &PortFactory<Ipc, [T], H>,
+fn subscribe<C: Channel>(
+    factory: &Factory<C>,
     buffer: usize,
     failures: &Arc<Failures>,
-) -> Result<Subscriber<Ipc, [T], H>, SubscriberCreateError> {
+) -> Result<Subscriber<Ipc, [C::Row], C::Header>, SubscriberCreateError> {
     factory
         .subscriber_builder()
         .buffer_size(buffer)
@@ -254,13 +259,13 @@ fn subscribe<H: Payload, T: Payload>(
 ///
 /// Its writer could still change it (it does not): copy it where that matters.
 #[derive(Debug)]
-pub struct Frame<'a, H: Payload, T: Payload> {
-    sample: Borrowed<Ipc, [T], H>,
-    reader: PhantomData<&'a mut Reader<H, T>>,
+pub struct Frame<'a, C: Channel> {
+    sample: Received<C>,
+    reader: PhantomData<&'a mut Reader<C>>,
 }
 
-impl<H: Payload, T: Payload> Frame<'_, H, T> {
-    const fn new(sample: Borrowed<Ipc, [T], H>) -> Self {
+impl<C: Channel> Frame<'_, C> {
+    const fn new(sample: Received<C>) -> Self {
         Self {
             sample,
             reader: PhantomData,
@@ -269,13 +274,13 @@ impl<H: Payload, T: Payload> Frame<'_, H, T> {
 
     /// The frame's header.
     #[must_use]
-    pub fn header(&self) -> &H {
+    pub fn header(&self) -> &C::Header {
         self.sample.user_header()
     }
 
     /// The frame's slice.
     #[must_use]
-    pub fn payload(&self) -> &[T] {
+    pub fn payload(&self) -> &[C::Row] {
         self.sample.payload()
     }
 }
@@ -283,22 +288,22 @@ impl<H: Payload, T: Payload> Frame<'_, H, T> {
 /// A frame in shared memory that is kept while this value lives, whatever becomes of its reader. The process is a
 /// member of the domain as long. Belongs to the reader's thread.
 #[derive(Debug)]
-pub struct KeptFrame<H: Payload, T: Payload> {
+pub struct KeptFrame<C: Channel> {
     // Dropped in this order.
-    frame: Borrowed<Ipc, [T], H>,
+    frame: Received<C>,
     _member: Rc<Membership>,
 }
 
-impl<H: Payload, T: Payload> KeptFrame<H, T> {
+impl<C: Channel> KeptFrame<C> {
     /// The frame's header.
     #[must_use]
-    pub fn header(&self) -> &H {
+    pub fn header(&self) -> &C::Header {
         self.frame.user_header()
     }
 
     /// The frame's slice.
     #[must_use]
-    pub fn payload(&self) -> &[T] {
+    pub fn payload(&self) -> &[C::Row] {
         self.frame.payload()
     }
 }

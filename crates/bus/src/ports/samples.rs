@@ -3,12 +3,12 @@
 use std::marker::PhantomData;
 
 use iceoryx2::sample::Sample as Borrowed;
-use joulebus_wire::{Sample, SampleHeader, Service, WakeEvent};
+use joulebus_wire::{Sample, SampleHeader, Samples, Service, WakeEvent};
 
 use super::reader::{Reader, ReceiveError};
 use super::service::OpenError;
 use super::wait::Waker;
-use super::writer::{SendError, Writer};
+use super::writer::{SendError, Sent, Writer};
 use crate::ipc::Ipc;
 use crate::os::memory;
 use crate::{Bus, Limits};
@@ -19,13 +19,13 @@ const MAPPED: usize = 256;
 /// The worker's port for samples of all sources.
 #[derive(Debug)]
 pub struct SampleReader {
-    reader: Reader<SampleHeader, Sample>,
+    reader: Reader<Samples>,
     /// Ports of sources whose memory is completely mapped.
     mapped: Vec<u128>,
 }
 
 impl SampleReader {
-    pub(crate) fn new(reader: Reader<SampleHeader, Sample>) -> Self {
+    pub(crate) fn new(reader: Reader<Samples>) -> Self {
         Self {
             reader,
             mapped: Vec::with_capacity(MAPPED),
@@ -188,7 +188,7 @@ fn touched(capacity: usize) -> Vec<Sample> {
 /// A source's port: sends frames of samples and wakes the worker.
 #[derive(Debug)]
 pub struct SampleWriter {
-    writer: Writer<SampleHeader, Sample>,
+    writer: Writer<Samples>,
     waker: Waker,
 }
 
@@ -201,26 +201,26 @@ impl SampleWriter {
             });
         }
         Ok(Self {
-            writer: Writer::open(bus, Service::Samples, limits, limits.samples(), max_len)?,
-            waker: Waker::open(bus, Service::Arrivals, limits, limits.arrivals())?,
+            writer: Writer::open(bus, limits, max_len)?,
+            waker: Waker::open(bus, Service::ARRIVALS, limits, limits.arrivals())?,
         })
     }
 
     /// Sends a frame of `len` samples, sample `i` being `sample(i)`, written directly to shared
-    /// memory, and wakes the worker. Returns the number of readers reached: 0 means that no worker
-    /// runs.
+    /// memory, and wakes the worker. [`Sent::readers`] is 0 if no worker runs.
     ///
     /// # Errors
-    /// [`SendError`]; [`SendError::Wake`] if the frame was sent but the worker not woken.
+    /// [`SendError`]; nothing was sent.
     pub fn send(
         &mut self,
         header: SampleHeader,
         len: usize,
         sample: impl FnMut(usize) -> Sample,
-    ) -> Result<usize, SendError> {
-        let readers = self.writer.send(header, len, sample)?;
-        self.waker.wake(WakeEvent::Frame).map_err(SendError::Wake)?;
-        Ok(readers)
+    ) -> Result<Sent, SendError> {
+        Ok(Sent {
+            readers: self.writer.send(header, len, sample)?,
+            not_woken: self.waker.wake(WakeEvent::Frame).err(),
+        })
     }
 
     /// Maximum number of samples per frame.

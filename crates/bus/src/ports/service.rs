@@ -17,7 +17,7 @@ use iceoryx2::service::port_factory::PortFactory as PortFactoryOfAny;
 use iceoryx2::service::port_factory::event::PortFactory as EventFactory;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use iceoryx2::service::port_factory::request_response::PortFactory as RequestResponseFactory;
-use joulebus_wire::{AnswerHeader, Payload, QueryHeader, Service, WakeEvent, service_name};
+use joulebus_wire::{AnswerHeader, Channel, QueryHeader, Service, WakeEvent, service_name};
 
 use crate::cleanup::dead_nodes::remove_dead_nodes;
 use crate::cleanup::incomplete::{Abandoned, remove_incomplete};
@@ -27,7 +27,7 @@ use crate::liveness::presence::Need;
 use crate::preflight::{PORT_BYTES, check_left};
 use crate::reserved::take_shortage;
 use crate::{Bus, CapacityError, FilesRemoved, Limits, SweepReport, clock};
-use joulebus_domain::{ACTIVE_QUERIES, Shape};
+use joulebus_domain::ACTIVE_QUERIES;
 
 /// The attribute of a service with its limits.
 const LIMITS_KEY: &[u8] = b"joulebus.limits";
@@ -35,12 +35,11 @@ const LIMITS_KEY: &[u8] = b"joulebus.limits";
 const OPEN_LIMIT_NS: u64 = 4_000_000_000;
 const OPEN_AGAIN_AFTER: Duration = Duration::from_millis(20);
 
-pub(super) fn open<H: Payload, T: Payload>(
+pub(super) fn open<C: Channel>(
     bus: &Bus,
-    service: Service,
     limits: &Limits,
-    shape: Shape,
-) -> Result<PortFactory<Ipc, [T], H>, OpenError> {
+) -> Result<PortFactory<Ipc, [C::Row], C::Header>, OpenError> {
+    let (service, shape) = (C::SERVICE, limits.shape(C::FLOW));
     bus.member.presence.look()?;
     // Of an earlier attempt.
     let _ = take_shortage();
@@ -48,8 +47,8 @@ pub(super) fn open<H: Payload, T: Payload>(
     let open = || {
         bus.node
             .service_builder(&name)
-            .publish_subscribe::<[T]>()
-            .user_header::<H>()
+            .publish_subscribe::<[C::Row]>()
+            .user_header::<C::Header>()
             .max_publishers(shape.publishers)
             .max_subscribers(shape.subscribers)
             .max_nodes(limits.nodes())
@@ -109,7 +108,7 @@ pub(super) fn open_queries(bus: &Bus, limits: &Limits) -> Result<QueryFactory, O
     bus.member.presence.look()?;
     // Of an earlier attempt.
     let _ = take_shortage();
-    let name = name(bus, Service::Ask)?;
+    let name = name(bus, Service::ASK)?;
     let open = || {
         bus.node
             .service_builder(&name)
@@ -136,7 +135,7 @@ pub(super) fn open_queries(bus: &Bus, limits: &Limits) -> Result<QueryFactory, O
             )
         );
         let pattern = MessagingPattern::RequestResponse;
-        refused(bus, Service::Ask, limits, pattern, differs, reason)
+        refused(bus, Service::ASK, limits, pattern, differs, reason)
     })
 }
 

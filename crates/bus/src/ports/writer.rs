@@ -12,7 +12,7 @@ use iceoryx2::prelude::{AllocationStrategy, CallbackProgression};
 use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
-use joulebus_wire::{Payload, Service};
+use joulebus_wire::Channel;
 
 use super::degradation::Failures;
 use super::repair::Repair;
@@ -24,34 +24,31 @@ use crate::membership::Membership;
 use crate::os::memory;
 use crate::preflight::{check_free, segment_bytes};
 use crate::{Bus, FilesRemoved, Limits, clock};
-use joulebus_domain::Shape;
 
 /// A port and its service.
-type Port<H, T> = (Publisher<Ipc, [T], H>, PortFactory<Ipc, [T], H>);
+type Port<C> = (
+    Publisher<Ipc, [<C as Channel>::Row], <C as Channel>::Header>,
+    PortFactory<Ipc, [<C as Channel>::Row], <C as Channel>::Header>,
+);
 
-/// Sends frames: a header `H` and a slice of `T`, written in place in shared memory.
+/// Sends frames of a channel, written in place in shared memory.
 #[derive(Debug)]
-pub struct Writer<H: Payload, T: Payload> {
+pub struct Writer<C: Channel> {
     // Dropped in this order: port, factory, membership.
-    port: Kept<Port<H, T>>,
+    port: Kept<Port<C>>,
     max_len: usize,
     failures: Arc<Failures>,
     repair: Repair,
     member: Rc<Membership>,
 }
 
-impl<H: Payload, T: Payload> Writer<H, T> {
-    pub(super) fn open(
-        bus: &Bus,
-        service: Service,
-        limits: &Limits,
-        shape: Shape,
-        max_len: usize,
-    ) -> Result<Self, OpenError> {
-        let needed = segment_bytes::<H, T>(shape, max_len);
+impl<C: Channel> Writer<C> {
+    pub(super) fn open(bus: &Bus, limits: &Limits, max_len: usize) -> Result<Self, OpenError> {
+        let service = C::SERVICE;
+        let needed = segment_bytes::<C>(limits, max_len);
         check_free(usize::try_from(needed).unwrap_or(usize::MAX))?;
         let failures = Failures::new();
-        let factory = service::open::<H, T>(bus, service, limits, shape)?;
+        let factory = service::open::<C>(bus, limits)?;
         let create = || {
             factory
                 .publisher_builder()
@@ -84,9 +81,9 @@ impl<H: Payload, T: Payload> Writer<H, T> {
     /// [`SendError`]; nothing was sent.
     pub fn send(
         &mut self,
-        header: H,
+        header: C::Header,
         len: usize,
-        element: impl FnMut(usize) -> T,
+        element: impl FnMut(usize) -> C::Row,
     ) -> Result<usize, SendError> {
         self.check(len)?;
         let mut loan = self
@@ -103,10 +100,10 @@ impl<H: Payload, T: Payload> Writer<H, T> {
     ///
     /// # Errors
     /// [`SendError`].
-    pub fn loan(&mut self, len: usize) -> Result<Loan<'_, H, T>, SendError> {
+    pub fn loan(&mut self, len: usize) -> Result<Loan<'_, C>, SendError> {
         self.check(len)?;
         let mut sample = self.port.0.loan_slice(len).map_err(SendError::loan)?;
-        *sample.user_header_mut() = H::default();
+        *sample.user_header_mut() = C::Header::default();
         Ok(Loan {
             sample,
             writer: PhantomData,
@@ -118,14 +115,14 @@ impl<H: Payload, T: Payload> Writer<H, T> {
     ///
     /// # Errors
     /// [`SendError`].
-    pub fn loan_to_fill(&mut self, len: usize) -> Result<Loan<'_, H, T>, SendError> {
+    pub fn loan_to_fill(&mut self, len: usize) -> Result<Loan<'_, C>, SendError> {
         self.check(len)?;
         let mut sample = self
             .port
             .0
             .loan_slice_uninit(len)
             .map_err(SendError::loan)?;
-        *sample.user_header_mut() = H::default();
+        *sample.user_header_mut() = C::Header::default();
         // SAFETY: the memory is a mapping of a shared memory object: the kernel provides zeroed
         // pages, and all other bytes in it are those of an earlier frame. So all of it is
         // initialised, and every bit pattern is a valid payload.
@@ -207,19 +204,19 @@ impl<H: Payload, T: Payload> Writer<H, T> {
 
 /// Memory of a frame to send.
 #[derive(Debug)]
-pub struct Loan<'a, H: Payload, T: Payload> {
-    sample: SampleMut<Ipc, [T], H>,
-    writer: PhantomData<&'a mut Writer<H, T>>,
+pub struct Loan<'a, C: Channel> {
+    sample: SampleMut<Ipc, [C::Row], C::Header>,
+    writer: PhantomData<&'a mut Writer<C>>,
 }
 
-impl<H: Payload, T: Payload> Loan<'_, H, T> {
+impl<C: Channel> Loan<'_, C> {
     /// The frame's header.
-    pub fn header_mut(&mut self) -> &mut H {
+    pub fn header_mut(&mut self) -> &mut C::Header {
         self.sample.user_header_mut()
     }
 
     /// The frame's slice.
-    pub fn payload_mut(&mut self) -> &mut [T] {
+    pub fn payload_mut(&mut self) -> &mut [C::Row] {
         self.sample.payload_mut()
     }
 
@@ -230,6 +227,15 @@ impl<H: Payload, T: Payload> Loan<'_, H, T> {
     pub fn send(self) -> Result<usize, SendError> {
         self.sample.send().map_err(SendError::send)
     }
+}
+
+/// A frame that was sent, by a port that also wakes who reads it.
+#[derive(Debug)]
+pub struct Sent {
+    /// Number of readers reached.
+    pub readers: usize,
+    /// Why nobody was woken: readers find the frame when they look next, within 100 ms.
+    pub not_woken: Option<WaitError>,
 }
 
 /// Reason that a frame was not sent.
@@ -259,16 +265,13 @@ pub enum SendError {
         /// The error of iceoryx2.
         reason: String,
     },
-    /// The frame was sent, but the worker was not woken.
-    #[error("the frame was sent, but {0}")]
-    Wake(WaitError),
 }
 
 impl SendError {
     /// True if every further frame will fail as well: this process must end, or join again.
     #[must_use]
     pub const fn is_final(&self) -> bool {
-        matches!(self, Self::Removed(_) | Self::Wake(WaitError::Removed(_)))
+        matches!(self, Self::Removed(_))
     }
 
     pub(super) fn loan(reason: LoanError) -> Self {

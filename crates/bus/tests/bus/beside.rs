@@ -211,9 +211,7 @@ fn one_process_reads_two_fleets_and_cleans_up_in_both() {
     let buses = places
         .each_ref()
         .map(|place| Bus::join(&place.domain, "planner").unwrap());
-    let mut readers = buses
-        .each_ref()
-        .map(|bus| bus.forecast_reader(&limits()).unwrap());
+    let mut readers = buses.each_ref().map(|bus| bus.reader(&limits()).unwrap());
     for round in 1..=2 {
         let mut workers = places.each_ref().map(|place| place.joined("worker"));
         for (ticks, worker) in workers.iter_mut().enumerate() {

@@ -7,14 +7,13 @@ use std::process::Command;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use joulebus_bus::{
-    BudgetReader, BudgetWriter, Bus, DiagnosticReader, DiagnosticWriter, Domain, ForecastReader,
-    ForecastWriter, FrameBuf, Limits, PeerWatch, SampleReader, SampleWriter, StateWriter,
-    TickWriter, Waiter, Waker, WorkerLock,
+    Bus, Domain, FrameBuf, Limits, PeerWatch, Reader, SampleReader, SampleWriter, Waiter, Waker,
+    WorkerLock, Writer,
 };
 use joulebus_testkit::{Member, send_to_test};
 use joulebus_wire::{
-    Budget, BudgetHeader, DiagnosticHeader, Forecast, ForecastHeader, Sample, SampleHeader,
-    WakeEvent,
+    Budget, BudgetHeader, Budgets, DiagnosticHeader, Diagnostics, Forecast, ForecastHeader,
+    Forecasts, Sample, SampleHeader, State, Ticks, WakeEvent,
 };
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
@@ -159,15 +158,15 @@ struct Ports {
     sources: Option<SampleWriter>,
     samples: Option<SampleReader>,
     arrivals: Option<Waiter>,
-    forecasts: Option<ForecastWriter>,
-    diagnostics: Option<DiagnosticWriter>,
-    budgets: Option<BudgetWriter>,
+    forecasts: Option<Writer<Forecasts>>,
+    diagnostics: Option<Writer<Diagnostics>>,
+    budgets: Option<Writer<Budgets>>,
     /// Journal and keyframes, which also take memory.
-    recorded: Option<(TickWriter, StateWriter)>,
+    recorded: Option<(Writer<Ticks>, Writer<State>)>,
     wake: Option<Waker>,
-    forecast_reader: Option<ForecastReader>,
-    diagnostic_reader: Option<DiagnosticReader>,
-    budget_reader: Option<BudgetReader>,
+    forecast_reader: Option<Reader<Forecasts>>,
+    diagnostic_reader: Option<Reader<Diagnostics>>,
+    budget_reader: Option<Reader<Budgets>>,
     planner: Option<Waiter>,
     peer: Option<PeerWatch>,
     worker_lock: Option<WorkerLock>,
@@ -299,10 +298,10 @@ impl Ports {
         let bus = self.bus.as_ref().ok_or("not joined")?;
         self.samples = Some(bus.sample_reader(&limits)?);
         self.arrivals = Some(bus.arrivals_waiter(&limits)?);
-        self.forecasts = Some(bus.forecast_writer(&limits)?);
-        self.diagnostics = Some(bus.diagnostic_writer(&limits)?);
-        self.budgets = Some(bus.budget_writer(&limits)?);
-        self.recorded = Some((bus.tick_writer(&limits)?, bus.state_writer(&limits)?));
+        self.forecasts = Some(bus.writer(&limits)?);
+        self.diagnostics = Some(bus.writer(&limits)?);
+        self.budgets = Some(bus.writer(&limits)?);
+        self.recorded = Some((bus.writer(&limits)?, bus.writer(&limits)?));
         self.wake = Some(bus.planner_waker(&limits)?);
         Ok(String::new())
     }
@@ -310,9 +309,9 @@ impl Ports {
     fn open_planner(&mut self) -> Answer {
         let limits = self.limits;
         let bus = self.bus.as_ref().ok_or("not joined")?;
-        self.forecast_reader = Some(bus.forecast_reader(&limits)?);
-        self.diagnostic_reader = Some(bus.diagnostic_reader(&limits)?);
-        self.budget_reader = Some(bus.budget_reader(&limits)?);
+        self.forecast_reader = Some(bus.reader(&limits)?);
+        self.diagnostic_reader = Some(bus.reader(&limits)?);
+        self.budget_reader = Some(bus.reader(&limits)?);
         self.planner = Some(bus.planner_waiter(&limits)?);
         Ok(String::new())
     }
@@ -334,7 +333,7 @@ impl Ports {
                 Sample::new(i as u32, number, 1).reading(power_w, 1)
             })?;
         self.sent += 1;
-        Ok(sent.to_string())
+        Ok(sent.readers.to_string())
     }
 
     fn take(&mut self) -> Answer {

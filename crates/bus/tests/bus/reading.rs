@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use joulebus_bus::{Bus, Domain, Limits, WorkerLock};
-use joulebus_wire::{Forecast, ForecastHeader};
+use joulebus_wire::{Forecast, ForecastHeader, Forecasts};
 
 #[test]
 fn a_writer_that_is_faster_than_its_reader_does_not_keep_it_for_ever() {
@@ -12,8 +12,8 @@ fn a_writer_that_is_faster_than_its_reader_does_not_keep_it_for_ever() {
     let limits = Limits::default();
     let lock = WorkerLock::acquire(&domain).unwrap();
     let bus = Bus::join(&domain, "worker").unwrap();
-    let mut writer = bus.forecast_writer(&limits).unwrap();
-    let mut reader = bus.forecast_reader(&limits).unwrap();
+    let mut writer = bus.writer::<Forecasts>(&limits).unwrap();
+    let mut reader = bus.reader::<Forecasts>(&limits).unwrap();
     let mut ticks = 0;
     let mut send = || {
         ticks += 1;

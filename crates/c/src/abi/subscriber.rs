@@ -5,10 +5,10 @@ use std::ptr;
 use std::time::Duration;
 
 use joulebus_consumer::{
-    BudgetFeed, Config, DiagnosticFeed, End, Event, Forecasts, Frame, KeptForecasts, ReadError,
+    Budgets, Config, Diagnostics, End, Event, Feed, Forecasts, Frame, KeptForecasts, ReadError,
     Subscriber, WorkerState,
 };
-use joulebus_wire::Forecast;
+use joulebus_wire::{Channel, Forecast};
 
 use crate::abi::types::{
     joulebus_budgets, joulebus_diagnostics, joulebus_end, joulebus_error, joulebus_event,
@@ -23,8 +23,8 @@ use crate::version;
 /// A subscriber and what it has opened.
 pub(crate) struct Ports {
     subscriber: Subscriber,
-    diagnostics: Option<DiagnosticFeed>,
-    budgets: Option<BudgetFeed>,
+    diagnostics: Option<Feed<Diagnostics>>,
+    budgets: Option<Feed<Budgets>>,
 }
 
 kind!(Ports, joulebus_subscriber, "subscriber", 2);
@@ -296,7 +296,7 @@ fn told(event: Event<'_>) -> joulebus_event {
     }
 }
 
-fn forecasts(frame: &Forecasts<'_>) -> joulebus_forecasts {
+fn forecasts(frame: &Frame<'_, Forecasts>) -> joulebus_forecasts {
     let arrival = frame.arrival();
     joulebus_forecasts {
         header: frame.header(),
@@ -307,7 +307,7 @@ fn forecasts(frame: &Forecasts<'_>) -> joulebus_forecasts {
     }
 }
 
-fn parts<H, T>(frame: Option<Frame<'_, H, T>>) -> (*const H, *const T, usize) {
+fn parts<C: Channel>(frame: Option<Frame<'_, C>>) -> (*const C::Header, *const C::Row, usize) {
     frame.map_or((ptr::null(), ptr::null(), 0), |frame| {
         let robots = frame.robots();
         (ptr::from_ref(frame.header()), robots.as_ptr(), robots.len())

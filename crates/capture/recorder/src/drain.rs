@@ -3,12 +3,9 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use joulebus_bus::{
-    BudgetReader, Bus, DiagnosticReader, ForecastReader, JoinError, OpenError, PlanStateReader,
-    QueriesReader, Reader, ReceiveError, SampleTap, StateReader, Steps, TickReader, clock,
-};
+use joulebus_bus::{Bus, JoinError, OpenError, Reader, ReceiveError, Steps, clock};
 use joulebus_config::Config;
-use joulebus_wire::{Payload, records};
+use joulebus_wire::{Channel, records};
 
 use crate::item::Item;
 use crate::shared::Shared;
@@ -37,14 +34,14 @@ pub enum DrainError {
 /// The ports of one fleet. Belongs to the thread that opened them.
 pub(crate) struct Drain {
     // Before the bus, because ports must be dropped first.
-    samples: Option<SampleTap>,
-    forecasts: Option<ForecastReader>,
-    diagnostics: Option<DiagnosticReader>,
-    budgets: Option<BudgetReader>,
-    plan_states: Option<PlanStateReader>,
-    ticks: Option<TickReader>,
-    state: Option<StateReader>,
-    queries: Option<QueriesReader>,
+    samples: Option<Reader<joulebus_wire::Samples>>,
+    forecasts: Option<Reader<joulebus_wire::Forecasts>>,
+    diagnostics: Option<Reader<joulebus_wire::Diagnostics>>,
+    budgets: Option<Reader<joulebus_wire::Budgets>>,
+    plan_states: Option<Reader<joulebus_wire::PlanStates>>,
+    ticks: Option<Reader<joulebus_wire::Ticks>>,
+    state: Option<Reader<joulebus_wire::State>>,
+    queries: Option<Reader<joulebus_wire::Queries>>,
     bus: Bus,
     shared: Arc<Shared>,
     fleet: Arc<str>,
@@ -71,28 +68,28 @@ impl Drain {
         let most_ns = config.tick_period_ns().saturating_mul(frames) / 4;
         Ok(Self {
             samples: wanted(MessageKind::Samples)
-                .then(|| bus.sample_tap(&limits))
+                .then(|| bus.reader(&limits))
                 .transpose()?,
             forecasts: wanted(MessageKind::Forecasts)
-                .then(|| bus.forecast_reader(&limits))
+                .then(|| bus.reader(&limits))
                 .transpose()?,
             diagnostics: wanted(MessageKind::Diagnostics)
-                .then(|| bus.diagnostic_reader(&limits))
+                .then(|| bus.reader(&limits))
                 .transpose()?,
             budgets: wanted(MessageKind::Budgets)
-                .then(|| bus.budget_reader(&limits))
+                .then(|| bus.reader(&limits))
                 .transpose()?,
             plan_states: wanted(MessageKind::PlanStates)
-                .then(|| bus.plan_state_reader(&limits))
+                .then(|| bus.reader(&limits))
                 .transpose()?,
             ticks: wanted(MessageKind::Ticks)
-                .then(|| bus.tick_reader(&limits))
+                .then(|| bus.reader(&limits))
                 .transpose()?,
             state: wanted(MessageKind::State)
-                .then(|| bus.state_reader(&limits))
+                .then(|| bus.reader(&limits))
                 .transpose()?,
             queries: wanted(MessageKind::Queries)
-                .then(|| bus.queries_reader(&limits))
+                .then(|| bus.reader(&limits))
                 .transpose()?,
             bus,
             shared,
@@ -174,10 +171,10 @@ impl Steps for Drain {
 }
 
 /// Receives all waiting frames, if there is a reader.
-fn take_all<H: Payload, T: Payload>(
-    reader: &mut Option<Reader<H, T>>,
+fn take_all<C: Channel>(
+    reader: &mut Option<Reader<C>>,
     batch: &mut Vec<Message>,
-    message: impl Fn(H, Vec<T>) -> Message,
+    message: impl Fn(C::Header, Vec<C::Row>) -> Message,
 ) -> Result<(), ReceiveError> {
     let Some(reader) = reader else {
         return Ok(());
@@ -187,7 +184,7 @@ fn take_all<H: Payload, T: Payload>(
 
 /// Receives the records of all waiting frames, if there is a reader.
 fn take_queries(
-    reader: &mut Option<QueriesReader>,
+    reader: &mut Option<Reader<joulebus_wire::Queries>>,
     batch: &mut Vec<Message>,
 ) -> Result<(), ReceiveError> {
     let Some(reader) = reader else {

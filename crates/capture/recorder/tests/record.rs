@@ -16,8 +16,9 @@ use joulebus_capture_format::{
 use joulebus_capture_recorder::{Options, Recorder, Snapshot, Summary, Target, attach, host_clock};
 use joulebus_config::Config;
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
-    PlanStateHeader, SCHEMA_VERSION, Sample, SampleHeader, TakenFrame, TickHeader,
+    Budget, BudgetHeader, Budgets, Diagnostic, DiagnosticHeader, Diagnostics, Forecast,
+    ForecastHeader, Forecasts, PlanState, PlanStateHeader, PlanStates, SCHEMA_VERSION, Sample,
+    SampleHeader, TakenFrame, TickHeader, Ticks,
 };
 
 const ROBOTS: usize = 10;
@@ -29,11 +30,11 @@ struct Stage {
     config: Config,
     // Before the bus, because ports must be dropped first.
     samples: SampleWriter,
-    forecasts: BusWriter<ForecastHeader, Forecast>,
-    diagnostics: BusWriter<DiagnosticHeader, Diagnostic>,
-    budgets: BusWriter<BudgetHeader, Budget>,
-    plan_states: BusWriter<PlanStateHeader, PlanState>,
-    ticks: BusWriter<TickHeader, TakenFrame>,
+    forecasts: BusWriter<Forecasts>,
+    diagnostics: BusWriter<Diagnostics>,
+    budgets: BusWriter<Budgets>,
+    plan_states: BusWriter<PlanStates>,
+    ticks: BusWriter<Ticks>,
     _bus: Bus,
     _lock: WorkerLock,
     source_epoch: u64,
@@ -68,11 +69,11 @@ impl Stage {
         let bus = Bus::join(&config.domain().unwrap(), "stage").unwrap();
         Self {
             samples: bus.sample_writer(&limits, ROBOTS).unwrap(),
-            forecasts: bus.forecast_writer(&limits).unwrap(),
-            diagnostics: bus.diagnostic_writer(&limits).unwrap(),
-            budgets: bus.budget_writer(&limits).unwrap(),
-            plan_states: bus.plan_state_writer(&limits).unwrap(),
-            ticks: bus.tick_writer(&limits).unwrap(),
+            forecasts: bus.writer(&limits).unwrap(),
+            diagnostics: bus.writer(&limits).unwrap(),
+            budgets: bus.writer(&limits).unwrap(),
+            plan_states: bus.writer(&limits).unwrap(),
+            ticks: bus.writer(&limits).unwrap(),
             _bus: bus,
             _lock: lock,
             source_epoch: clock::monotonic_ns(),

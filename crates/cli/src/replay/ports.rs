@@ -2,8 +2,7 @@
 
 use anyhow::Context as _;
 use joulebus_bus::{
-    BudgetWriter, Bus, DiagnosticWriter, Domain, ForecastWriter, Limits, PlanStateWriter,
-    SampleWriter, SendError, Waker, WorkerLock, clock,
+    Bus, Domain, Limits, SampleWriter, SendError, Waker, WorkerLock, Writer, clock,
 };
 use joulebus_capture_format::{Message, MessageKind};
 use joulebus_wire::{Sample, WakeEvent};
@@ -21,10 +20,10 @@ pub(super) struct Ports {
 
 /// All ports of a worker, also those that are not played: planners open all of them.
 struct WorkerPorts {
-    forecasts: ForecastWriter,
-    diagnostics: DiagnosticWriter,
-    budgets: BudgetWriter,
-    plan_states: PlanStateWriter,
+    forecasts: Writer<joulebus_wire::Forecasts>,
+    diagnostics: Writer<joulebus_wire::Diagnostics>,
+    budgets: Writer<joulebus_wire::Budgets>,
+    plan_states: Writer<joulebus_wire::PlanStates>,
     planners: Waker,
 }
 
@@ -64,10 +63,10 @@ impl Ports {
         let worker = as_worker
             .then(|| -> anyhow::Result<WorkerPorts> {
                 Ok(WorkerPorts {
-                    forecasts: bus.forecast_writer(limits)?,
-                    diagnostics: bus.diagnostic_writer(limits)?,
-                    budgets: bus.budget_writer(limits)?,
-                    plan_states: bus.plan_state_writer(limits)?,
+                    forecasts: bus.writer(limits)?,
+                    diagnostics: bus.writer(limits)?,
+                    budgets: bus.writer(limits)?,
+                    plan_states: bus.writer(limits)?,
                     planners: bus.planner_waker(limits)?,
                 })
             })
@@ -100,8 +99,9 @@ impl Ports {
                 ports
                     .forecasts
                     .send(header, rows.len(), |place| rows[place])?;
-                let woken = ports.planners.wake(WakeEvent::Frame);
-                woken.map_err(SendError::Wake)?;
+                if let Err(error) = ports.planners.wake(WakeEvent::Frame) {
+                    tracing::warn!(%error, "planners were not woken");
+                }
             }
             (Message::Diagnostics(header, mut rows), _, Some(ports)) => {
                 let header = rebase.diagnostics(&header, &mut rows);

@@ -4,11 +4,13 @@
 use std::time::Duration;
 
 use joulebus_bus::{Bus, WorkerLock, clock};
-use joulebus_consumer::{Config, Event, Planner};
+use joulebus_consumer::{Config, Event, Subscriber};
 use joulebus_publisher::{Publisher, RobotState};
 use joulebus_testkit::Place;
 use joulebus_testkit::counting::allocations;
-use joulebus_wire::{Budget, BudgetHeader, Forecast, ForecastHeader, SCHEMA_VERSION, WakeEvent};
+use joulebus_wire::{
+    Budget, BudgetHeader, Budgets, Forecast, ForecastHeader, Forecasts, SCHEMA_VERSION, WakeEvent,
+};
 
 #[test]
 fn only_loans_allocate_and_only_once() {
@@ -16,14 +18,14 @@ fn only_loans_allocate_and_only_once() {
     let config = Config::load(place.config()).unwrap();
     let limits = config.limits();
     let mut publisher = Publisher::connect(place.config(), "source").unwrap();
-    let mut planner = Planner::connect(place.config()).unwrap();
+    let mut planner = Subscriber::connect(place.config()).unwrap();
     let mut budgets = planner.budgets().unwrap();
     let lock = WorkerLock::acquire(&config.domain().unwrap()).unwrap();
     let bus = Bus::join(&config.domain().unwrap(), "worker").unwrap();
     // A reader, whose buffer overflows repeatedly.
     let samples = bus.sample_reader(&limits).unwrap();
-    let mut forecasts = bus.forecast_writer(&limits).unwrap();
-    let mut budget_writer = bus.budget_writer(&limits).unwrap();
+    let mut forecasts = bus.writer::<Forecasts>(&limits).unwrap();
+    let mut budget_writer = bus.writer::<Budgets>(&limits).unwrap();
     let waker = bus.planner_waker(&limits).unwrap();
 
     for round in 1..200_u64 {

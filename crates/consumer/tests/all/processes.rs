@@ -9,13 +9,12 @@ use std::path::Path;
 use std::time::Duration;
 
 use joulebus_bus::{Bus, WorkerLock, clock};
-use joulebus_consumer::{
-    BudgetFeed, Config, DiagnosticFeed, Event, PlanStateFeed, Planner, WorkerState,
-};
+use joulebus_consumer::{Config, Event, Feed, Subscriber, WorkerState};
 use joulebus_testkit::{Member, Place, run_member, send_to_test, told};
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
-    PlanStateHeader, SCHEMA_VERSION, WakeEvent, forecast_flag,
+    Budget, BudgetHeader, Budgets, Diagnostic, DiagnosticHeader, Diagnostics, Forecast,
+    ForecastHeader, Forecasts, PlanState, PlanStateHeader, PlanStates, SCHEMA_VERSION, WakeEvent,
+    forecast_flag,
 };
 
 /// Long enough that nothing becomes stale during a test.
@@ -26,10 +25,10 @@ pub(crate) fn member() {
     run_member(|role, config| match role {
         "worker" => worker(config, true),
         "impostor" => worker(config, false),
-        "planner" => plan(Planner::connect(config).unwrap()),
+        "planner" => plan(Subscriber::connect(config).unwrap()),
         "poller" => {
             let config = Config::load(config).unwrap();
-            plan(Planner::polling(&config, "poller", Duration::from_millis(100)).unwrap());
+            plan(Subscriber::polling(&config, "poller", Duration::from_millis(100)).unwrap());
         }
         "example" => {
             planner::run(config, 3).unwrap();
@@ -46,10 +45,10 @@ fn worker(config: &Path, is_worker: bool) {
     let limits = config.limits();
     let _lock = is_worker.then(|| WorkerLock::acquire(&config.domain().unwrap()).unwrap());
     let bus = Bus::join(&config.domain().unwrap(), "worker").unwrap();
-    let mut forecasts = bus.forecast_writer(&limits).unwrap();
-    let mut diagnostics = bus.diagnostic_writer(&limits).unwrap();
-    let mut budgets = bus.budget_writer(&limits).unwrap();
-    let mut plan_states = bus.plan_state_writer(&limits).unwrap();
+    let mut forecasts = bus.writer::<Forecasts>(&limits).unwrap();
+    let mut diagnostics = bus.writer::<Diagnostics>(&limits).unwrap();
+    let mut budgets = bus.writer::<Budgets>(&limits).unwrap();
+    let mut plan_states = bus.writer::<PlanStates>(&limits).unwrap();
     let waker = bus.planner_waker(&limits).unwrap();
     let mut header = ForecastHeader {
         schema: SCHEMA_VERSION,
@@ -147,8 +146,8 @@ fn power_w(robot: u64, tick: u64) -> f32 {
 }
 
 /// Commands: `next MS`, `each MS`, `latest`, `worker`, `counts`, `feeds`.
-fn plan(mut planner: Planner) {
-    let mut feeds: Option<(DiagnosticFeed, BudgetFeed, PlanStateFeed)> = None;
+fn plan(mut planner: Subscriber) {
+    let mut feeds: Option<(Feed<Diagnostics>, Feed<Budgets>, Feed<PlanStates>)> = None;
     send_to_test("ready");
     while let Some(line) = told() {
         match line.split_once(' ').unwrap_or((&line, "")) {

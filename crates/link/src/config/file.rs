@@ -129,10 +129,10 @@ pub(super) enum Carries {
 impl Carries {
     pub(super) const fn carried(self) -> Carried {
         match self {
-            Self::Diagnostics => Carried::Diagnostics,
-            Self::Budgets => Carried::Budgets,
-            Self::PlanStates => Carried::PlanStates,
-            Self::Ticks => Carried::Ticks,
+            Self::Diagnostics => Carried::DIAGNOSTICS,
+            Self::Budgets => Carried::BUDGETS,
+            Self::PlanStates => Carried::PLAN_STATES,
+            Self::Ticks => Carried::TICKS,
         }
     }
 }

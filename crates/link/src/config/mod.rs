@@ -284,8 +284,8 @@ impl Check<'_> {
             self.problem(None, "follow.every", what, &remedy);
         }
         let services = section.services.iter().map(|it| it.carried().bit());
-        let services = services.fold(Carried::Forecasts.bit(), |all, bit| all | bit);
-        let wants_ticks = services & Carried::Ticks.bit() != 0;
+        let services = services.fold(Carried::FORECASTS.bit(), |all, bit| all | bit);
+        let wants_ticks = services & Carried::TICKS.bit() != 0;
         if workers.len() > 1 && wants_ticks {
             let what = format!("has \"ticks\" of {} workers", workers.len());
             let remedy = "Leave it out: a journal is of one worker";
@@ -416,7 +416,7 @@ mod tests {
         assert_eq!(samples.unwrap(), ["base"]);
         assert_eq!(follow.workers, [["base"]]);
         assert!(
-            follow.selection.wants(Carried::Forecasts) && !follow.selection.wants(Carried::Ticks)
+            follow.selection.wants(Carried::FORECASTS) && !follow.selection.wants(Carried::TICKS)
         );
     }
 

@@ -2,84 +2,98 @@
 
 use bytemuck::{Pod, pod_read_unaligned};
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
-    PlanStateHeader, SCHEMA_VERSION, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader,
+    Budgets, Channel, Diagnostics, Forecasts, FrameHeader as _, FrameRows, PlanStates,
+    SCHEMA_VERSION, Samples, State, Ticks,
 };
 
-/// A service whose frames cross a link.
+/// A channel whose frames cross a link, by its code in messages: from 1, because 0 is a message without a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Carried {
-    Forecasts,
-    Diagnostics,
-    Budgets,
-    PlanStates,
-    Ticks,
-    Samples,
-    /// A worker's whole state, for those that stand by: the elements are its bytes.
-    State,
+pub(crate) struct Carried(u32);
+
+/// What a link knows of a channel.
+#[derive(Debug, Clone, Copy)]
+struct Frames {
+    /// Bytes of a header, and of an element.
+    sizes: (usize, usize),
+    rows: FrameRows,
+    sent_ns: fn(&[u8]) -> Option<u64>,
 }
+
+impl Frames {
+    const fn of<C: Channel>() -> Self {
+        Self {
+            sizes: (size_of::<C::Header>(), size_of::<C::Row>()),
+            rows: C::ROWS,
+            sent_ns: |header| pod_read_unaligned::<C::Header>(header).sent_ns(),
+        }
+    }
+}
+
+/// In the order of the codes.
+const CHANNELS: &[Frames] = &[
+    Frames::of::<Forecasts>(),
+    Frames::of::<Diagnostics>(),
+    Frames::of::<Budgets>(),
+    Frames::of::<PlanStates>(),
+    Frames::of::<Ticks>(),
+    Frames::of::<Samples>(),
+    Frames::of::<State>(),
+];
 
 /// Bytes of a state for each robot of the capacity, at most, and for all else: it takes some 500 and a few thousand.
 const STATE_BYTES_PER_ROBOT: usize = 4_096;
 const STATE_BYTES: usize = 1 << 18;
 
 impl Carried {
-    pub(crate) const ALL: [Self; 7] = [
-        Self::Forecasts,
-        Self::Diagnostics,
-        Self::Budgets,
-        Self::PlanStates,
-        Self::Ticks,
-        Self::Samples,
-        Self::State,
-    ];
+    pub(crate) const FORECASTS: Self = Self(1);
+    pub(crate) const DIAGNOSTICS: Self = Self(2);
+    pub(crate) const BUDGETS: Self = Self(3);
+    pub(crate) const PLAN_STATES: Self = Self(4);
+    pub(crate) const TICKS: Self = Self(5);
+    pub(crate) const SAMPLES: Self = Self(6);
+    /// A worker's whole state, for those that stand by: the elements are its bytes.
+    pub(crate) const STATE: Self = Self(7);
 
-    /// The code in messages: from 1, because 0 is a message without a frame.
+    pub(crate) fn all() -> impl Iterator<Item = Self> {
+        (1..).take(CHANNELS.len()).map(Self)
+    }
+
     pub(crate) const fn code(self) -> u32 {
-        self as u32 + 1
+        self.0
     }
 
     pub(crate) fn decode(code: u32) -> Option<Self> {
-        let at = usize::try_from(code).ok()?.checked_sub(1)?;
-        Self::ALL.get(at).copied()
+        Self::all().find(|carried| carried.code() == code)
     }
 
     /// The bit in a request's set.
     pub(crate) const fn bit(self) -> u32 {
-        1 << self as u32
+        1 << (self.0 - 1)
+    }
+
+    const fn frames(self) -> &'static Frames {
+        &CHANNELS[self.0 as usize - 1]
     }
 
     /// Bytes of a header, and of an element.
     pub(crate) const fn sizes(self) -> (usize, usize) {
-        match self {
-            Self::Forecasts => sizes::<ForecastHeader, Forecast>(),
-            Self::Diagnostics => sizes::<DiagnosticHeader, Diagnostic>(),
-            Self::Budgets => sizes::<BudgetHeader, Budget>(),
-            Self::PlanStates => sizes::<PlanStateHeader, PlanState>(),
-            Self::Ticks => sizes::<TickHeader, TakenFrame>(),
-            Self::Samples => sizes::<SampleHeader, Sample>(),
-            Self::State => sizes::<StateHeader, u8>(),
-        }
+        self.frames().sizes
     }
 
     /// Whether elements are of one robot each, whose id they begin with.
     pub(crate) const fn is_by_robot(self) -> bool {
-        !matches!(self, Self::Ticks | Self::State)
+        matches!(self.frames().rows, FrameRows::Robots)
     }
 
     /// Elements that a frame of a fleet with that capacity may have.
     pub(crate) const fn most(self, capacity: usize) -> usize {
-        match self {
-            Self::State => capacity
+        match self.frames().rows {
+            FrameRows::Bytes => capacity
                 .saturating_mul(STATE_BYTES_PER_ROBOT)
                 .saturating_add(STATE_BYTES),
             _ => capacity,
         }
     }
-}
-
-const fn sizes<H, T>() -> (usize, usize) {
-    (size_of::<H>(), size_of::<T>())
 }
 
 /// A frame that came over a link: sizes are right, the contents are not checked.
@@ -134,15 +148,7 @@ impl<'a> RawFrame<'a> {
 
     /// When the frame was sent on its host, as its header says, monotonic ns there; 0 where headers do not say.
     pub(crate) fn sent_ns(&self) -> u64 {
-        match self.service {
-            Carried::Forecasts => self.header::<ForecastHeader>().sent_ns,
-            Carried::Diagnostics => 0,
-            Carried::Budgets => self.header::<BudgetHeader>().sent_ns,
-            Carried::PlanStates => self.header::<PlanStateHeader>().sent_ns,
-            Carried::Ticks => self.header::<TickHeader>().sent_ns,
-            Carried::Samples => self.header::<SampleHeader>().sent_ns,
-            Carried::State => self.header::<StateHeader>().sent_ns,
-        }
+        (self.service.frames().sent_ns)(self.header).unwrap_or_default()
     }
 
     /// The number of elements.
@@ -183,18 +189,20 @@ pub(crate) enum FrameError {
 
 #[cfg(test)]
 mod tests {
+    use joulebus_wire::{Forecast, ForecastHeader};
+
     use super::*;
 
     #[test]
     fn codes_and_bits_are_distinct_and_decode_to_their_service() {
         let mut bits = 0;
-        for (at, service) in Carried::ALL.into_iter().enumerate() {
-            assert_eq!(service as usize, at);
+        for (at, service) in Carried::all().enumerate() {
+            assert_eq!(service.code() as usize, at + 1);
             assert_eq!(Carried::decode(service.code()), Some(service));
             assert_eq!(bits & service.bit(), 0);
             bits |= service.bit();
         }
-        for code in [0, 8, u32::MAX] {
+        for code in [0, CHANNELS.len() as u32 + 1, u32::MAX] {
             assert_eq!(Carried::decode(code), None, "{code}");
         }
     }
@@ -212,7 +220,7 @@ mod tests {
         }; 2];
         let mut bytes = bytemuck::bytes_of(&header).to_vec();
         bytes.extend_from_slice(bytemuck::cast_slice(&rows));
-        let frame = RawFrame::new(Carried::Forecasts, 2, 2, &bytes).unwrap();
+        let frame = RawFrame::new(Carried::FORECASTS, 2, 2, &bytes).unwrap();
         assert_eq!(frame.header::<ForecastHeader>(), header);
         let copied: Vec<Forecast> = frame.elements().collect();
         assert_eq!((frame.len(), copied.as_slice()), (2, rows.as_slice()));
@@ -224,11 +232,11 @@ mod tests {
             (0, 2, 3),
             (0, 2, 0),
         ] {
-            let refused = RawFrame::new(Carried::Forecasts, count, most, &bytes[..length]);
+            let refused = RawFrame::new(Carried::FORECASTS, count, most, &bytes[..length]);
             assert!(refused.is_err(), "{count} {most} {length}");
         }
         bytes[0] ^= 1;
-        let refused = RawFrame::new(Carried::Forecasts, 2, 2, &bytes).unwrap_err();
+        let refused = RawFrame::new(Carried::FORECASTS, 2, 2, &bytes).unwrap_err();
         let found = SCHEMA_VERSION ^ 1;
         assert_eq!(refused, FrameError::Schema { found });
     }

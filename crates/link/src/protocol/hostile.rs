@@ -1,7 +1,9 @@
 //! What a neighbour that is not trusted can send, in any order: for tests, and for the fuzz target `link`.
 
 use bytemuck::{bytes_of, cast_slice};
-use joulebus_wire::{Forecast, ForecastHeader, SCHEMA_VERSION, Sample, SampleHeader};
+use joulebus_wire::{
+    Forecast, ForecastHeader, Forecasts, Place, SCHEMA_VERSION, Sample, SampleHeader,
+};
 
 use crate::protocol::carried::Carried;
 use crate::protocol::merge::{Merge, Own};
@@ -12,7 +14,7 @@ use crate::protocol::message::{
 use crate::protocol::receiver::Receiver;
 use crate::protocol::selection::Selection;
 use crate::protocol::shards::{Shard, Shards};
-use crate::protocol::shift::Instants;
+use crate::protocol::shift::shift;
 use crate::protocol::split::Split;
 use crate::protocol::stream::{LocalFrame, Stream};
 use crate::protocol::wall::Kept;
@@ -31,7 +33,7 @@ struct Victim {
     receiver: Receiver,
     stream: Option<Stream>,
     split: Split,
-    merge: Merge<ForecastHeader, Forecast>,
+    merge: Merge<Forecasts>,
     /// Number and time of the newest message from which a frame was taken, and its run.
     last: Option<(u64, u64, u64)>,
     messages: u64,
@@ -104,13 +106,13 @@ impl Victim {
         self.last = Some((run, sent_ns, number));
         let frame = accepted.frame;
         assert!(frame.len() <= MOST);
-        if frame.service == Carried::Forecasts {
+        if frame.service == Carried::FORECASTS {
             let mut header: ForecastHeader = frame.header();
-            header.shift(accepted.offset_ns);
+            shift(&mut header, accepted.offset_ns);
             let rows = (0..frame.len()).map(|at| frame.element::<Forecast>(at));
             self.merge.put(run as usize % 2, header, rows, self.now_ns);
         }
-        if frame.service == Carried::Samples {
+        if frame.service == Carried::SAMPLES {
             let samples: Vec<Sample> = (0..frame.len()).map(|at| frame.element(at)).collect();
             let mut split = 0;
             self.split
@@ -128,8 +130,7 @@ impl Victim {
         {
             let own = Own {
                 pid: 1,
-                worker_epoch: 1,
-                tick: 1,
+                place: Place { run: 1, number: 1 },
             };
             let (most, mut rows) = (self.merge.len(), 0);
             let header = self.merge.write(&heard, own, self.now_ns, |_| rows += 1);
@@ -178,7 +179,7 @@ impl Victim {
         let mut out = Vec::new();
         for source in given {
             let frame = LocalFrame {
-                service: Carried::Samples,
+                service: Carried::SAMPLES,
                 source: u64::from(*source),
                 tick: 0,
                 header: bytes_of(&header),
@@ -231,7 +232,7 @@ fn frame(now_ns: u64, number: u64) -> Vec<u8> {
         run: 1,
     };
     let frame = Some(Outgoing {
-        service: Carried::Forecasts,
+        service: Carried::FORECASTS,
         header: bytes_of(&header),
         elements: &mut [rows].into_iter(),
     });

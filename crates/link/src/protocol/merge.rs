@@ -1,57 +1,52 @@
 //! The newest frames of all shards as frames of one fleet.
 
 use joulebus_wire::{
-    Alarm, Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader,
-    InvalidReason, Level, PlanState, PlanStateHeader, Quality, SCHEMA_VERSION, combine_hashes,
-    forecast_flag, plan_state_flag,
+    Alarm, Budget, BudgetHeader, Budgets, Channel, Diagnostic, DiagnosticHeader, Diagnostics,
+    Forecast, ForecastHeader, Forecasts, FrameHeader as _, InvalidReason, Level, Place, PlanState,
+    PlanStateHeader, PlanStates, Quality, SCHEMA_VERSION, combine_hashes, forecast_flag,
+    plan_state_flag,
 };
 
 /// What a merged frame says of the one who merged it.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Own {
     pub(crate) pid: u32,
-    /// The run, monotonic ns.
-    pub(crate) worker_epoch: u64,
-    pub(crate) tick: u64,
+    pub(crate) place: Place,
 }
 
-/// A header that can be made of several.
-pub(crate) trait Header: Copy {
+/// A channel whose frames of several shards become one.
+pub(crate) trait Merged: Channel {
     /// The header of a frame of these `parts`, one of each shard that is heard and at least one: its times are those of the
-    /// oldest, so that nothing looks fresher than it is. Counts are sums over `all`, shards that are not heard too.
-    fn merged(parts: &[Self], all: &[Self], own: Own) -> Self;
+    /// oldest, so that nothing looks fresher than it is. Counts are sums over `all`, shards that are not heard too. The place
+    /// and the times of sending are set by [`Merge::write`].
+    fn merged(parts: &[Self::Header], all: &[Self::Header]) -> Self::Header;
+
+    /// What remains of a robot's row while the robot's worker is not heard.
+    fn silence(row: &mut Self::Row);
 }
 
 /// Pause after which a service begins anew, and the time that all shards then have for their first frames, periods: asking
 /// for it takes some.
 const BEGIN_PERIODS: u64 = 10;
 
-/// A robot's row that can say that nothing is known of the robot any more.
-pub(crate) trait Row: Copy {
-    fn robot(&self) -> u32;
-
-    /// What remains while the robot's worker is not heard.
-    fn silence(&mut self);
-}
-
 /// The newest frame of a shard.
 #[derive(Debug)]
-struct Part<H, T> {
-    header: H,
-    rows: Vec<T>,
+struct Part<C: Channel> {
+    header: C::Header,
+    rows: Vec<C::Row>,
     is_new: bool,
 }
 
 /// The newest frames of one service.
 #[derive(Debug)]
-pub(crate) struct Merge<H, T> {
-    parts: Vec<Option<Part<H, T>>>,
+pub(crate) struct Merge<C: Channel> {
+    parts: Vec<Option<Part<C>>>,
     written_ns: u64,
     /// When the first part that has not been written came.
     since_ns: Option<u64>,
 }
 
-impl<H: Header, T: Row> Merge<H, T> {
+impl<C: Merged> Merge<C> {
     pub(crate) fn new(shards: usize) -> Self {
         Self {
             parts: (0..shards).map(|_| None).collect(),
@@ -64,8 +59,8 @@ impl<H: Header, T: Row> Merge<H, T> {
     pub(crate) fn put(
         &mut self,
         shard: usize,
-        header: H,
-        rows: impl Iterator<Item = T>,
+        header: C::Header,
+        rows: impl Iterator<Item = C::Row>,
         now_ns: u64,
     ) {
         self.since_ns.get_or_insert(now_ns);
@@ -80,7 +75,7 @@ impl<H: Header, T: Row> Merge<H, T> {
         });
     }
 
-    pub(crate) fn header(&self, shard: usize) -> Option<&H> {
+    pub(crate) fn header(&self, shard: usize) -> Option<&C::Header> {
         self.parts[shard].as_ref().map(|part| &part.header)
     }
 
@@ -92,7 +87,7 @@ impl<H: Header, T: Row> Merge<H, T> {
         (speaks, is_heard): (&[bool], &[bool]),
         (now_ns, period_ns, every): (u64, u64, u32),
     ) -> bool {
-        let is_new = |part: &Option<Part<H, T>>| part.as_ref().is_some_and(|part| part.is_new);
+        let is_new = |part: &Option<Part<C>>| part.as_ref().is_some_and(|part| part.is_new);
         let frames_ns = period_ns.saturating_mul(u64::from(every));
         let begin_ns = frames_ns.saturating_mul(BEGIN_PERIODS);
         let begins = now_ns.saturating_sub(self.written_ns) > begin_ns;
@@ -134,36 +129,42 @@ impl<H: Header, T: Row> Merge<H, T> {
         is_heard: &[bool],
         own: Own,
         now_ns: u64,
-        mut each: impl FnMut(T),
-    ) -> Option<H> {
-        let headers = |(part, heard): (&Option<Part<H, T>>, &bool)| {
+        mut each: impl FnMut(C::Row),
+    ) -> Option<C::Header> {
+        let headers = |(part, heard): (&Option<Part<C>>, &bool)| {
             part.as_ref().map(|part| (part.header, *heard))
         };
-        let all: Vec<(H, bool)> = self
+        let all: Vec<(C::Header, bool)> = self
             .parts
             .iter()
             .zip(is_heard)
             .filter_map(headers)
             .collect();
         let heard = all.iter().filter(|(_, heard)| *heard);
-        let heard: Vec<H> = heard.map(|(header, _)| *header).collect();
+        let heard: Vec<C::Header> = heard.map(|(header, _)| *header).collect();
         if heard.is_empty() {
             return None;
         }
-        let all: Vec<H> = all.into_iter().map(|(header, _)| header).collect();
+        let all: Vec<C::Header> = all.into_iter().map(|(header, _)| header).collect();
         for (part, heard) in self.parts.iter_mut().zip(is_heard) {
             let Some(part) = part else { continue };
             part.is_new = false;
             for row in &part.rows {
                 let mut row = *row;
                 if !heard {
-                    row.silence();
+                    C::silence(&mut row);
                 }
                 each(row);
             }
         }
         (self.written_ns, self.since_ns) = (now_ns, None);
-        Some(H::merged(&heard, &all, own))
+        let mut header = C::merged(&heard, &all);
+        header.set_place(own.pid, own.place);
+        // Of those that state it, on the monotonic clock and on the wall clock.
+        let sent_ns = earliest(heard.iter().filter_map(C::Header::sent_ns));
+        let sent_unix_ns = earliest(heard.iter().filter_map(C::Header::sent_unix_ns));
+        header.set_sent(sent_ns, sent_unix_ns);
+        Some(header)
     }
 }
 
@@ -178,10 +179,11 @@ fn earliest(values: impl Iterator<Item = u64>) -> u64 {
     values.filter(|value| *value != 0).min().unwrap_or_default()
 }
 
-impl Header for ForecastHeader {
-    fn merged(parts: &[Self], all: &[Self], own: Own) -> Self {
-        let of = |field: fn(&Self) -> u64| parts.iter().map(field);
-        let total = |field: fn(&Self) -> u64| all.iter().map(field).fold(0, u64::saturating_add);
+impl Merged for Forecasts {
+    fn merged(parts: &[ForecastHeader], all: &[ForecastHeader]) -> ForecastHeader {
+        let of = |field: fn(&ForecastHeader) -> u64| parts.iter().map(field);
+        let total =
+            |field: fn(&ForecastHeader) -> u64| all.iter().map(field).fold(0, u64::saturating_add);
         let hashes = parts.iter().map(|part| part.model_hash);
         let mut dropped = joulebus_wire::DropCounts::default();
         for part in all {
@@ -190,11 +192,8 @@ impl Header for ForecastHeader {
             }
         }
         let taken = parts.iter().map(|part| part.frames_taken);
-        Self {
+        ForecastHeader {
             schema: SCHEMA_VERSION,
-            pid: own.pid,
-            worker_epoch: own.worker_epoch,
-            tick: own.tick,
             period_ns: of(|it| it.period_ns).max().unwrap_or_default(),
             model_hash: common(hashes.clone()).unwrap_or_else(|| combine_hashes(hashes)),
             capacity: parts.iter().map(|it| it.capacity).max().unwrap_or_default(),
@@ -204,24 +203,26 @@ impl Header for ForecastHeader {
             first_taken_ns: earliest(of(|it| it.first_taken_ns)),
             compute_start_ns: earliest(of(|it| it.compute_start_ns)),
             compute_end_ns: earliest(of(|it| it.compute_end_ns)),
-            sent_ns: earliest(of(|it| it.sent_ns)),
-            sent_unix_ns: earliest(of(|it| it.sent_unix_ns)),
             ticks_skipped: total(|it| it.ticks_skipped),
             ticks_late: total(|it| it.ticks_late),
             samples_accepted: total(|it| it.samples_accepted),
             samples_dropped: dropped,
+            ..ForecastHeader::default()
         }
+    }
+
+    fn silence(row: &mut Forecast) {
+        row.flags &= !(forecast_flag::POWER | forecast_flag::INTERVAL);
+        (row.power_w, row.lo_w, row.hi_w) = (f32::NAN, f32::NAN, f32::NAN);
+        (row.quality, row.quality_detail) = STALE.encode();
     }
 }
 
-impl Header for DiagnosticHeader {
-    fn merged(parts: &[Self], _: &[Self], own: Own) -> Self {
-        let mut merged = Self {
+impl Merged for Diagnostics {
+    fn merged(parts: &[DiagnosticHeader], _: &[DiagnosticHeader]) -> DiagnosticHeader {
+        let mut merged = DiagnosticHeader {
             schema: SCHEMA_VERSION,
-            pid: own.pid,
-            worker_epoch: own.worker_epoch,
-            tick: own.tick,
-            ..Self::default()
+            ..DiagnosticHeader::default()
         };
         // The first of each shard before the second of any.
         let most = merged.refused.len();
@@ -232,84 +233,45 @@ impl Header for DiagnosticHeader {
         }
         merged
     }
-}
-
-impl Header for BudgetHeader {
-    fn merged(parts: &[Self], _: &[Self], own: Own) -> Self {
-        Self {
-            schema: SCHEMA_VERSION,
-            pid: own.pid,
-            worker_epoch: own.worker_epoch,
-            tick: own.tick,
-            sent_ns: earliest(parts.iter().map(|part| part.sent_ns)),
-            sent_unix_ns: earliest(parts.iter().map(|part| part.sent_unix_ns)),
-        }
-    }
-}
-
-impl Header for PlanStateHeader {
-    /// Shards compute with the same settings and models: those that do not are left out before.
-    fn merged(parts: &[Self], _: &[Self], own: Own) -> Self {
-        let of = |field: fn(&Self) -> u64| parts.iter().map(field);
-        Self {
-            pid: own.pid,
-            worker_epoch: own.worker_epoch,
-            tick: own.tick,
-            period_ns: of(|it| it.period_ns).max().unwrap_or_default(),
-            compute_start_ns: earliest(of(|it| it.compute_start_ns)),
-            sent_ns: earliest(of(|it| it.sent_ns)),
-            sent_unix_ns: earliest(of(|it| it.sent_unix_ns)),
-            ..parts[0]
-        }
-    }
-}
-
-impl Row for Forecast {
-    fn robot(&self) -> u32 {
-        self.robot
-    }
-
-    fn silence(&mut self) {
-        self.flags &= !(forecast_flag::POWER | forecast_flag::INTERVAL);
-        (self.power_w, self.lo_w, self.hi_w) = (f32::NAN, f32::NAN, f32::NAN);
-        let stale = Quality::Invalid(InvalidReason::Stale);
-        (self.quality, self.quality_detail) = stale.encode();
-    }
-}
-
-impl Row for Diagnostic {
-    fn robot(&self) -> u32 {
-        self.robot
-    }
 
     /// Alarms that were raised stay so.
-    fn silence(&mut self) {
-        let alarms = self.alarms().with(Alarm::NoData);
-        (self.alarms, self.alarm) = (alarms.0, alarms.first().code());
-        self.level = alarms.level().max(Level::Stale).code();
+    fn silence(row: &mut Diagnostic) {
+        let alarms = row.alarms().with(Alarm::NoData);
+        (row.alarms, row.alarm) = (alarms.0, alarms.first().code());
+        row.level = alarms.level().max(Level::Stale).code();
     }
 }
 
-impl Row for Budget {
-    fn robot(&self) -> u32 {
-        self.robot
+impl Merged for Budgets {
+    fn merged(_: &[BudgetHeader], _: &[BudgetHeader]) -> BudgetHeader {
+        BudgetHeader {
+            schema: SCHEMA_VERSION,
+            ..BudgetHeader::default()
+        }
     }
 
     /// It says itself until when it is valid.
-    fn silence(&mut self) {}
+    fn silence(_: &mut Budget) {}
 }
 
-impl Row for PlanState {
-    fn robot(&self) -> u32 {
-        self.robot
+impl Merged for PlanStates {
+    /// Shards compute with the same settings and models: those that do not are left out before.
+    fn merged(parts: &[PlanStateHeader], _: &[PlanStateHeader]) -> PlanStateHeader {
+        let of = |field: fn(&PlanStateHeader) -> u64| parts.iter().map(field);
+        PlanStateHeader {
+            period_ns: of(|it| it.period_ns).max().unwrap_or_default(),
+            compute_start_ns: earliest(of(|it| it.compute_start_ns)),
+            ..parts[0]
+        }
     }
 
-    fn silence(&mut self) {
-        self.flags &= !plan_state_flag::LAGS;
-        let stale = Quality::Invalid(InvalidReason::Stale);
-        (self.quality, self.quality_detail) = stale.encode();
+    fn silence(row: &mut PlanState) {
+        row.flags &= !plan_state_flag::LAGS;
+        (row.quality, row.quality_detail) = STALE.encode();
     }
 }
+
+const STALE: Quality = Quality::Invalid(InvalidReason::Stale);
 
 /// Counters of a shard's worker, continued over its runs: a merged fleet is one run.
 #[derive(Debug, Default)]
@@ -357,8 +319,7 @@ mod tests {
 
     const OWN: Own = Own {
         pid: 7,
-        worker_epoch: 90,
-        tick: 4,
+        place: Place { run: 90, number: 4 },
     };
 
     fn header(sent_ns: u64, accepted: u64) -> ForecastHeader {
@@ -383,7 +344,7 @@ mod tests {
     }
 
     fn written(
-        merge: &mut Merge<ForecastHeader, Forecast>,
+        merge: &mut Merge<Forecasts>,
         is_heard: &[bool],
     ) -> Option<(ForecastHeader, Vec<Forecast>)> {
         let mut rows = Vec::new();
@@ -393,7 +354,7 @@ mod tests {
 
     #[test]
     fn a_frame_is_as_old_as_its_oldest_part_and_counts_what_all_have_counted() {
-        let mut merge = Merge::new(3);
+        let mut merge = Merge::<Forecasts>::new(3);
         merge.put(0, header(900, 10), [row(1), row(2)].into_iter(), 0);
         merge.put(1, header(880, 20), [row(3)].into_iter(), 0);
         merge.put(2, header(500, 40), [row(4)].into_iter(), 0);
@@ -421,7 +382,7 @@ mod tests {
             level: raised.level().code(),
             ..Diagnostic::default()
         };
-        row.silence();
+        Diagnostics::silence(&mut row);
         assert!(row.alarms().has(Alarm::BatteryLow) && row.alarms().has(Alarm::NoData));
         assert_eq!(
             (row.level(), row.alarm()),
@@ -451,7 +412,7 @@ mod tests {
             heard in prop::collection::vec(any::<bool>(), 3),
             every in 1_u32..4,
         ) {
-            let mut merge = Merge::new(3);
+            let mut merge = Merge::<Forecasts>::new(3);
             let (mut newest, mut is_new) = (vec![None; 3], [false; 3]);
             let (mut now_ns, mut written_ns, mut since_ns) = (0, 0, None);
             for (shard, rows, later) in steps {

@@ -454,7 +454,7 @@ mod tests {
         let mut out = Vec::new();
         let rows: &[u8] = bytemuck::cast_slice(&rows);
         let frame = Some(Outgoing {
-            service: Carried::Forecasts,
+            service: Carried::FORECASTS,
             header: bytes_of(&header),
             elements: &mut [rows].into_iter(),
         });
@@ -466,7 +466,7 @@ mod tests {
         Request {
             heard: (8, 1_000),
             asked_ns: 55,
-            selection: Selection::new(Carried::Budgets.bit(), 3, vec![(1, 4), (9, 9)]),
+            selection: Selection::new(Carried::BUDGETS.bit(), 3, vec![(1, 4), (9, 9)]),
         }
     }
 

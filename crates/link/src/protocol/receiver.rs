@@ -15,10 +15,10 @@ pub(crate) const ASK_EVERY_NS: u64 = 100_000_000;
 /// room for two. Longer than the period of most fleets, shorter than what a frame takes on a way that is not free for the next.
 const ANSWER_WITHIN_NS: u64 = 40_000_000;
 /// The services of which only the newest frame counts.
-const REPLACED: u32 = Carried::Forecasts.bit()
-    | Carried::Diagnostics.bit()
-    | Carried::Budgets.bit()
-    | Carried::PlanStates.bit();
+const REPLACED: u32 = Carried::FORECASTS.bit()
+    | Carried::DIAGNOSTICS.bit()
+    | Carried::BUDGETS.bit()
+    | Carried::PLAN_STATES.bit();
 /// Requests older than this are not taken for the one that an answer names.
 const ASKED_WITHIN_NS: u64 = 10_000_000_000;
 

@@ -152,7 +152,7 @@ mod tests {
             };
             let rows: Vec<Sample> = ids.iter().map(|id| Sample::new(*id, 0, 0)).collect();
             let bytes: &[u8] = bytemuck::cast_slice(&rows);
-            let found: Vec<u8> = selection.runs(Carried::Samples, bytes).flatten().copied().collect();
+            let found: Vec<u8> = selection.runs(Carried::SAMPLES, bytes).flatten().copied().collect();
             let kept: Vec<Sample> = rows.iter().filter(|row| wanted(row.robot)).copied().collect();
             let expected: &[u8] = bytemuck::cast_slice(&kept);
             prop_assert_eq!(found.as_slice(), expected);

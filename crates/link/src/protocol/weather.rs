@@ -160,7 +160,7 @@ impl Hosts {
             clocks: None,
             stream: None,
             streams: 0,
-            receiver: Receiver::new(own, Selection::new(Carried::Forecasts.bit(), 1, vec![])),
+            receiver: Receiver::new(own, Selection::new(Carried::FORECASTS.bit(), 1, vec![])),
             tick: 0,
             sent: 0,
             dropped: 0,
@@ -223,7 +223,7 @@ impl Hosts {
             };
             let rows = [Forecast::default(); ROWS];
             let frame = LocalFrame {
-                service: Carried::Forecasts,
+                service: Carried::FORECASTS,
                 source: 0,
                 tick: self.tick,
                 header: bytemuck::bytes_of(&header),

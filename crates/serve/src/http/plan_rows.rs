@@ -1,7 +1,7 @@
 //! What plans of robots start from, as the worker writes it while somebody asks.
 
 use joulebus_bus::clock;
-use joulebus_consumer::{BudgetFeed, OpenError, PlanStateFeed, Subscriber};
+use joulebus_consumer::{Budgets, ConnectError, Feed, PlanStates, Subscriber};
 use joulebus_plan::RobotRows;
 use tokio::sync::oneshot;
 
@@ -32,8 +32,8 @@ struct Waiting {
 }
 
 struct Feeds {
-    states: PlanStateFeed,
-    budgets: BudgetFeed,
+    states: Feed<PlanStates>,
+    budgets: Feed<Budgets>,
 }
 
 /// The services, while they are needed.
@@ -88,7 +88,7 @@ impl PlanRows {
         }
     }
 
-    fn refuse(&mut self, error: &OpenError) {
+    fn refuse(&mut self, error: &ConnectError) {
         for waiting in self.waiting.drain(..) {
             let _ = waiting.reply.send(Err(RowsError::Open(error.to_string())));
         }
@@ -96,7 +96,7 @@ impl PlanRows {
 }
 
 impl Feeds {
-    fn open(planner: &Subscriber) -> Result<Self, OpenError> {
+    fn open(planner: &Subscriber) -> Result<Self, ConnectError> {
         Ok(Self {
             states: planner.plan_states()?,
             budgets: planner.budgets()?,

@@ -2,11 +2,10 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use joulebus_bus::{
-    BudgetReader, Bus, DiagnosticReader, ForecastReader, FrameBuf, PeerWatch, clock,
-};
+use joulebus_bus::{Bus, FrameBuf, PeerWatch, Reader, clock};
 use joulebus_config::Config;
 use joulebus_tests::{BudgetFrame, DiagnosticFrame, ForecastFrame, ReaderLine, is_whole};
+use joulebus_wire::{Budgets, Diagnostics, Forecasts};
 
 use crate::{Done, print_line, stop_with_stdin};
 
@@ -19,9 +18,9 @@ pub(crate) fn plan(config: &Config, holds: bool) -> Done {
     let bus = Bus::join(&config.domain()?, "planner")?;
     let mut waiter = bus.planner_waiter(&limits)?;
     let mut ports = Ports {
-        forecasts: bus.forecast_reader(&limits)?,
-        diagnostics: bus.diagnostic_reader(&limits)?,
-        budgets: bus.budget_reader(&limits)?,
+        forecasts: bus.reader(&limits)?,
+        diagnostics: bus.reader(&limits)?,
+        budgets: bus.reader(&limits)?,
     };
     print_line(&ReaderLine::Ready)?;
     if holds {
@@ -58,7 +57,7 @@ pub(crate) fn plan(config: &Config, holds: bool) -> Done {
     Ok(())
 }
 
-fn hold(forecasts: &mut ForecastReader, stop: &AtomicBool) -> Done {
+fn hold(forecasts: &mut Reader<Forecasts>, stop: &AtomicBool) -> Done {
     while !stop.load(Ordering::Relaxed) {
         if let Some(_held) = forecasts.take_next()? {
             print_line(&ReaderLine::Holds)?;
@@ -72,9 +71,9 @@ fn hold(forecasts: &mut ForecastReader, stop: &AtomicBool) -> Done {
 }
 
 struct Ports {
-    forecasts: ForecastReader,
-    diagnostics: DiagnosticReader,
-    budgets: BudgetReader,
+    forecasts: Reader<Forecasts>,
+    diagnostics: Reader<Diagnostics>,
+    budgets: Reader<Budgets>,
 }
 
 impl Ports {
