@@ -29,7 +29,7 @@ CHROMIUM=${CHROMIUM:-$(installed || true)}
 
 mkdir -p "$folder"
 rm -rf "$folder/page"
-cp -r crates/serve/page "$folder/page"
+cp -r crates/gateways/serve/page "$folder/page"
 cp tools/browser/* "$folder/"
 if ! cmp -s "$folder/package-lock.json" "$folder/node_modules/.installed"; then
     npm ci --prefix "$folder" --silent --no-audit --no-fund || skip "playwright-core and axe-core were not installed"

@@ -42,7 +42,7 @@ prefix=$work/prefix
 export PKG_CONFIG_PATH=$prefix/lib/pkgconfig LD_LIBRARY_PATH=$prefix/lib
 readelf -d "$prefix/lib/libjoulebus.so" | grep -q 'SONAME.*libjoulebus\.so\.[0-9]*\.[0-9]*\.[0-9]*\]'
 # The functions of the header, with their version, and nothing else.
-declared=$(grep -o '\bjoulebus_[a-z_]*(' crates/c/include/joulebus.h | tr -d '(' | sort -u)
+declared=$(grep -o '\bjoulebus_[a-z_]*(' crates/languages/c/include/joulebus.h | tr -d '(' | sort -u)
 exported=$(nm -D --defined-only "$prefix/lib/libjoulebus.so" | awk '$2 == "T" { print $3 }' | sort)
 for function in $declared; do
     grep -q "^$function@@JOULEBUS_[0-9]*\.[0-9]*$" <<<"$exported" || { echo "not exported: $function" >&2; exit 1; }
@@ -108,8 +108,8 @@ build() {
     # shellcheck disable=SC2046
     "$@" -g -O1 "$source" $(pkg-config --cflags --libs joulebus) -pthread -lm -o "$output"
 }
-build "$work/misuse" crates/c/tests/programs/misuse.c cc -std=gnu11
-build "$work/layer" crates/c/tests/programs/layer.cpp c++ -std=c++17
+build "$work/misuse" crates/languages/c/tests/programs/misuse.c cc -std=gnu11
+build "$work/layer" crates/languages/c/tests/programs/layer.cpp c++ -std=c++17
 if has valgrind; then
     for program in misuse layer; do
         # It warns of system calls that it does not know (pidfd_open).
@@ -125,8 +125,8 @@ else
     skipped "no valgrind"
 fi
 if echo 'int main(void) { return 0; }' | cc -fsanitize=address,undefined -x c - -o "$work/asan" 2>/dev/null && "$work/asan"; then
-    build "$work/misuse" crates/c/tests/programs/misuse.c cc -std=gnu11 -fsanitize=address,undefined -fno-sanitize-recover=all
-    build "$work/layer" crates/c/tests/programs/layer.cpp c++ -std=c++17 -fsanitize=address,undefined -fno-sanitize-recover=all
+    build "$work/misuse" crates/languages/c/tests/programs/misuse.c cc -std=gnu11 -fsanitize=address,undefined -fno-sanitize-recover=all
+    build "$work/layer" crates/languages/c/tests/programs/layer.cpp c++ -std=c++17 -fsanitize=address,undefined -fno-sanitize-recover=all
     # Sizes that no memory holds are to be refused by the library, not by the sanitizer; leaks are valgrind's.
     export ASAN_OPTIONS=allocator_may_return_null=1:detect_leaks=0
     for program in misuse layer; do

@@ -49,7 +49,7 @@ def built(folder: Path) -> tuple[Path, Path, Path]:
     subprocess.run(install, check=True, stdout=subprocess.DEVNULL)
     calls = folder / "calls"
     flags = ["-std=c++17", "-O3", f"-I{prefix}/include", f"-L{prefix}/lib", f"-Wl,-rpath,{prefix}/lib", "-ljoulebus"]
-    subprocess.run(["c++", ROOT / "crates/c/tests/speed/calls.cpp", *flags, "-o", calls], check=True)
+    subprocess.run(["c++", ROOT / "crates/languages/c/tests/speed/calls.cpp", *flags, "-o", calls], check=True)
     return target / "joulebus", calls, target / "examples" / "calls"
 
 

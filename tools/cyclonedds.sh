@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Prints a Python with Eclipse Cyclone DDS, for the tests of `joulebus bridge` with ROS 2 (`JOULEBUS_CYCLONEDDS`): the system's
 # if it has the package, else an environment in target/cyclonedds with the version and hashes of
-# crates/bridge/tests/all/ros2/requirements.lock, from PyPI. Without one it prints nothing and says why; with CI=true that is a failure.
+# crates/gateways/bridge/tests/all/ros2/requirements.lock, from PyPI. Without one it prints nothing and says why; with CI=true that is a failure.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 if python3 -c 'import cyclonedds.domain' 2>/dev/null; then
@@ -9,7 +9,7 @@ if python3 -c 'import cyclonedds.domain' 2>/dev/null; then
     exit
 fi
 home=${CARGO_TARGET_DIR:-target}/cyclonedds
-lock=crates/bridge/tests/all/ros2/requirements.lock
+lock=crates/gateways/bridge/tests/all/ros2/requirements.lock
 if ! cmp --silent "$lock" "$home/made-from.lock"; then
     rm -rf "$home"
     if ! { python3 -m venv "$home" && "$home/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps \

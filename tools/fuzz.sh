@@ -21,7 +21,7 @@ longest() { case $1 in archive | checkpoint) echo 65536 ;; frames) echo 2048 ;; 
 # The model files of the tests, which mutation would not find.
 fixtures() {
     local fixture name
-    for fixture in crates/model-files/tests/fixtures/*.gz; do
+    for fixture in crates/lab/model-files/tests/fixtures/*.gz; do
         name=$(basename "$fixture" .gz)
         case $1-$name in
             checkpoint-*) gzip -dc "$fixture" >"fuzz/corpus/$1/fixture-$name" ;;

@@ -20,7 +20,7 @@ if [ -z "$from" ]; then
     cargo build --locked --release --package joulebus-c
     from=${CARGO_TARGET_DIR:-target}/release
 fi
-header=crates/c/include/joulebus.h
+header=crates/languages/c/include/joulebus.h
 version=$(sed -n 's/^#define JOULEBUS_VERSION "\(.*\)"$/\1/p' $header)
 # Sources of releases before 1.0 fit each other by their second number; what is compiled needs its very release.
 series=${version%.*}
@@ -28,10 +28,10 @@ series=${version%.*}
 native="-lgcc_s -lutil -lrt -lpthread -lm -ldl -lc"
 
 install -d "$prefix"/{include,lib/pkgconfig,lib/cmake/joulebus}
-install -m 644 $header crates/c/include/joulebus.hpp "$prefix/include"
+install -m 644 $header crates/languages/c/include/joulebus.hpp "$prefix/include"
 install -m 644 "$(ls -t "$from"/libjoulebus_c*.a | head -1)" "$prefix/lib/libjoulebus.a"
 filled() {
-    sed -e "s|@VERSION@|$version|; s|@SERIES@|$series|; s|@NATIVE_LIBS@|$2|" "crates/c/install/$1.in"
+    sed -e "s|@VERSION@|$version|; s|@SERIES@|$series|; s|@NATIVE_LIBS@|$2|" "crates/languages/c/install/$1.in"
 }
 filled joulebus.pc "$native" >"$prefix/lib/pkgconfig/joulebus.pc"
 filled joulebusConfig.cmake "${native// /;}" >"$prefix/lib/cmake/joulebus/joulebusConfig.cmake"

@@ -54,7 +54,7 @@ def main() -> int:
         (f"{package['name']} {package['version']}", package["license"], package["repository"], Path(package["manifest_path"]).parent)
         for package in contained(metadata, sys.argv[1:])
     ]
-    vendored = ROOT / "crates/serve/page/vendor"
+    vendored = ROOT / "crates/gateways/serve/page/vendor"
     libraries.append(("uPlot (in the page of joulebus-serve)", "MIT", "https://github.com/leeoniya/uPlot", vendored))
     numbers: dict[str, int] = {}
     print("Libraries that the programs of joulebus contain. The numbers are those of the texts below.\n")

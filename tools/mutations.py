@@ -17,7 +17,16 @@ import time
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 
-# Name, file below crates/, text, replacement.
+
+def source(file):
+    """The source of a crate, whose folder is not named."""
+    found = [path for path in (ROOT / "crates").glob(f"**/{file}") if "target" not in path.parts]
+    if len(found) != 1:
+        sys.exit(f"{file}: {len(found)} files of that name below crates/, wanted 1")
+    return found[0]
+
+
+# Name, file of a crate, text, replacement.
 MUTATIONS = [
     # Found before, each put back.
     ("worker runs by the wall clock", "predictor-worker/src/worker.rs",
@@ -120,7 +129,7 @@ def main():
     parser.add_argument("--check", action="store_true", help="look for the texts, build nothing")
     asked = parser.parse_args()
     if asked.check:
-        gone = [f"{name}: {file}" for name, file, old, _ in MUTATIONS if old not in (ROOT / "crates" / file).read_text()]
+        gone = [f"{name}: {file}" for name, file, old, _ in MUTATIONS if old not in source(file).read_text()]
         print("\n".join(gone) or f"{len(MUTATIONS)} defects can be put in")
         sys.exit(1 if gone else 0)
     wanted = [part.strip() for part in (asked.only or "").split(",")]
@@ -129,7 +138,7 @@ def main():
     for name, file, old, new in MUTATIONS:
         if not any(part in name for part in wanted):
             continue
-        path = ROOT / "crates" / file
+        path = source(file)
         text = path.read_text()
         if old not in text:
             print(f"{name}: {file} does not contain the text that is to be replaced", file=sys.stderr)

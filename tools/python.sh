@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Prints a Python with the packages that tests compare with: the system's if it has them, else an
-# environment in target/python with the versions and hashes of crates/python/requirements.lock, from PyPI,
+# environment in target/python with the versions and hashes of crates/languages/python/requirements.lock, from PyPI,
 # made when it is first needed. With --locked it is always that environment.
 #
 #     JOULEBUS_PYTHON=$(tools/python.sh) cargo test --workspace
@@ -11,7 +11,7 @@ if [ "${1:-}" != --locked ] && python3 -c 'import numpy, prometheus_client, rosb
     exit
 fi
 home=${CARGO_TARGET_DIR:-target}/python
-lock=crates/python/requirements.lock
+lock=crates/languages/python/requirements.lock
 # The environment is that of this lock file, and whole.
 if ! cmp --silent "$lock" "$home/made-from.lock"; then
     echo "making $home" >&2

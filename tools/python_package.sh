@@ -10,7 +10,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 if ! python=$(tools/python.sh --locked); then
-    echo "python package: skipped: no environment of crates/python/requirements.lock; are Python and PyPI there?" >&2
+    echo "python package: skipped: no environment of crates/languages/python/requirements.lock; are Python and PyPI there?" >&2
     [ "${CI:-}" != true ]
     exit
 fi
@@ -22,13 +22,13 @@ if [ "${1:-}" = --workspace ]; then
     package=$target/python-package
     rm -rf "$package"
     mkdir -p "$package"
-    cp -r crates/python/python/joulebus "$package"
+    cp -r crates/languages/python/python/joulebus "$package"
     cp "$target/debug/lib_native.so" "$package/joulebus/_native.abi3.so"
     export PYTHONPATH=$package
 else
     wheels=$target/wheels
     rm -rf "$wheels"
-    "$python" -m maturin build --quiet --locked --profile dev --manifest-path crates/python/Cargo.toml \
+    "$python" -m maturin build --quiet --locked --profile dev --manifest-path crates/languages/python/Cargo.toml \
         --interpreter "$python" --out "$wheels"
     [ -n "${JOULEBUS_PROGRAM:-}" ] || cargo build --quiet --locked --package joulebus --package joulebus-lab
     # The wheel, not the sources: a file that it lacks is found missing.
@@ -36,5 +36,5 @@ else
 fi
 # Nothing of the repository's folder is on the path of imports.
 JOULEBUS_PROGRAM=${JOULEBUS_PROGRAM:-$target/debug/joulebus} \
-    "$python" -P -m pytest --quiet --config-file crates/python/pyproject.toml --rootdir crates/python \
-    -p no:cacheprovider crates/python/tests "$@"
+    "$python" -P -m pytest --quiet --config-file crates/languages/python/pyproject.toml --rootdir crates/languages/python \
+    -p no:cacheprovider crates/languages/python/tests "$@"

@@ -4,7 +4,7 @@
     tools/shared_builds.py                # each program, and the workspace
     tools/shared_builds.py joulebus-lab   # with the crates at which the difference begins
 
-Reads Cargo's unit graphs; compiles nothing. crates/program/Cargo.toml has the features that all programs share.
+Reads Cargo's unit graphs; compiles nothing. crates/host/program/Cargo.toml has the features that all programs share.
 """
 
 import hashlib

@@ -2,9 +2,9 @@
 #![cfg_attr(fuzzing, no_main)]
 #![allow(dead_code, reason = "the link uses the rest")]
 
-#[path = "../../crates/link/src/protocol/hostile.rs"]
+#[path = "../../crates/gateways/link/src/protocol/hostile.rs"]
 mod hostile;
-#[path = "../../crates/link/src/protocol/mod.rs"]
+#[path = "../../crates/gateways/link/src/protocol/mod.rs"]
 mod protocol;
 
 #[cfg(fuzzing)]

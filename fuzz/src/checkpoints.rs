@@ -1,6 +1,6 @@
 //! Model files of other programs: refused with the position of the fault, or read as a valid network.
 
-#[path = "../../crates/model-files/tests/all/wrapped.rs"]
+#[path = "../../crates/lab/model-files/tests/all/wrapped.rs"]
 #[allow(dead_code)] // The tests also embed pickles in other formats.
 pub(crate) mod wrapped;
 

@@ -1,12 +1,12 @@
-//! The reference fleet of `crates/fleet/tests`.
+//! The reference fleet of `crates/core/fleet/tests`.
 
-#[path = "../../crates/fleet/tests/all/oracle/compare.rs"]
+#[path = "../../crates/core/fleet/tests/all/oracle/compare.rs"]
 pub(crate) mod compare;
-#[path = "../../crates/fleet/tests/all/oracle/experts.rs"]
+#[path = "../../crates/core/fleet/tests/all/oracle/experts.rs"]
 mod experts;
-#[path = "../../crates/fleet/tests/all/oracle/intake.rs"]
+#[path = "../../crates/core/fleet/tests/all/oracle/intake.rs"]
 mod intake;
-#[path = "../../crates/fleet/tests/all/oracle/robot.rs"]
+#[path = "../../crates/core/fleet/tests/all/oracle/robot.rs"]
 mod robot;
 
 pub(crate) use self::compare::compare;

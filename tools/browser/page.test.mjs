@@ -247,7 +247,7 @@ describe("a fleet of 20 robots", () => {
   });
 
   test("every file of the page is served from memory, under a policy that admits nothing from elsewhere", async () => {
-    const folder = join(ROOT, "crates/serve/page");
+    const folder = join(ROOT, "crates/gateways/serve/page");
     const files = readdirSync(folder, { recursive: true, withFileTypes: true }).filter((entry) => entry.isFile());
     assert.ok(files.length > 10);
     for (const file of files) {

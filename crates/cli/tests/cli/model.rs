@@ -13,7 +13,7 @@ const CONVENTION: &str = "mW+newest-first+lags-last+d-normalised-per-second+abs-
 
 /// A model file of NumPy or PyTorch from the tests of `model-files`.
 fn foreign(folder: &Path, name: &str) -> PathBuf {
-    let packed = format!("../model-files/tests/fixtures/{name}.gz");
+    let packed = format!("../lab/model-files/tests/fixtures/{name}.gz");
     let packed = std::fs::File::open(Path::new(env!("CARGO_MANIFEST_DIR")).join(packed)).unwrap();
     let mut bytes = Vec::new();
     flate2::read::GzDecoder::new(packed)

@@ -12,7 +12,7 @@ const LENIENT: [&str; 3] = ["benches", "cli", "lab"];
 #[test]
 fn files_have_no_import_cycles() {
     let mut described = String::new();
-    let others = ["benches", "simulator"].map(|folder| members_below(&root().join(folder)));
+    let others = ["benches", "tests/simulator"].map(|folder| members_below(&root().join(folder)));
     for member in members().into_iter().chain(others.into_iter().flatten()) {
         let name = member.name;
         let (src, lenient) = (
@@ -44,7 +44,7 @@ const LAYERS: [&str; 8] = [
 
 #[test]
 fn the_layers_of_the_fleet_import_only_downward() {
-    let imports = imports(&crates().join("fleet/src"), true);
+    let imports = imports(&crates().join("core/fleet/src"), true);
     let layer = |file: &PathBuf| {
         let folder = file.iter().next().unwrap().to_str().unwrap();
         LAYERS.iter().position(|layer| *layer == folder)

@@ -1,0 +1,33 @@
+//! `joulebus bridge` as a separate program: a source of samples, and a planner that tells other systems.
+#![forbid(unsafe_code)]
+
+mod arguments;
+mod bridge;
+mod config;
+mod mapping;
+mod mqtt;
+mod publishing;
+mod ros2;
+mod shared;
+mod telling;
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    joulebus_bus::trace_iceoryx2();
+    joulebus_program::verb::main("bridge", bridge::run)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Args as _;
+
+    use crate::arguments::BridgeArguments;
+
+    #[test]
+    fn the_main_program_shows_these_options() {
+        let verb = BridgeArguments::augment_args(clap::Command::new("bridge"));
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../cli/verbs/bridge.json");
+        joulebus_program::described::check(file.as_ref(), &[verb]);
+    }
+}

@@ -1,0 +1,770 @@
+//! The file of a link: what this host gives and takes, and by which network. Strictly checked, every problem with its
+//! line.
+
+mod check;
+mod file;
+mod lease;
+mod network;
+mod shards;
+
+use std::path::Path;
+use std::sync::Arc;
+
+use joulebus_config::Config;
+use joulebus_config::ConfigError;
+use joulebus_wire::fnv1a;
+use toml::Value;
+
+use crate::config::check::Check;
+use crate::config::file::{
+    FollowSection, LeaseSection, LinkFile, NetworkSection, Text, WorkerSection,
+};
+use crate::protocol::carried::Carried;
+use crate::protocol::message::FleetId;
+use crate::protocol::selection::{MOST_RANGES, Selection};
+use crate::protocol::shards::Shards;
+
+pub(crate) use lease::LeaseSettings;
+pub(crate) use network::{Mode, NetworkSettings};
+
+/// Longest file, bytes.
+const MOST_BYTES: u64 = 1 << 20;
+/// Longest name of a link, bytes.
+const MOST_NAME: usize = 64;
+/// Hosts whose samples a worker takes.
+const MOST_HOSTS: usize = 256;
+const EVERY: (u32, u32) = (1, 3_600);
+
+/// A checked file.
+#[derive(Debug, Clone)]
+pub(crate) struct Settings {
+    pub(crate) name: String,
+    pub(crate) network: NetworkSettings,
+    /// Who speaks for which robots, where the fleet is split.
+    pub(crate) shards: Option<Arc<Shards>>,
+    pub(crate) side: Side,
+    /// Where the worker of this host is one of several that may serve.
+    pub(crate) standby: Option<Standby>,
+}
+
+/// One of the candidates of a shard, one of which serves at a time.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Standby {
+    /// The shard's name.
+    pub(crate) shard: String,
+    /// Place in the list of its candidates.
+    pub(crate) rank: usize,
+    /// Links of the other candidates, with their places.
+    pub(crate) others: Vec<(usize, String)>,
+    /// Who decides; without it an operator does.
+    pub(crate) lease: Option<LeaseSettings>,
+}
+
+/// What this host is.
+#[derive(Debug, Clone)]
+pub(crate) enum Side {
+    /// The host of the worker, with the hosts whose samples it takes.
+    Worker(Vec<Take>),
+    /// A host without a worker of its own.
+    Other {
+        /// The links of workers to which the samples published here go.
+        samples: Option<Vec<String>>,
+        follow: Option<Follow>,
+    },
+}
+
+/// A host whose samples are taken.
+#[derive(Debug, Clone)]
+pub(crate) struct Take {
+    pub(crate) from: String,
+    pub(crate) robots: Selection,
+}
+
+/// Outputs of workers elsewhere.
+#[derive(Debug, Clone)]
+pub(crate) struct Follow {
+    /// Of each shard the names of its links; of a fleet that is not split one name.
+    pub(crate) workers: Vec<Vec<String>>,
+    pub(crate) selection: Selection,
+}
+
+impl Settings {
+    /// Reads a link's file for the fleet of `config`.
+    ///
+    /// # Errors
+    /// [`ConfigError`]: it cannot be read, or is refused, with all problems.
+    pub(crate) fn load(path: &Path, config: &Config) -> Result<Self, ConfigError> {
+        let text = joulebus_files::read_to_string(path, MOST_BYTES).map_err(|source| {
+            let path = path.to_owned();
+            ConfigError::Read { path, source }
+        })?;
+        let mut check = Check {
+            file: path.display().to_string(),
+            folder: path.parent().unwrap_or(Path::new("")).to_owned(),
+            text: &text,
+            problems: Vec::new(),
+        };
+        let settings = check.settings(config);
+        match settings {
+            Some(settings) if check.problems.is_empty() => Ok(settings),
+            _ => Err(ConfigError::Refused(check.problems)),
+        }
+    }
+}
+
+impl Settings {
+    /// The fleet, as messages name it.
+    pub(crate) fn fleet(&self, config: &Config) -> FleetId {
+        FleetId {
+            name: fnv1a(config.fleet().bytes()),
+            shards: self.shards.as_deref().map_or(0, Shards::digest),
+        }
+    }
+
+    /// Whether the worker of this link has the robot.
+    pub(crate) fn has_robot(&self, robot: u32) -> bool {
+        let shards = self.shards.as_deref();
+        shards.is_none_or(|shards| shards.of_robot(robot) == shards.of_worker(&self.name))
+    }
+}
+
+impl Check<'_> {
+    fn settings(&mut self, config: &Config) -> Option<Settings> {
+        let file: LinkFile = match toml::from_str(self.text) {
+            Ok(file) => file,
+            Err(error) => {
+                let at = error.span().map(|span| span.start);
+                let what = format!("cannot be read: {}", error.message().replace('\n', "; "));
+                self.problem(at, "", what, "docs/scale.md has all keys");
+                return None;
+            }
+        };
+        let name = self.name(&file.name, "name");
+        let network = self.network(&file.network, file.clock.as_ref());
+        let shards = file.shards.as_ref().map(|path| self.shards(path, config));
+        let shards = shards.flatten().map(Arc::new);
+        let has_shards = file.shards.is_some();
+        let standby = self.standby(
+            file.lease.as_ref(),
+            &file.network,
+            (&name, shards.as_deref()),
+        );
+        let side = match (file.worker, file.samples, file.follow) {
+            (Some(worker), None, None) => {
+                if let Some(shards) = &shards
+                    && shards.of_worker(&name).is_none()
+                {
+                    let what = format!("= {name:?} speaks for no shard");
+                    let at = Some(file.name.span().start);
+                    self.problem(at, "name", what, "Name it in `shard.workers`");
+                }
+                Side::Worker(self.takes(&worker, &name, config))
+            }
+            (None, samples, follow) if samples.is_some() || follow.is_some() => {
+                let of = (name.as_str(), shards.as_deref(), has_shards);
+                let samples =
+                    samples.map(|section| self.workers(section.to.as_ref(), "samples.to", of));
+                let follow = follow.map(|section| self.follow(&section, of, config));
+                Side::Other {
+                    samples: samples.map(|shards| shards.concat()),
+                    follow,
+                }
+            }
+            _ => {
+                let what = "says nothing of this host, or both".to_owned();
+                let remedy =
+                    "Either [worker], beside `joulebus run`, or [samples], [follow] or both";
+                self.problem(None, "", what, remedy);
+                return None;
+            }
+        };
+        Some(Settings {
+            name,
+            network,
+            shards,
+            side,
+            standby,
+        })
+    }
+
+    /// Whether the worker of the link `name` is one of several.
+    fn standby(
+        &mut self,
+        lease: Option<&LeaseSection>,
+        network: &NetworkSection,
+        (name, shards): (&str, Option<&Shards>),
+    ) -> Option<Standby> {
+        let lease = lease.map(|lease| self.lease(lease, network));
+        let shard = shards.and_then(|shards| Some(&shards.all()[shards.of_worker(name)?]));
+        let Some(shard) = shard.filter(|shard| shard.workers.len() > 1) else {
+            if lease.is_some() {
+                let what = "decides nothing here".to_owned();
+                let remedy = "Name this link and another in `workers` of one shard, or leave the section out";
+                self.problem(None, "lease", what, remedy);
+            }
+            return None;
+        };
+        let candidates = shard.workers.iter().cloned().enumerate();
+        let (own, others): (Vec<_>, Vec<_>) = candidates.partition(|(_, worker)| worker == name);
+        Some(Standby {
+            shard: shard.name.clone(),
+            rank: own.first().map_or(0, |(rank, _)| *rank),
+            others,
+            lease,
+        })
+    }
+
+    /// Hosts whose samples the worker of link `name` takes.
+    fn takes(&mut self, worker: &WorkerSection, name: &str, config: &Config) -> Vec<Take> {
+        if worker.take.len() > MOST_HOSTS {
+            let what = format!("names {} hosts", worker.take.len());
+            let remedy = format!("Allowed are {MOST_HOSTS}");
+            self.problem(None, "worker.take", what, &remedy);
+        }
+        let mut takes: Vec<Take> = Vec::new();
+        for take in &worker.take {
+            let from = self.name(&take.from, "worker.take.from");
+            if from == name || takes.iter().any(|other| other.from == from) {
+                let what = format!("= {from:?} is this link, or named twice");
+                let at = Some(take.from.span().start);
+                self.problem(at, "worker.take.from", what, "Name each host once");
+            }
+            let robots = self.robots(take.robots.as_deref(), "worker.take.robots", config);
+            takes.push(Take { from, robots });
+        }
+        takes
+    }
+
+    /// The links of each shard's workers, or the one that `key` names where the fleet is not split.
+    fn workers(
+        &mut self,
+        named: Option<&Text>,
+        key: &str,
+        (name, shards, has_shards): (&str, Option<&Shards>, bool),
+    ) -> Vec<Vec<String>> {
+        match named {
+            Some(text) if !has_shards => vec![vec![self.other(text, key, name)]],
+            Some(text) => {
+                let what = format!("= {:?} beside a file of shards", text.get_ref());
+                let remedy = "Leave it out: the shards have their workers";
+                self.problem(Some(text.span().start), key, what, remedy);
+                Vec::new()
+            }
+            None if !has_shards => {
+                let remedy = "Name the worker's link, or the fleet's file of `shards`";
+                self.problem(None, key, "is missing".to_owned(), remedy);
+                Vec::new()
+            }
+            None => {
+                let all = shards.map(Shards::all).unwrap_or_default();
+                if let Some(shard) = all
+                    .iter()
+                    .find(|shard| shard.workers.iter().any(|it| it == name))
+                {
+                    let what = format!("= {name:?} speaks for the shard {}", shard.name);
+                    let remedy = "A worker's host has [worker]; give this link another name";
+                    self.problem(None, "name", what, remedy);
+                }
+                all.iter().map(|shard| shard.workers.clone()).collect()
+            }
+        }
+    }
+
+    fn follow(
+        &mut self,
+        section: &FollowSection,
+        of: (&str, Option<&Shards>, bool),
+        config: &Config,
+    ) -> Follow {
+        let workers = self.workers(section.worker.as_ref(), "follow.worker", of);
+        let (least, most) = EVERY;
+        if !(least..=most).contains(&section.every) {
+            let what = format!("is {}", section.every);
+            let remedy = format!("Allowed: {least} to {most}");
+            self.problem(None, "follow.every", what, &remedy);
+        }
+        let services = section.services.iter().map(|it| it.carried().bit());
+        let services = services.fold(Carried::FORECASTS.bit(), |all, bit| all | bit);
+        let wants_ticks = services & Carried::TICKS.bit() != 0;
+        if workers.len() > 1 && wants_ticks {
+            let what = format!("has \"ticks\" of {} workers", workers.len());
+            let remedy = "Leave it out: a journal is of one worker";
+            self.problem(None, "follow.services", what, remedy);
+        }
+        let robots = self.robots(section.robots.as_deref(), "follow.robots", config);
+        let ranges = robots.ranges().to_vec();
+        Follow {
+            workers,
+            selection: Selection::new(services, section.every, ranges),
+        }
+    }
+
+    /// The name of a link, which becomes a part of keys.
+    fn name(&mut self, text: &Text, key: &str) -> String {
+        let name = text.get_ref();
+        let allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
+        if name.is_empty() || name.len() > MOST_NAME || !name.bytes().all(allowed) {
+            let what = format!("= {name:?}");
+            let remedy = format!("Allowed: 1 to {MOST_NAME} letters, digits, - _ and .");
+            self.problem(Some(text.span().start), key, what, &remedy);
+        }
+        name.clone()
+    }
+
+    /// The name of a link that is not this one.
+    fn other(&mut self, text: &Text, key: &str, own: &str) -> String {
+        let name = self.name(text, key);
+        if name == own {
+            let what = format!("= {name:?} is this link itself");
+            self.problem(Some(text.span().start), key, what, "Name the worker's link");
+        }
+        name
+    }
+
+    /// Robots by ids and ranges `"a-b"`; a selection of all without a list.
+    fn robots(&mut self, list: Option<&[Value]>, key: &str, config: &Config) -> Selection {
+        let mut ranges = Vec::new();
+        for entry in list.unwrap_or_default() {
+            let range = match entry {
+                Value::Integer(id) => u32::try_from(*id).ok().map(|id| (id, id)),
+                Value::String(text) => range(text),
+                _ => None,
+            };
+            match range {
+                Some(range) => ranges.push(range),
+                None => {
+                    let what = format!("has the entry {entry}");
+                    self.problem(None, key, what, "Write ids, or \"first-last\"");
+                }
+            }
+        }
+        let (found, most) = (ranges.len(), MOST_RANGES);
+        if found > most || list.is_some_and(<[Value]>::is_empty) {
+            let what = format!("has {found} entries; allowed are 1 to {most}");
+            self.problem(
+                None,
+                key,
+                what,
+                "Join neighbouring ids, or leave the key out for all",
+            );
+        }
+        let known = |(first, last): &(u32, u32)| {
+            let platforms = &config.settings().platforms;
+            let mut ids = platforms.iter().flat_map(|platform| &platform.robots);
+            ids.any(|ids| ids.start() <= last && first <= ids.end())
+        };
+        if let Some((first, last)) = ranges.iter().find(|range| !known(range)) {
+            let what = format!("names {first}-{last}, which no platform has");
+            let remedy = "Name robots of `platform.robots` in the fleet's config";
+            self.problem(None, key, what, remedy);
+        }
+        Selection::new(u32::MAX, 1, ranges)
+    }
+}
+
+fn range(text: &str) -> Option<(u32, u32)> {
+    let id = |text: &str| text.trim().parse().ok();
+    let (first, last) = text.split_once('-').unwrap_or((text, text));
+    let range: (u32, u32) = (id(first)?, id(last)?);
+    (range.0 <= range.1).then_some(range)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    const FLEET: &str = "[fleet]\nname = \"lab\"\ncapacity = 20\n\
+        [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n";
+    const WORKER: &str = "name = \"base\"\n[network]\nlisten = [\"tcp/127.0.0.1:7447\"]\n\
+        [worker]\n[[worker.take]]\nfrom = \"edge\"\nrobots = [\"0-4\", 7]\n";
+    const OTHER: &str = "name = \"edge\"\n[network]\nconnect = [\"tcp/127.0.0.1:7447\"]\n\
+        [samples]\nto = \"base\"\n[follow]\nworker = \"base\"\n";
+
+    fn load(text: &str) -> Result<Settings, ConfigError> {
+        let config = Config::parse(FLEET, Path::new(".")).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("link.toml");
+        fs::write(&path, text).unwrap();
+        Settings::load(&path, &config)
+    }
+
+    #[test]
+    fn good_files_are_taken() {
+        let settings = load(WORKER).unwrap();
+        let Side::Worker(takes) = settings.side else {
+            panic!("a worker's");
+        };
+        assert_eq!(
+            (settings.name.as_str(), takes[0].from.as_str()),
+            ("base", "edge")
+        );
+        assert_eq!(takes[0].robots.ranges(), [(0, 4), (7, 7)]);
+        assert_eq!(settings.network.realtime_within_ns, None);
+        let kept = WORKER.replace(
+            "[worker]\n",
+            "[clock]\nrealtime_within_s = 0.00005\n[worker]\n",
+        );
+        let within_ns = load(&kept).unwrap().network.realtime_within_ns;
+        assert_eq!(within_ns, Some(50_000));
+        let settings = load(OTHER).unwrap();
+        let Side::Other { samples, follow } = settings.side else {
+            panic!("another host's");
+        };
+        let follow = follow.unwrap();
+        assert_eq!(samples.unwrap(), ["base"]);
+        assert_eq!(follow.workers, [["base"]]);
+        assert!(
+            follow.selection.wants(Carried::FORECASTS) && !follow.selection.wants(Carried::TICKS)
+        );
+    }
+
+    #[test]
+    fn what_is_wrong_is_named_with_its_line() {
+        for (base, from, to, line, says) in [
+            (WORKER, "name = \"base\"", "name = \"ba/se\"", 1, "letters"),
+            (WORKER, "name = \"base\"", "name = \"\"", 1, "1 to 64"),
+            (WORKER, "listen", "listens", 3, "unknown field"),
+            (
+                WORKER,
+                "tcp/127.0.0.1:7447",
+                "udp/127.0.0.1:7447",
+                3,
+                "tcp/",
+            ),
+            (WORKER, "tcp/127.0.0.1:7447", "tcp/127.0.0.1", 3, "port"),
+            (
+                WORKER,
+                "tcp/127.0.0.1:7447",
+                "tcp/10.0.0.1:7447",
+                3,
+                "unencrypted",
+            ),
+            (
+                WORKER,
+                "tcp/127.0.0.1:7447",
+                "tls/10.0.0.1:7447",
+                3,
+                "[network.tls]",
+            ),
+            (WORKER, "\"edge\"", "\"base\"", 6, "this link"),
+            (WORKER, "7]", "12]", 7, "no platform"),
+            (WORKER, "\"0-4\"", "\"4-0\"", 7, "4-0"),
+            (WORKER, "[\"0-4\", 7]", "[]", 7, "1 to 64"),
+            (OTHER, "to = \"base\"", "to = \"edge\"", 5, "itself"),
+            (
+                WORKER,
+                "[worker]",
+                "[clock]\nrealtime_within_s = nan\n[worker]",
+                5,
+                "0.000001 to 0.01",
+            ),
+            (
+                WORKER,
+                "[worker]",
+                "[clock]\nrealtime_within_s = 1\n[worker]",
+                5,
+                "0.000001 to 0.01",
+            ),
+            (
+                WORKER,
+                "[worker]",
+                "[clock]\n[worker]",
+                4,
+                "realtime_within_s",
+            ),
+            (
+                OTHER,
+                "worker = \"base\"",
+                "worker = \"base\"\nevery = 0",
+                8,
+                "1 to 3600",
+            ),
+            (
+                OTHER,
+                "worker = \"base\"",
+                "worker = \"base\"\nservices = [\"samples\"]",
+                8,
+                "unknown variant",
+            ),
+            (
+                OTHER,
+                "connect = [\"tcp/127.0.0.1:7447\"]",
+                "mode = \"client\"",
+                2,
+                "router",
+            ),
+        ] {
+            let text = base.replacen(from, to, 1);
+            assert_ne!(text, base, "{from}");
+            let refused = load(&text).expect_err(to);
+            let shown = refused.to_string();
+            assert!(shown.contains(says), "{to}: {shown}");
+            let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
+            assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
+        }
+    }
+
+    const SHARDS: &str = "[[shard]]\nname = \"a\"\nworkers = [\"base\", \"spare\"]\nrobots = [\"0-4\"]\n\
+        [[shard]]\nname = \"b\"\nworkers = [\"south\"]\nrobots = [\"5-9\"]\n";
+    const DESK: &str = "name = \"desk\"\nshards = \"shards.toml\"\n[network]\n\
+        connect = [\"tcp/127.0.0.1:7447\"]\n[samples]\n[follow]\n";
+
+    /// A link's file beside one of shards.
+    fn load_with(shards: &str, text: &str) -> Result<Settings, ConfigError> {
+        let config = Config::parse(FLEET, Path::new(".")).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("shards.toml"), shards).unwrap();
+        let path = folder.path().join("link.toml");
+        fs::write(&path, text).unwrap();
+        Settings::load(&path, &config)
+    }
+
+    #[test]
+    fn links_of_a_fleet_with_shards_follow_all_workers_and_give_samples_to_all() {
+        let settings = load_with(SHARDS, DESK).unwrap();
+        let Side::Other { samples, follow } = &settings.side else {
+            panic!("another host's");
+        };
+        let links = ["base", "spare", "south"];
+        assert_eq!(samples.as_deref().unwrap(), links);
+        let follow = follow.as_ref().unwrap();
+        assert_eq!(follow.workers.concat(), links);
+        assert_eq!(follow.workers.len(), 2);
+        let worker = WORKER.replacen('\n', "\nshards = \"shards.toml\"\n", 1);
+        let settings = load_with(SHARDS, &worker).unwrap();
+        assert!(settings.has_robot(4) && !settings.has_robot(5));
+        let hashed = SHARDS.replace("robots", "# robots");
+        let (one, other) = (
+            load_with(&hashed, &worker).unwrap(),
+            load_with(&hashed, &worker.replacen("base", "south", 1)).unwrap(),
+        );
+        assert!((0..10).all(|robot| one.has_robot(robot) != other.has_robot(robot)));
+    }
+
+    #[test]
+    fn what_is_wrong_with_shards_is_named_with_its_line() {
+        let worker = WORKER.replacen('\n', "\nshards = \"shards.toml\"\n", 1);
+        for (text, from, to, line, says) in [
+            (DESK, "\"a\"", "\"b\"", 6, "twice"),
+            (DESK, "\"south\"", "\"spare\"", 7, "twice"),
+            (DESK, "\"5-9\"", "\"4-9\"", 4, "robot 4 in two"),
+            (DESK, "\"5-9\"", "\"6-9\"", 4, "not have robot 5"),
+            (DESK, "robots = [\"5-9\"]", "", 4, "1 of 2"),
+            (DESK, "[\"base\", \"spare\"]", "[]", 2, "0 links"),
+            (DESK, "\"5-9\"", "\"9-5\"", 4, "9-5"),
+            (DESK, "name = \"b\"", "names = \"b\"", 6, "unknown field"),
+            (DESK, "\"south\"", "\"desk\"", 1, "speaks for the shard b"),
+            (&worker, "\"base\"", "\"west\"", 1, "no shard"),
+        ] {
+            let shards = SHARDS.replacen(from, to, 1);
+            assert_ne!(shards, SHARDS, "{from}");
+            let refused = load_with(&shards, text).expect_err(to);
+            let shown = refused.to_string();
+            assert!(shown.contains(says), "{to}: {shown}");
+            let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
+            assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
+        }
+        for (text, says) in [
+            (
+                DESK.replace("[follow]", "[follow]\nworker = \"base\""),
+                "Leave it out",
+            ),
+            (
+                DESK.replace("[follow]", "[follow]\nservices = [\"ticks\"]"),
+                "of one worker",
+            ),
+            (DESK.replace("shards = ", "# shards = "), "file of `shards`"),
+            (DESK.replace("shards.toml", "none.toml"), "cannot be read"),
+        ] {
+            let shown = load_with(SHARDS, &text).expect_err(says).to_string();
+            assert!(shown.contains(says), "{says}: {shown}");
+        }
+    }
+
+    const CANDIDATE: &str = "name = \"spare\"\nshards = \"shards.toml\"\n[network]\n\
+        listen = [\"tcp/127.0.0.1:7447\"]\n[worker]\n";
+
+    #[test]
+    fn one_of_several_workers_of_a_shard_knows_the_others_and_its_place() {
+        let settings = load_with(SHARDS, CANDIDATE).unwrap();
+        let expected = Standby {
+            shard: "a".to_owned(),
+            rank: 1,
+            others: vec![(0, "base".to_owned())],
+            lease: None,
+        };
+        assert_eq!(settings.standby, Some(expected));
+        let lease =
+            "[lease]\nendpoints = [\"http://127.0.0.1:2379\", \"https://etcd.example:1\"]\n";
+        let settings = load_with(SHARDS, &format!("{CANDIDATE}{lease}")).unwrap();
+        let lease = settings.standby.unwrap().lease.unwrap();
+        assert_eq!((lease.endpoints.len(), lease.ttl_s), (2, 3));
+        assert_eq!((lease.prefix.as_str(), lease.user), ("joulebus/", None));
+        // The only one of its shard.
+        let south = CANDIDATE.replace("spare", "south");
+        assert_eq!(load_with(SHARDS, &south).unwrap().standby, None);
+    }
+
+    #[test]
+    fn a_lease_that_cannot_be_had_is_refused_with_its_remedy() {
+        let endpoint = "endpoints = [\"http://127.0.0.1:2379\"]\n";
+        for (name, lease, says) in [
+            ("south", endpoint, "decides nothing here"),
+            ("spare", "endpoints = []\n", "1 to 16 members"),
+            (
+                "spare",
+                "endpoints = [\"127.0.0.1:2379\"]\n",
+                "https://host:port",
+            ),
+            (
+                "spare",
+                "endpoints = [\"http://127.0.0.1\"]\n",
+                "https://host:port",
+            ),
+            (
+                "spare",
+                "endpoints = [\"http://127.0.0.1:1/v3\"]\n",
+                "https://host:port",
+            ),
+            (
+                "spare",
+                "endpoints = [\"ftp://127.0.0.1:1\"]\n",
+                "https://host:port",
+            ),
+            (
+                "spare",
+                "endpoints = [\"http://10.0.0.1:2379\"]\n",
+                "Use https",
+            ),
+            ("spare", &format!("{endpoint}ttl_s = 1\n"), "2 to 60"),
+            ("spare", &format!("{endpoint}ttl_s = 61\n"), "2 to 60"),
+            (
+                "spare",
+                &format!("{endpoint}prefix = \"a b\"\n"),
+                "letters, digits",
+            ),
+            (
+                "spare",
+                &format!("{endpoint}user = \"root\"\n"),
+                "lease.password",
+            ),
+            (
+                "spare",
+                &format!("{endpoint}key = \"none.key\"\n"),
+                "lease.certificate",
+            ),
+            (
+                "spare",
+                &format!("{endpoint}ca = \"none.pem\"\n"),
+                "cannot be read",
+            ),
+            ("spare", &format!("{endpoint}leash = 1\n"), "leash"),
+        ] {
+            let text = format!("{}[lease]\n{lease}", CANDIDATE.replace("spare", name));
+            let shown = load_with(SHARDS, &text).expect_err(says).to_string();
+            assert!(shown.contains(says), "{says}: {shown}");
+        }
+    }
+
+    #[test]
+    fn the_shipped_examples_are_taken_with_and_without_shards() {
+        let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../configs/links");
+        // A published crate has none beside it.
+        if !examples.is_dir() {
+            return;
+        }
+        let fleet = FLEET.replace("20", "1000").replace("0-9", "0-999");
+        let config = Config::parse(&fleet, Path::new(".")).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            fs::write(&path, text).unwrap();
+            fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o600))
+                .unwrap();
+            path
+        };
+        for secret in [
+            "fleet-ca.pem",
+            "base.pem",
+            "base.key",
+            "edge-1.pem",
+            "edge-1.key",
+            "desk.pem",
+            "desk.key",
+        ] {
+            write(secret, "");
+        }
+        let mut files = 0;
+        for entry in fs::read_dir(&examples).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+            let text = fs::read_to_string(&path).unwrap();
+            let path = write(&name, &text);
+            if name.ends_with("shards.toml") {
+                continue;
+            }
+            if name == "standby.toml" {
+                let shards = "standby-shards.toml";
+                write(shards, &fs::read_to_string(examples.join(shards)).unwrap());
+            }
+            files += 1;
+            let settings = Settings::load(&path, &config);
+            let settings = settings.unwrap_or_else(|error| panic!("{name}: {error}"));
+            assert_eq!(settings.standby.is_some(), name == "standby.toml", "{name}");
+            if settings.shards.is_some() {
+                continue;
+            }
+            // With shards nobody names a worker.
+            let split = text.replacen("\n[network]", "\nshards = \"shards.toml\"\n[network]", 1);
+            let split = split
+                .replace("to = \"base\"", "")
+                .replace("worker = \"base\"", "");
+            write(
+                "shards.toml",
+                &fs::read_to_string(examples.join("shards.toml")).unwrap(),
+            );
+            Settings::load(&write(&name, &split), &config)
+                .unwrap_or_else(|error| panic!("{name}: {error}"));
+        }
+        assert!(files >= 4, "{files}");
+    }
+
+    #[test]
+    fn what_is_quoted_of_a_file_has_bounds() {
+        let long = "é".repeat(100_000);
+        for (text, says) in [
+            (OTHER.replace("edge", &long), "1 to 64 letters"),
+            (OTHER.replace("tcp/127.0.0.1:7447", &long), "with a port"),
+            (format!("{OTHER}\"{long}\" = 1\n"), "expected one of"),
+            (format!("{OTHER}robots = [\"{long}\"]\n"), "Write ids"),
+            (
+                format!("{WORKER}{}", "[[worker.take]]\nfrom = \"?\"\n".repeat(250)),
+                "more than 100 problems",
+            ),
+        ] {
+            let error = load(&text).unwrap_err();
+            let shown = error.to_string();
+            assert!(shown.contains(says), "{says}: {shown}");
+            assert!(error.problems().len() <= 101, "{says}");
+            let mut problems = error.problems().iter();
+            assert!(
+                problems.all(|problem| problem.what.chars().count() <= 401),
+                "{shown}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_file_of_no_host_or_of_two_is_refused() {
+        for text in [
+            "",
+            "name = \"a\"\n[network]\nlisten = [\"tcp/127.0.0.1:1\"]\n",
+            &format!("{OTHER}[worker]\n"),
+            &WORKER.replace("listen = [\"tcp/127.0.0.1:7447\"]\n", ""),
+        ] {
+            assert!(!load(text).unwrap_err().problems().is_empty(), "{text}");
+        }
+    }
+}

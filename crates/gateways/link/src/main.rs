@@ -1,0 +1,56 @@
+//! `joulebus link` as a separate program: a source and a planner like any other, that speak to their like on other hosts.
+#![forbid(unsafe_code)]
+
+mod arguments;
+mod config;
+mod etcd;
+mod follow;
+mod forward;
+mod gathered;
+mod giving;
+mod intake;
+mod link;
+mod network;
+mod one_thread;
+mod outlets;
+mod outputs;
+mod protocol;
+mod refusals;
+mod standby;
+mod take_over;
+mod taking;
+mod turn;
+mod wall_clock;
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    joulebus_bus::trace_iceoryx2();
+    joulebus_program::verb::main("link", link::run)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use clap::Args as _;
+
+    use crate::arguments::LinkArguments;
+
+    #[test]
+    fn the_main_program_shows_these_options() {
+        let verb = LinkArguments::augment_args(clap::Command::new("link"));
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../cli/verbs/link.json");
+        joulebus_program::described::check(file.as_ref(), &[verb]);
+    }
+
+    #[test]
+    fn the_seed_of_the_fuzz_target_is_the_one_that_tests_take() {
+        let seeds = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../fuzz/seeds/link");
+        // A published crate has no fuzz targets beside it.
+        if seeds.is_dir() {
+            let kept = std::fs::read(seeds.join("good")).unwrap();
+            assert_eq!(kept, crate::protocol::hostile::seed());
+        }
+    }
+}

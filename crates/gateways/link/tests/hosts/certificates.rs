@@ -1,0 +1,204 @@
+//! Mutual TLS with certificates of a fleet's own authority. Needs `openssl`: without it these tests say so and pass, and with
+//! `CI=true` they fail.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+use std::time::Duration;
+
+use joulebus_testkit::{Child, eventually};
+use zenoh::Wait as _;
+
+use crate::host::{FOLLOW, Host, SAMPLES, free_address, has_lost_edge, is_asked_by};
+
+/// Makes certificates as the documentation says, valid for `days`.
+pub(crate) fn certificates(folder: &Path, days: u32, hosts: &[&str]) -> bool {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../tools/fleet_certificates.sh");
+    let hosts = hosts.iter().map(|name| format!("{name}=127.0.0.1"));
+    let made = Command::new(script)
+        .arg(folder)
+        .args(hosts)
+        .env("JOULEBUS_CERTIFICATE_DAYS", days.to_string())
+        .output();
+    let is_made = made.is_ok_and(|made| made.status.success());
+    assert!(
+        is_made || std::env::var_os("CI").is_none_or(|ci| ci != "true"),
+        "openssl is needed"
+    );
+    if !is_made {
+        eprintln!("skipped: openssl is needed");
+    }
+    is_made
+}
+
+/// A link's file with the certificate of `of` in `folder`.
+fn file(name: &str, of: &str, folder: &Path, network: &str, sides: &str) -> String {
+    let tls = tls(folder, of);
+    format!("name = \"{name}\"\n[network]\n{network}\n{tls}\n{sides}")
+}
+
+/// The part of a link's file with the certificate of `of` in `folder`.
+pub(crate) fn tls(folder: &Path, of: &str) -> String {
+    let folder = folder.display();
+    format!(
+        "[network.tls]\nca = \"{folder}/fleet-ca.pem\"\ncertificate = \"{folder}/{of}.pem\"\n\
+         key = \"{folder}/{of}.key\""
+    )
+}
+
+fn frames(link: &mut Child) -> u64 {
+    link.end().json()["taken"][0]["frames"].as_u64().unwrap()
+}
+
+#[test]
+fn only_certificates_of_the_fleets_authority_are_let_in_and_samples_come_under_the_name_in_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let (own, other) = (folder.path().join("own"), folder.path().join("other"));
+    if !certificates(&own, 30, &["base", "edge", "desk"]) {
+        return;
+    }
+    certificates(&other, 30, &["desk"]);
+    // Over when it is used.
+    certificates(&own, 0, &["late"]);
+    let address = free_address().replacen("tcp", "tls", 1);
+    let base = Host::new();
+    let _worker = base.worker();
+    let listen = format!("listen = [\"{address}\"]");
+    let connect = format!("connect = [\"{address}\"]");
+    let takes = "[worker]\n[[worker.take]]\nfrom = \"edge\"\n";
+    let mut link = base.link(&file("base", "base", &own, &listen, takes));
+    // A planner gets frames only once a sample was taken.
+    let mut before = 0;
+    // The robots' host, and then a planners' host that says to be it.
+    for (certificate, authority, is_let_in, may_publish) in [
+        ("edge", &own, true, true),
+        ("desk", &own, true, false),
+        ("desk", &other, false, false),
+        ("late", &own, false, false),
+    ] {
+        let there = Host::new();
+        let sides = format!("{SAMPLES}{FOLLOW}");
+        let text = file("edge", certificate, authority, &connect, &sides);
+        let mut edge = there.link(&text);
+        if is_let_in {
+            is_asked_by(&edge, "base");
+        }
+        let mut robots = there.robots(&["--robots", "2"]);
+        let mut planner = is_let_in.then(|| there.planner());
+        match &mut planner {
+            Some(planner) => {
+                for _ in 0..30 {
+                    planner.fresh();
+                }
+            }
+            None => std::thread::sleep(Duration::from_secs(3)),
+        }
+        robots.end();
+        let report = edge.end().json();
+        let given = report["given"][0]["frames"].as_u64().unwrap_or(0);
+        assert_eq!(given > 0, is_let_in, "{certificate}: {report}");
+        if may_publish {
+            // After its last samples; the worker takes them with its next tick.
+            eventually("the end of the link is known", || has_lost_edge(&link));
+        }
+        let mut beside = base.planner();
+        beside.fresh();
+        beside.fresh();
+        beside.leave();
+        let now = accepted(&base);
+        assert_eq!(now > before, may_publish, "{certificate}: {report}");
+        before = now;
+    }
+    assert!(frames(&mut link) > 10);
+}
+
+/// Whether a stranger gets a connection, with this certificate and key or with none.
+fn connects(address: &str, authority: &Path, certificate: Option<&str>) -> bool {
+    let mut config = zenoh::Config::default();
+    let mut set = |key: &str, value: String| config.insert_json5(key, &value).unwrap();
+    set("mode", "\"client\"".to_owned());
+    set("connect/endpoints", format!("[\"{address}\"]"));
+    set("connect/timeout_ms", "3000".to_owned());
+    set("connect/exit_on_failure", "true".to_owned());
+    set("scouting/multicast/enabled", "false".to_owned());
+    let file = |name: &str| format!("{:?}", authority.join(name).display().to_string());
+    set(
+        "transport/link/tls/root_ca_certificate",
+        file("fleet-ca.pem"),
+    );
+    if let Some(name) = certificate {
+        set(
+            "transport/link/tls/connect_certificate",
+            file(&format!("{name}.pem")),
+        );
+        set(
+            "transport/link/tls/connect_private_key",
+            file(&format!("{name}.key")),
+        );
+        set("transport/link/tls/enable_mtls", "true".to_owned());
+    }
+    zenoh::open(config).wait().is_ok_and(|session| {
+        let mut peers = session.info().peers_zid().wait();
+        let mut routers = session.info().routers_zid().wait();
+        peers.next().is_some() || routers.next().is_some()
+    })
+}
+
+/// The names of a process's threads.
+fn threads(pid: u32) -> Vec<String> {
+    let tasks = fs::read_dir(format!("/proc/{pid}/task")).unwrap();
+    let names = tasks.filter_map(|task| fs::read_to_string(task.ok()?.path().join("comm")).ok());
+    names.map(|name| name.trim().to_owned()).collect()
+}
+
+#[test]
+fn who_shows_no_certificate_gets_no_connection() {
+    let folder = tempfile::tempdir().unwrap();
+    if !certificates(folder.path(), 30, &["base", "desk"]) {
+        return;
+    }
+    let address = free_address().replacen("tcp", "tls", 1);
+    let base = Host::new();
+    let _worker = base.worker();
+    let listen = format!("listen = [\"{address}\"]");
+    let link = base.link(&file("base", "base", folder.path(), &listen, "[worker]\n"));
+    // It gives up after three seconds.
+    eventually("a connection", || {
+        connects(&address, folder.path(), Some("desk"))
+    });
+    // A connection with TLS is lost where another thread writes it than reads it.
+    let threads = threads(link.pid());
+    let has = |name: &str| threads.iter().any(|it| it.starts_with(name));
+    assert!(has("rx-") && !has("tx-"), "{threads:?}");
+    assert!(!connects(&address, folder.path(), None));
+}
+
+/// Samples that the worker has accepted.
+fn accepted(base: &Host) -> u64 {
+    let mut accepted = None;
+    eventually("the worker is heard", || {
+        let watched = base.watched();
+        accepted = watched.and_then(|watched| watched["samples_accepted"].as_u64());
+        accepted.is_some()
+    });
+    accepted.unwrap()
+}
+
+#[test]
+fn a_key_that_others_can_read_or_that_is_missing_is_refused_with_its_line() {
+    let folder = tempfile::tempdir().unwrap();
+    if !certificates(folder.path(), 30, &["base"]) {
+        return;
+    }
+    let host = Host::new();
+    let listen = "listen = [\"tls/127.0.0.1:7447\"]";
+    let text = file("base", "base", folder.path(), listen, "[worker]\n");
+    let key = folder.path().join("base.key");
+    fs::set_permissions(&key, std::os::unix::fs::PermissionsExt::from_mode(0o644)).unwrap();
+    let refused = Child::spawn("link", host.link_command(&text)).wait();
+    assert_eq!(refused.code(), Some(2), "{refused:?}");
+    assert!(refused.errors().contains("link.toml:7"), "{refused:?}");
+    fs::remove_file(&key).unwrap();
+    let refused = Child::spawn("link", host.link_command(&text)).wait();
+    assert_eq!(refused.code(), Some(2), "{refused:?}");
+}

@@ -1,0 +1,30 @@
+//! `joulebus serve` as a separate program: a fleet's page, API and metrics, and its messages in Foxglove.
+#![forbid(unsafe_code)]
+
+mod arguments;
+mod foxglove;
+mod guard;
+mod http;
+mod serve;
+mod webhook;
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    joulebus_bus::trace_iceoryx2();
+    joulebus_program::verb::main("serve", serve::run)
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Args as _;
+
+    use crate::arguments::ServeArguments;
+
+    #[test]
+    fn the_main_program_shows_these_options() {
+        let verb = ServeArguments::augment_args(clap::Command::new("serve"));
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../cli/verbs/serve.json");
+        joulebus_program::described::check(file.as_ref(), &[verb]);
+    }
+}

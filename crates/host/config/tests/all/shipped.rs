@@ -1,0 +1,319 @@
+//! The shipped files load, explain every key, and agree with the table of keys.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use joulebus_config::{
+    Checkpoint, Config, ConfigError, Demo, File, KEYS, ModelSource, builtin_model, builtin_models,
+    builtin_platforms, explain, explanations,
+};
+use joulebus_predictor::{FeatureSet, Network};
+use joulebus_settings::Policy;
+
+fn configs() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../configs")
+}
+
+fn shipped(name: &str) -> String {
+    fs::read_to_string(configs().join(name)).expect("a shipped file")
+}
+
+fn load(name: &str) -> Result<Config, ConfigError> {
+    Config::load(configs().join(name))
+}
+
+/// Comments and keys of a file as one line of words, comment signs removed.
+fn words(text: &str) -> String {
+    let lines = text.lines().map(|line| line.trim_start_matches(['#', ' ']));
+    let words: Vec<&str> = lines.flat_map(str::split_whitespace).collect();
+    words.join(" ")
+}
+
+#[test]
+fn shipped_fleets_load_without_a_warning() {
+    for (name, robots) in [("fleet.toml", 100), ("mixed.toml", 232)] {
+        let config = load(name).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(config.warnings(), [], "{name}");
+        config.settings().check().unwrap();
+        let listed: u32 = config
+            .settings()
+            .platforms
+            .iter()
+            .flat_map(|platform| &platform.robots)
+            .map(|range| range.end() - range.start() + 1)
+            .sum();
+        assert_eq!(listed, robots, "{name}");
+        assert_eq!(config.models().len(), config.settings().platforms.len());
+    }
+}
+
+#[test]
+fn every_key_is_annotated_in_the_shipped_files() {
+    let fleet = words(&shipped("fleet.toml"));
+    for key in KEYS {
+        // Purpose, unit, range and default, from the table, directly before the key.
+        let comment = words(&format!("{} {}", key.doc, key.facts()));
+        let texts = match key.file {
+            File::Fleet => vec![fleet.clone()],
+            File::Platform => builtin_platforms()
+                .map(|name| words(&shipped(&format!("platforms/{name}.toml"))))
+                .collect(),
+        };
+        for text in texts {
+            let (_, after) = text
+                .split_once(&comment)
+                .unwrap_or_else(|| panic!("{}: no comment {comment:?}", key.path));
+            let next = KEYS
+                .iter()
+                .filter_map(|other| Some((after.find(&format!("{} = ", other.name()))?, other)))
+                .min_by_key(|(position, other)| (*position, other.name() != key.name()));
+            let (_, next) = next.unwrap_or_else(|| panic!("{}: comment without key", key.path));
+            assert_eq!(next.name(), key.name());
+        }
+    }
+}
+
+#[test]
+fn defaults_in_the_table_equal_those_of_missing_keys() {
+    let least = "[fleet]\nname = \"lab\"\n[[platform]]\nfile = \"platforms/gternal.toml\"\n\
+                 robots = [\"0-99\"]\n";
+    let defaults = Config::parse(least, &configs()).unwrap_or_else(|error| panic!("{error}"));
+    let shipped = load("fleet.toml").unwrap();
+    assert_eq!(defaults.settings(), shipped.settings());
+    assert_eq!(defaults.policy(), shipped.policy());
+    assert_eq!(defaults.models(), shipped.models());
+    assert_eq!(defaults.root(), shipped.root());
+    assert_eq!(defaults.prefix(), shipped.prefix());
+    assert_eq!(defaults.checkpoint(), &Checkpoint::Auto);
+    assert_eq!(defaults.tick_period_ns(), 33_333_333);
+    assert_eq!(
+        defaults.policy(),
+        Policy::OnFrame {
+            deadline_ns: 10_000_000
+        }
+    );
+    // Each default also as text: `config show` writes them from the values.
+    for key in KEYS.iter().filter(|key| key.file == File::Fleet) {
+        let Some(default) = explanations(Some(key.path)).unwrap().remove(0).default else {
+            continue;
+        };
+        let number = default.parse::<f64>();
+        let shown = defaults
+            .to_toml()
+            .lines()
+            .find_map(|line| line.strip_prefix(&format!("{} = ", key.name())))
+            .unwrap_or_else(|| panic!("{} is not shown", key.path));
+        let (shown, place) = shown.rsplit_once(" # ").unwrap();
+        if key.path != "domain.root" {
+            match number {
+                Ok(number) => assert_eq!(shown.parse::<f64>(), Ok(number), "{}", key.path),
+                Err(_) => assert_eq!(shown, format!("{default:?}"), "{}", key.path),
+            }
+        }
+        assert_eq!(place, "default", "{}", key.path);
+    }
+}
+
+#[test]
+fn the_effective_config_is_the_same_config() {
+    for name in ["fleet.toml", "mixed.toml"] {
+        let config = load(name).unwrap();
+        // From another directory: it must not depend on its location.
+        let again = Config::parse(config.to_toml(), Path::new("/"))
+            .unwrap_or_else(|error| panic!("{name}: {error}\n{}", config.to_toml()));
+        assert_eq!(again.settings(), config.settings());
+        assert_eq!(again.policy(), config.policy());
+        assert_eq!(again.models().len(), config.models().len());
+        assert_eq!(again.fleet(), config.fleet());
+        assert_eq!(again.root(), config.root());
+        assert_eq!(again.prefix(), config.prefix());
+        assert_eq!(again.buffer_frames(), config.buffer_frames());
+        assert_eq!(again.max_planners(), config.max_planners());
+        assert_eq!(again.checkpoint_every_ns(), config.checkpoint_every_ns());
+        assert_eq!(again.tick_period_ns(), config.tick_period_ns());
+        assert_eq!(again.scheduling(), config.scheduling());
+    }
+}
+
+#[test]
+fn the_demo_needs_only_its_own_file() {
+    for robots in [1, 20, 100_000] {
+        let demo = Demo {
+            fleet: "demo-7".to_owned(),
+            root: PathBuf::from("/dev/shm/joulebus-demo-7"),
+            prefix: "jbd7_".to_owned(),
+            robots,
+        };
+        let config = Config::parse(&demo.toml(), Path::new("/nowhere"))
+            .unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(config.fleet(), demo.fleet);
+        assert_eq!(config.root(), demo.root);
+        assert_eq!(config.prefix(), demo.prefix);
+        assert_eq!(config.settings().capacity, robots);
+        let ids = 0..=robots - 1;
+        assert_eq!(config.settings().platforms[0].robots, [ids]);
+        assert_eq!(config.warnings(), []);
+        assert!(demo.toml().contains("Private directory"), "comments stay");
+    }
+}
+
+#[test]
+fn the_root_is_the_users_own() {
+    let config = load("fleet.toml").unwrap();
+    let uid = rustix::process::geteuid().as_raw();
+    assert_eq!(
+        config.root(),
+        Path::new(&format!("/dev/shm/joulebus-{uid}"))
+    );
+}
+
+#[test]
+fn built_in_models_can_be_loaded_by_name() {
+    assert_eq!(builtin_models().count(), 3);
+    for name in builtin_models() {
+        let (_, bytes) = builtin_model(name).unwrap();
+        let network = Network::from_safetensors(bytes).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(network.card().name, name);
+        let expected = match name {
+            "gternal-sim-power" => FeatureSet::PowerOnly,
+            "gternal-sim-freshness" => FeatureSet::Freshness,
+            _ => FeatureSet::Full,
+        };
+        assert_eq!(network.feature_set(), expected, "{name}");
+    }
+    let (name, bytes) = builtin_model("gternal-sim").unwrap();
+    let shipped = load("fleet.toml").unwrap();
+    assert_eq!(shipped.models(), [ModelSource::Builtin(name, bytes)]);
+}
+
+#[test]
+fn a_path_is_relative_to_the_file_that_names_it() {
+    let place = tempfile::tempdir().unwrap();
+    let at = |name: &str| place.path().join(name);
+    fs::create_dir_all(at("kinds")).unwrap();
+    fs::create_dir_all(at("weights")).unwrap();
+    fs::write(at("weights/own.safetensors"), b"not parsed").unwrap();
+    let platform = shipped("platforms/rover.toml")
+        .replace("\"persistence\"\n", "\"../weights/own.safetensors\"\n")
+        .replace("\nresidual_std_w", "\n# residual_std_w");
+    fs::write(at("kinds/own.toml"), platform).unwrap();
+    fs::write(
+        at("own-fleet.toml"),
+        "[fleet]\nname = \"own\"\n[ledger]\ncheckpoint = \"ledger.bin\"\n\
+         [[platform]]\nfile = \"kinds/own.toml\"\nrobots = [3]\nname = \"renamed\"\n",
+    )
+    .unwrap();
+    let config = Config::load(at("own-fleet.toml")).unwrap_or_else(|error| panic!("{error}"));
+    assert_eq!(config.checkpoint(), &Checkpoint::File(at("ledger.bin")));
+    assert_eq!(
+        config.settings().platforms[0].name,
+        "renamed",
+        "the fleet's file overrides"
+    );
+    let ModelSource::File(model) = &config.models()[0] else {
+        panic!("{:?}", config.models());
+    };
+    assert_eq!(fs::read(model).unwrap(), b"not parsed");
+
+    // Its platform is below the folder; that of a config in another folder is not.
+    assert!(Config::load_attached(at("own-fleet.toml")).is_ok());
+    let fleet = fs::read_to_string(at("own-fleet.toml")).unwrap();
+    let foreign = at("elsewhere/fleet.toml");
+    fs::create_dir(at("elsewhere")).unwrap();
+    for file in [
+        at("kinds/own.toml").display().to_string(),
+        "../kinds/own.toml".to_owned(),
+    ] {
+        fs::write(&foreign, fleet.replace("kinds/own.toml", &file)).unwrap();
+        assert!(Config::load(&foreign).is_ok(), "{file}");
+        let refused = Config::load_attached(&foreign).unwrap_err();
+        assert_eq!(refused.problems()[0].key, "platform.file");
+        assert!(refused.to_string().contains("is not attached"), "{refused}");
+    }
+
+    fs::remove_file(at("weights/own.safetensors")).unwrap();
+    let refused = Config::load(at("own-fleet.toml")).unwrap_err();
+    let [problem] = refused.problems() else {
+        panic!("{refused}");
+    };
+    assert!(problem.file.ends_with("kinds/own.toml"), "{problem}");
+    assert!(problem.what.contains("no such file"), "{problem}");
+}
+
+#[test]
+fn explanations_cover_keys_sections_and_everything() {
+    assert_eq!(explanations(None).unwrap().len(), KEYS.len());
+    assert_eq!(explanations(Some("tick")).unwrap().len(), 3);
+    let text = explain(Some("tick.deadline_ms")).unwrap();
+    for part in ["tick.deadline_ms", "ms; 0.1 to 10000; default 10"] {
+        assert!(text.contains(part), "{text}");
+    }
+    assert!(
+        explain(Some("stale_after_s")).is_ok(),
+        "as written in a platform's file"
+    );
+    let unknown = explain(Some("tick.deadlin_ms")).unwrap_err();
+    assert!(
+        unknown.to_string().contains("`tick.deadline_ms`"),
+        "{unknown}"
+    );
+}
+
+#[test]
+fn a_root_invalid_for_shared_memory_is_refused_with_its_line() {
+    let demo = |root: &str| Demo {
+        fleet: "demo".to_owned(),
+        root: PathBuf::from(root),
+        prefix: "jb_".to_owned(),
+        robots: 1,
+    };
+    for root in [
+        "/dev/shm/a b",
+        "/dev/shm/0123456789-0123456789-0123456789-0123456789",
+    ] {
+        let text = demo(root).toml();
+        let line = 1 + text
+            .lines()
+            .position(|line| line.starts_with("root ="))
+            .unwrap();
+        let error = Config::parse(&text, Path::new("/nowhere")).unwrap_err();
+        let problem = &error.problems()[0];
+        assert_eq!(
+            (problem.key.as_str(), problem.line),
+            ("domain.root", Some(line)),
+            "{error}"
+        );
+    }
+}
+
+#[test]
+fn the_demos_robots_have_a_battery() {
+    let root = PathBuf::from("/dev/shm/joulebus-demo-7");
+    let demo = Demo {
+        fleet: "demo".to_owned(),
+        root,
+        prefix: "jb_".to_owned(),
+        robots: 2,
+    };
+    let config = Config::parse(&demo.toml(), Path::new("/nowhere")).unwrap();
+    let battery = config.settings().platforms[0].battery.unwrap();
+    assert_eq!(battery.capacity_j, 36_000.0);
+}
+
+#[test]
+fn a_bundle_names_its_own_models_and_no_ledger() {
+    let text = "[fleet]\nname = \"lab\"\n[ledger]\ncheckpoint = \"/tmp/led'\\n\\\"ger\"\n\
+                [[platform]]\nfile = \"builtin:rover\"\nrobots = [1]\n\
+                [[platform]]\nfile = \"builtin:gternal\"\nrobots = [3]\n";
+    let config = Config::parse(text, Path::new("/")).unwrap_or_else(|error| panic!("{error}"));
+    let again = Config::parse(config.to_toml(), Path::new("/")).unwrap();
+    assert_eq!(again.checkpoint(), config.checkpoint());
+    let bundle = config.bundle().unwrap();
+    let [(path, bytes)] = bundle.files.as_slice() else {
+        panic!("{} files", bundle.files.len());
+    };
+    assert_eq!(bytes, builtin_model("gternal-sim").unwrap().1);
+    assert!(bundle.toml.contains("\ncheckpoint = \"\"\n"));
+    assert!(bundle.toml.contains(&format!("\nmodel = \"{path}\"\n")));
+    assert!(bundle.toml.contains("\nmodel = \"persistence\" # "));
+}

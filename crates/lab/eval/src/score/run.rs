@@ -1,0 +1,232 @@
+//! Runs an evaluation.
+
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use joulebus_train::linear::Linear;
+
+use super::blocks::Sums;
+use super::common::Common;
+use super::corrected::{self, Found};
+use super::design::fit_lines;
+use super::report::{ScoreReport, report};
+use super::tallied::{Listed, Tallied};
+use super::{Options, Recording, ScoreError, Subject, each};
+use crate::energy::EnergyScores;
+use crate::evaluate::{Evaluation, LivePool, LiveTrial, RobotEvaluation};
+
+/// Result of an evaluation.
+#[derive(Debug, Clone)]
+pub struct Scored {
+    /// All scores.
+    pub report: ScoreReport,
+    /// The live path of each model, step by step; readings of rows that are not evaluated are not scored.
+    pub live: Vec<Evaluation>,
+}
+
+/// What is reported of an evaluation, without the steps of the live path.
+#[derive(Debug, Clone)]
+pub struct Reported {
+    /// All scores.
+    pub report: ScoreReport,
+    /// The live path of each model, pooled in the recordings' order.
+    pub(crate) live: Vec<LivePool>,
+}
+
+/// Evaluates the models on the recordings, in parallel.
+///
+/// ```
+/// use joulebus_config::{Config, builtin_model};
+/// use joulebus_sim::protocol;
+/// use joulebus_eval::score::{Design, Options, Recording, Subject, score};
+/// use joulebus_predictor::{Model, Network};
+///
+/// let config = Config::load(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../configs/fleet.toml"))?;
+/// let (_, file) = builtin_model("gternal-sim").ok_or("no such model ships")?;
+/// let models = [Model::Network(Network::from_safetensors(file)?)];
+/// // Simulated; `Trial::read` reads one from a file.
+/// let trials = [protocol::trial(4, 7)?, protocol::trial(6, 7)?];
+/// let recordings: Vec<_> = (0..).zip(trials).map(|(id, trial)| Recording::new(id, trial)).collect();
+/// let subject = Subject {
+///     settings: config.settings(),
+///     platform: None,
+///     models: &models,
+///     recordings: &recordings,
+///     design: &Design::folds(&recordings),
+/// };
+/// let scored = score(subject, &Options::default())?;
+/// println!("{}", scored.report);
+/// // The network, persistence and the linear baselines: all on the same rows.
+/// let all = &scored.report.all;
+/// assert!(all.forecasters.iter().all(|one| one.count == all.rows));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`ScoreError`]: nothing to evaluate, or options or settings that are refused.
+pub fn score(subject: Subject<'_>, options: &Options) -> Result<Scored, ScoreError> {
+    score_watched(subject, options, |_| ControlFlow::Continue(()))
+}
+
+/// As [`score`]. `watch` is called, from any thread, when a recording is done, with the number of those that are; it
+/// may end the evaluation.
+///
+/// # Errors
+/// As [`score`]; [`ScoreError::Ended`] when `watch` has ended it.
+pub fn score_watched(
+    subject: Subject<'_>,
+    options: &Options,
+    watch: impl Fn(usize) -> ControlFlow<()> + Sync,
+) -> Result<Scored, ScoreError> {
+    let mut live = vec![Evaluation { robots: Vec::new() }; subject.models.len()];
+    let take = |model: usize, robot| live[model].robots.push(robot);
+    let (report, _) = run_all(subject, options, watch, |robot| robot, take)?;
+    Ok(Scored { report, live })
+}
+
+/// As [`score`], for reports. The steps of a recording's live path, which are most of what [`Scored`] holds, are gone when
+/// the recording is done.
+///
+/// # Errors
+/// As [`score`].
+pub fn score_reported(subject: Subject<'_>, options: &Options) -> Result<Reported, ScoreError> {
+    let watch = |_| ControlFlow::Continue(());
+    let mut live = vec![LivePool::default(); subject.models.len()];
+    let take = |model: usize, trial: LiveTrial| live[model].push(&trial);
+    let keep = |robot| LiveTrial::from(&robot);
+    let (report, _) = run_all(subject, options, watch, keep, take)?;
+    Ok(Reported { report, live })
+}
+
+/// The tables, and their sums, without the live path.
+pub(super) fn tallied(
+    subject: Subject<'_>,
+    options: &Options,
+) -> Result<(ScoreReport, Tallied), ScoreError> {
+    let watch = |_| ControlFlow::Continue(());
+    run_all(subject, options, watch, |_| (), |_, ()| ())
+}
+
+/// The tables and their sums. `take` gets what `keep` makes of the live path of each model, with its index, in the
+/// recordings' order.
+fn run_all<T: Send>(
+    subject: Subject<'_>,
+    options: &Options,
+    watch: impl Fn(usize) -> ControlFlow<()> + Sync,
+    keep: impl Fn(RobotEvaluation) -> T + Sync,
+    mut take: impl FnMut(usize, T),
+) -> Result<(ScoreReport, Tallied), ScoreError> {
+    let prepared = Prepared::new(subject, options)?;
+    let places: Vec<usize> = (0..subject.recordings.len()).collect();
+    let mut sums = SumsOfAll::default();
+    prepared.run(&places, watch, keep, |at, found| {
+        let live = found.live.into_iter().enumerate();
+        live.for_each(|(model, kept)| take(model, kept));
+        let listed = &prepared.common.recordings[at];
+        sums.push(listed, found.sums, found.trained_on, found.energy)
+    })?;
+    sums.report(&prepared.common)
+}
+
+/// An evaluation before its recordings are run.
+pub(super) struct Prepared<'a> {
+    subject: Subject<'a>,
+    options: &'a Options,
+    lines: Vec<Vec<Option<Linear>>>,
+    pub(super) common: Common,
+}
+
+impl<'a> Prepared<'a> {
+    pub(super) fn new(subject: Subject<'a>, options: &'a Options) -> Result<Self, ScoreError> {
+        options.check()?;
+        if subject.recordings.is_empty() {
+            return Err(ScoreError::NoRecording);
+        }
+        if subject.models.is_empty() {
+            return Err(ScoreError::NoModel);
+        }
+        let lines = fit_lines(subject.design, subject.recordings, &options.baselines)?;
+        Ok(Self {
+            subject,
+            options,
+            common: Common::of(subject, options, &lines)?,
+            lines,
+        })
+    }
+
+    /// Runs some recordings, in parallel. `take` gets their indices and results in the order of `places`; of the live path
+    /// these have what `keep` makes of it as soon as a recording is done.
+    pub(super) fn run<T: Send>(
+        &self,
+        places: &[usize],
+        watch: impl Fn(usize) -> ControlFlow<()> + Sync,
+        keep: impl Fn(RobotEvaluation) -> T + Sync,
+        mut take: impl FnMut(usize, Found<T>) -> Result<(), ScoreError>,
+    ) -> Result<(), ScoreError> {
+        let done = AtomicUsize::new(0);
+        let recordings: Vec<&Recording> = places
+            .iter()
+            .filter_map(|at| self.subject.recordings.get(*at))
+            .collect();
+        let one = |place: usize| {
+            let at = places[place];
+            let found = corrected::one(self.subject, self.options, &self.lines, at, &keep)?;
+            match watch(done.fetch_add(1, Ordering::Relaxed) + 1) {
+                ControlFlow::Continue(()) => Ok(found),
+                ControlFlow::Break(()) => Err(ScoreError::Ended),
+            }
+        };
+        each(&recordings, one, |place, found| take(places[place], found))
+    }
+}
+
+/// The sums of all recordings, in their order.
+#[derive(Default)]
+pub(super) struct SumsOfAll {
+    evaluated: Tallied,
+    trained_on: Tallied,
+    /// Of each model.
+    energy: Vec<EnergyScores>,
+}
+
+impl SumsOfAll {
+    pub(super) fn push(
+        &mut self,
+        listed: &Listed,
+        evaluated: Sums,
+        trained_on: Sums,
+        energy: Vec<EnergyScores>,
+    ) -> Result<(), ScoreError> {
+        for (all, one) in [
+            (&mut self.evaluated, evaluated),
+            (&mut self.trained_on, trained_on),
+        ] {
+            all.push(listed, one)
+                .map_err(|error| ScoreError::kept(&error))?;
+        }
+        if self.energy.len() < energy.len() {
+            self.energy.resize_with(energy.len(), Default::default);
+        }
+        for (all, one) in self.energy.iter_mut().zip(energy) {
+            all.append(one);
+        }
+        Ok(())
+    }
+
+    pub(super) fn report(self, common: &Common) -> Result<(ScoreReport, Tallied), ScoreError> {
+        if self.evaluated.rows() == 0 {
+            let rows = common.recordings.iter().map(|recording| recording.rows);
+            return Err(ScoreError::NoRows {
+                recordings: common.recordings.len(),
+                rows: rows.sum(),
+            });
+        }
+        let mut energy = self.energy;
+        if common.energy {
+            energy.resize_with(common.models.len(), Default::default);
+        }
+        let report = report(common, [&self.evaluated, &self.trained_on], &energy);
+        let report = report.map_err(|error| ScoreError::kept(&error))?;
+        Ok((report, self.evaluated))
+    }
+}

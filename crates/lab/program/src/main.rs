@@ -1,0 +1,122 @@
+//! The program `joulebus-lab`: the verbs that work on recordings and models, without a fleet.
+//! `joulebus VERB` runs it, so that the main program needs none of their code.
+//!
+//! Only `publish trial` joins a fleet: it is a source like any other, whose samples come from
+//! recordings.
+#![forbid(unsafe_code)]
+
+mod analyze;
+mod calibrate;
+mod cat;
+mod config_init;
+mod data;
+mod eval;
+mod export;
+mod import;
+mod mission;
+mod model;
+mod next_command;
+mod publish_trial;
+mod recordings;
+mod report;
+mod split_unit;
+mod train;
+mod trials;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+use joulebus_program::exit::{self, Outcome};
+use joulebus_program::options::GlobalOptions;
+use joulebus_program::output::Output;
+
+/// The verbs of joulebus that work on recordings and models; `joulebus VERB` runs them
+#[derive(Debug, Parser)]
+#[command(name = "joulebus", bin_name = "joulebus", version)]
+struct Cli {
+    #[command(flatten)]
+    options: GlobalOptions,
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+enum Command {
+    Cat(cat::Args),
+    Import(import::Args),
+    Data(data::Args),
+    Export(export::Args),
+    Train(train::Args),
+    Analyze(analyze::Args),
+    Eval(eval::Args),
+    Calibrate(calibrate::Args),
+    Report(report::Args),
+    Model(model::Args),
+    Mission(mission::Args),
+    /// Publish samples of recorded trials
+    #[command(subcommand)]
+    Publish(Publish),
+    /// Make configs from recordings
+    #[command(subcommand)]
+    Config(Config),
+}
+
+/// What `joulebus publish` runs this program for.
+#[derive(Debug, Subcommand)]
+enum Publish {
+    Trial(publish_trial::Args),
+}
+
+/// What `joulebus config` runs this program for.
+#[derive(Debug, Subcommand)]
+enum Config {
+    Init(config_init::Args),
+}
+
+fn main() -> ExitCode {
+    joulebus_bus::trace_iceoryx2();
+    match parse() {
+        Ok((command, output)) => exit::code(execute(&command, output)),
+        Err(refused) => exit::refused(&refused),
+    }
+}
+
+fn parse() -> Result<(Command, Output), clap::Error> {
+    let cli = Cli::try_parse()?;
+    let has_rows = matches!(cli.command, Command::Cat(_));
+    Ok((cli.command, cli.options.start(has_rows)?))
+}
+
+fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
+    match command {
+        Command::Cat(args) => cat::run(args, output),
+        Command::Import(args) => import::run(args, output),
+        Command::Data(args) => data::run(args, output),
+        Command::Export(args) => export::run(args, output),
+        Command::Train(args) => train::run(args, output),
+        Command::Analyze(args) => analyze::run(args, output),
+        Command::Eval(args) => eval::run(args, output),
+        Command::Calibrate(args) => calibrate::run(args, output),
+        Command::Report(args) => report::run(args, output),
+        Command::Model(args) => model::run(args, output),
+        Command::Mission(args) => mission::run(args, output),
+        Command::Publish(Publish::Trial(args)) => publish_trial::run(args, output),
+        Command::Config(Config::Init(args)) => config_init::run(args, output),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory as _;
+    use joulebus_program::described;
+
+    use super::Cli;
+
+    #[test]
+    fn the_main_program_shows_these_options() {
+        let verbs: Vec<clap::Command> = Cli::command().get_subcommands().cloned().collect();
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../cli/verbs/lab.json");
+        described::check(file.as_ref(), &verbs);
+    }
+}

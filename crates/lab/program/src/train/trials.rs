@@ -1,0 +1,243 @@
+//! `joulebus train trials`: trains on recordings.
+
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Context as _;
+use joulebus_dataset::rows::{Dataset, write_rows};
+use joulebus_dataset::split::SplitSummary;
+use joulebus_dataset::trial::ColumnMap;
+use joulebus_eval::score::Recording;
+use joulebus_eval::training_data::{MOST_ROWS, Parts, TrainingDataError, training_data};
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::output::{Output, say};
+use joulebus_train::{Recipe, TrainReport, TrainSettings};
+
+use super::FeatureChoice;
+use super::run::RunArguments;
+use crate::next_command::{recordings, word};
+use crate::recordings::{ColumnArguments, find_recordings, open};
+use crate::split_unit::SplitUnit;
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus train trials recordings/ --out robot.safetensors\n  \
+    joulebus train trials t1.npy t2.npy t3.npy t4.npy --validate t5.npy --hold-out t6.npy \\\n      \
+    --out gternal.safetensors\n\n\
+    Rows need five gapless readings before them. Those with a missing number are omitted \
+    and counted. configs/recipes/paper.toml explains every setting of a recipe.")]
+pub(super) struct Args {
+    /// Recordings (.npy, .csv, .csv.gz), captures (.mcap), directories (searched recursively), or
+    /// patterns in quotes
+    #[arg(required = true, value_name = "PATH")]
+    paths: Vec<PathBuf>,
+    /// Recordings for early stopping; with --hold-out, instead of a split
+    #[arg(long, value_name = "PATH", num_args = 1.., requires = "hold_out")]
+    validate: Vec<PathBuf>,
+    /// Recordings for the final scores only
+    #[arg(long, value_name = "PATH", num_args = 1.., requires = "validate")]
+    hold_out: Vec<PathBuf>,
+    /// Unit of the split: what is not divided between its parts [default: that of the recipe, or
+    /// trial]
+    #[arg(long, value_enum, value_name = "BY", conflicts_with = "validate")]
+    split: Option<SplitUnit>,
+    /// The recipe, a TOML file [default: the paper's]
+    #[arg(long, value_name = "FILE")]
+    recipe: Option<PathBuf>,
+    /// Seed of the split, the initial weights and the order of the rows [default: that of the
+    /// recipe]
+    #[arg(long, value_name = "N")]
+    seed: Option<u64>,
+    /// Name of the model [default: that of the recipe, or of its file]
+    #[arg(long, value_name = "NAME")]
+    name: Option<String>,
+    /// Input features of the network [default: those of the recipe]
+    #[arg(long, value_enum)]
+    features: Option<FeatureChoice>,
+    /// Also write the rows of each part into this directory: training.npy, validation.npy and
+    /// held_out.npy, float32, the features in the order of features.txt followed by the next
+    /// reading, W
+    #[arg(long, value_name = "DIR")]
+    rows: Option<PathBuf>,
+    /// Rows to train, validate and score on at most: of more, stretches that are spread evenly over all recordings are
+    /// taken
+    #[arg(long, value_name = "N", default_value_t = MOST_ROWS)]
+    most_rows: NonZeroUsize,
+    #[command(flatten)]
+    columns: ColumnArguments,
+    #[command(flatten)]
+    run: RunArguments,
+}
+
+pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    args.run.check()?;
+    let recipe = args.recipe()?;
+    let (dataset, summary) = args.dataset(&recipe)?;
+    if let Some(directory) = &args.rows {
+        write_rows(directory, &dataset)
+            .with_context(|| format!("cannot write rows to {}", directory.display()))?;
+    }
+    let start = Instant::now();
+    let Some(trained) = args.run.train(&dataset, &recipe.training)? else {
+        return Ok(Outcome::Failed);
+    };
+    let mut report = TrainReport::new(
+        Some(&args.run.out),
+        &trained,
+        start.elapsed(),
+        Some(summary),
+    );
+    report.next = args.next();
+    output.report(&report)?;
+    Ok(Outcome::Done)
+}
+
+/// From this many recordings on, whole ones are held out.
+const WHOLE_FROM: usize = 10;
+
+impl Args {
+    /// Arguments for the default recipe.
+    pub(super) fn of(
+        paths: &[PathBuf],
+        columns: &ColumnArguments,
+        out: &Path,
+        features: FeatureChoice,
+        files: usize,
+    ) -> Self {
+        Self {
+            paths: paths.to_vec(),
+            validate: Vec::new(),
+            hold_out: Vec::new(),
+            split: Some(match files {
+                WHOLE_FROM.. => SplitUnit::Trial,
+                _ => SplitUnit::Time,
+            }),
+            recipe: None,
+            seed: None,
+            name: None,
+            features: Some(features),
+            rows: None,
+            most_rows: MOST_ROWS,
+            columns: columns.clone(),
+            run: RunArguments::new(out),
+        }
+    }
+
+    /// Commands for the trained model.
+    fn next(&self) -> Vec<String> {
+        let (recordings, model) = (recordings(&self.paths), word(&self.run.out));
+        vec![
+            format!("joulebus eval {recordings} --model {model}"),
+            format!("joulebus config init --from {recordings} --model {model} --out lab/"),
+        ]
+    }
+
+    /// Trains without a report; false if the run was interrupted.
+    pub(super) fn train(&self) -> anyhow::Result<bool> {
+        self.run.check()?;
+        let recipe = self.recipe()?;
+        let (dataset, _) = self.dataset(&recipe)?;
+        Ok(self.run.train(&dataset, &recipe.training)?.is_some())
+    }
+
+    fn recipe(&self) -> anyhow::Result<Recipe> {
+        let mut recipe = match &self.recipe {
+            None => Recipe::default(),
+            Some(path) => read_recipe(path)?,
+        };
+        let settings = &mut recipe.training;
+        if let Some(seed) = self.seed {
+            (settings.seed, recipe.split.seed) = (seed, seed);
+        }
+        if let Some(features) = self.features {
+            settings.feature_set = features.into();
+        }
+        if let Some(name) = &self.name {
+            settings.name.clone_from(name);
+        } else if settings.name == TrainSettings::default().name
+            && let Some(stem) = self.run.out.file_stem().and_then(|stem| stem.to_str())
+        {
+            stem.clone_into(&mut settings.name);
+        }
+        if let Some(together) = self.split {
+            recipe.split.by = together.into();
+        }
+        Ok(recipe)
+    }
+
+    fn dataset(&self, recipe: &Recipe) -> anyhow::Result<(Dataset, SplitSummary)> {
+        let map = self.columns.map();
+        let [paths, validation, held_out] =
+            [&self.paths, &self.validate, &self.hold_out].map(|paths| read(paths, &map));
+        let (paths, validation, held_out) = (paths?, validation?, held_out?);
+        let parts = match held_out.is_empty() {
+            true => Parts::Split(&paths, recipe.split),
+            false => Parts::Given([&paths, &validation, &held_out]),
+        };
+        let made = training_data(parts, self.most_rows.get());
+        let (dataset, summary) = made.map_err(|error| match error {
+            TrainingDataError::Split(error) => UsageError(error.to_string()).into(),
+            error => anyhow::Error::from(error),
+        })?;
+        Ok((dataset, summary))
+    }
+}
+
+/// Maximum size of a recipe, bytes.
+const MOST_RECIPE_BYTES: u64 = 4 << 20;
+
+fn read_recipe(path: &Path) -> anyhow::Result<Recipe> {
+    let name = path.display();
+    let text = joulebus_files::read_to_string(path, MOST_RECIPE_BYTES)
+        .with_context(|| format!("cannot read {name}"))?;
+    Recipe::parse(&text).map_err(|error| UsageError(format!("the recipe {name}: {error}")).into())
+}
+
+fn read(paths: &[PathBuf], map: &ColumnMap) -> anyhow::Result<Vec<Recording>> {
+    if paths.is_empty() {
+        return Ok(Vec::new());
+    }
+    let recordings = open(find_recordings(paths)?, map)?;
+    for recording in &recordings {
+        say(&format!("{}: {}", recording.file(), recording.notes()));
+    }
+    Ok(recordings)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shipped_recipe_equals_the_default() {
+        let path = concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/../../../configs/recipes/paper.toml"
+        );
+        let recipe = read_recipe(Path::new(path)).expect("valid recipe");
+        assert_eq!(recipe, Recipe::default());
+        let text = std::fs::read_to_string(path).expect("readable file");
+        let keys = |name: &str| text.contains(&format!("\n{name} = "));
+        let settings = serde_json::to_value(&recipe.training).expect("numbers and strings");
+        for name in settings.as_object().expect("a table").keys() {
+            assert!(keys(name), "no comment for `{name}`");
+        }
+    }
+
+    #[test]
+    fn a_recipe_with_an_unknown_setting_or_an_invalid_value_is_refused_with_its_position() {
+        let folder = tempfile::tempdir().expect("a temporary directory");
+        let path = folder.path().join("recipe.toml");
+        for (text, named) in [
+            ("[training]\nlearning_speed = 1.0\n", "learning_speed"),
+            ("[training]\nfeature_set = \"most\"\n", "power-only"),
+            ("[split]\nby = \"row\"\n", "row"),
+            ("[training\n", "line 1"),
+        ] {
+            std::fs::write(&path, text).expect("writable file");
+            let error = read_recipe(&path).expect_err("refused").to_string();
+            assert!(error.contains(named), "{text}: {error}");
+        }
+    }
+}

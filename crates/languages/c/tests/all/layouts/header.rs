@@ -1,0 +1,189 @@
+//! `include/joulebus.h`.
+
+use std::fmt::Write as _;
+
+use cbindgen::{Builder, Config, DocumentationStyle, ExportConfig, Language, RenameRule, Style};
+use joulebus_wire::{Constant, FieldType, SCHEMA_VERSION, constants, layouts};
+
+use super::{compare, root, snake, text_of};
+
+const WIDTH: usize = 112;
+
+#[test]
+fn the_c_header_is_made_from_the_sources() {
+    compare("crates/languages/c/include/joulebus.h", &made());
+}
+
+fn made() -> String {
+    let folder = root().join("crates/languages/c/src/abi");
+    let mut config = Config {
+        language: Language::C,
+        cpp_compat: true,
+        include_guard: Some("JOULEBUS_H".to_owned()),
+        no_includes: true,
+        sys_includes: ["stddef.h", "stdint.h"].map(str::to_owned).to_vec(),
+        header: Some(TOP.to_owned()),
+        after_includes: Some(shared_memory()),
+        documentation_style: DocumentationStyle::Doxy,
+        usize_is_size_t: true,
+        style: Style::Both,
+        line_length: WIDTH,
+        tab_width: 4,
+        export: ExportConfig {
+            rename: layouts()
+                .iter()
+                .map(|layout| (layout.name.to_owned(), c_name(layout.name)))
+                .collect(),
+            ..ExportConfig::default()
+        },
+        ..Config::default()
+    };
+    config.enumeration.rename_variants = RenameRule::QualifiedScreamingSnakeCase;
+    let mut builder = Builder::new().with_config(config);
+    for file in [
+        "types",
+        "errors",
+        "publisher",
+        "planner",
+        "questions",
+        "client",
+        "predictor",
+    ] {
+        builder = builder.with_src(folder.join(file).with_extension("rs"));
+    }
+    let mut text = Vec::new();
+    builder.generate().unwrap().write(&mut text);
+    String::from_utf8(text).unwrap()
+}
+
+const TOP: &str = "/**
+ * @file
+ * libjoulebus: publisher, planner, questions about plans and predictor of joulebus, a shared-memory energy broker for
+ * robot fleets. docs/c.md has the whole picture; joulebus.hpp is a layer above for C++17.
+ *
+ * This file is made from the sources of joulebus-c and joulebus-wire: cargo test -p joulebus-c --test all layouts.
+ *
+ * Errors. Calls return a joulebus_error; joulebus_last_error() has the message. After an error nothing is written to
+ * where results go, if not said otherwise. No call aborts the program on what it is given or reads.
+ *
+ * Threads. A publisher, planner, frame, questions or client belongs to the thread that opened it: used by another one,
+ * the call is refused (JOULEBUS_ERROR_THREAD), closing included. Each thread may open its own. A predictor may be used by
+ * any thread. No call may be made by a signal handler; what one interrupts is not disturbed, but refuses calls on the
+ * same handle.
+ *
+ * Processes. In a child made by fork, handles of the parent are refused (JOULEBUS_ERROR_PROCESS) and the parent's
+ * memory is not disturbed; open others there. Handles of a process may be of several fleets.
+ *
+ * Handles are numbers in the shape of pointers: one that is closed, NULL or none is refused, and closing twice is an
+ * error and nothing else. What is open when its thread ends stays open until the process ends; other members of the
+ * fleet then remove what is left.
+ *
+ * The caller promises that every pointer that is not NULL points to as many elements as the call says, aligned, in
+ * memory that no other thread changes meanwhile; NULL is allowed where it is said, and for arrays without elements.
+ * Texts are UTF-8 and end with a zero. What a call returns in shared memory must not be written to, and may be read until
+ * the time that the call states.
+ *
+ * Units: W, J, s, m, rad, V, A, ns. Times are of the host's monotonic clock (joulebus_monotonic_ns()). Unknown values
+ * have their flag cleared, and are NaN.
+ */";
+
+/// Version, structs and constants of `joulebus-wire`.
+fn shared_memory() -> String {
+    let mut text = String::new();
+    let version = env!("CARGO_PKG_VERSION");
+    for (said, name, value) in [
+        (
+            "The release of this header.",
+            "VERSION",
+            format!("\"{version}\""),
+        ),
+        (
+            "What opening a handle checks: header and library must be of one release.",
+            "HEADER",
+            format!("\"{version}, schema {SCHEMA_VERSION}\""),
+        ),
+    ] {
+        writeln!(text, "\n/** {said} */\n#define JOULEBUS_{name} {value}").unwrap();
+    }
+    bits_and_codes(&mut text);
+    for layout in layouts() {
+        let name = c_name(layout.name);
+        let said = text_of(layout.doc);
+        write!(text, "\n{}typedef struct {name} {{\n", comment("", &said)).unwrap();
+        for field in layout.fields {
+            let said = comment("    ", &text_of(field.doc));
+            let array = field
+                .elements
+                .map_or(String::new(), |count| format!("[{count}]"));
+            writeln!(
+                text,
+                "{said}    {} {}{array};",
+                c_type(field.of),
+                field.name
+            )
+            .unwrap();
+        }
+        writeln!(text, "}} {name};").unwrap();
+    }
+    text
+}
+
+fn bits_and_codes(text: &mut String) {
+    for of in constants() {
+        writeln!(text).unwrap();
+        for Constant { name, value, doc } in &of.values {
+            if of.bits {
+                let said = comment("", &text_of(doc));
+                writeln!(text, "{said}#define JOULEBUS_{}_{name} {value:#x}u", of.of).unwrap();
+            } else {
+                writeln!(text, "#define JOULEBUS_{}_{name} {value}u", of.of).unwrap();
+            }
+        }
+    }
+}
+
+fn comment(indent: &str, said: &str) -> String {
+    let room = WIDTH - indent.len() - 3;
+    let mut lines = vec![String::new()];
+    for paragraph in said.split('\n') {
+        for word in paragraph.split(' ') {
+            let line = lines.last_mut().unwrap();
+            if !line.is_empty() && line.chars().count() + 1 + word.chars().count() > room {
+                lines.push(word.to_owned());
+            } else {
+                line.push_str(if line.is_empty() { "" } else { " " });
+                line.push_str(word);
+            }
+        }
+        lines.push(String::new());
+    }
+    lines.pop();
+    if let [line] = lines.as_slice()
+        && line.chars().count() + 4 <= room
+    {
+        return format!("{indent}/** {line} */\n");
+    }
+    let lines: String = lines
+        .iter()
+        .map(|line| format!("{indent} * {line}\n"))
+        .collect();
+    format!("{indent}/**\n{lines}{indent} */\n")
+}
+
+/// A struct's name in C.
+pub(crate) fn c_name(name: &str) -> String {
+    format!("joulebus_{}", snake(name))
+}
+
+pub(crate) fn c_type(of: FieldType) -> String {
+    match of {
+        FieldType::U16 => "uint16_t".to_owned(),
+        FieldType::U32 => "uint32_t".to_owned(),
+        FieldType::U64 => "uint64_t".to_owned(),
+        FieldType::I64 => "int64_t".to_owned(),
+        FieldType::F32 => "float".to_owned(),
+        FieldType::F64 => "double".to_owned(),
+        FieldType::Struct(name) => c_name(name),
+        other => panic!("no type of C for {other:?}"),
+    }
+}

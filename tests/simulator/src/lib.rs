@@ -1,0 +1,23 @@
+//! Whole fleets in one process, on a simulated host, from one seed.
+//!
+//! Sources, worker with checkpointer, planners and recorder are the shells' own code, compiled
+//! against a simulated bus, clock, disk and threads (`tests/simulator/host`, `bus`, `files`; the packages
+//! `tests/simulator/predictor-worker` and so on have the sources of `crates/`). They run as state machines;
+//! between any two of their operations anything may happen to them ([`scenario::Fault`]), and what must hold
+//! is checked after each step ([`world::run`]).
+#![deny(unsafe_code)]
+
+mod allocator;
+pub mod campaign;
+mod check;
+mod grown;
+mod hostile;
+mod ledger;
+pub mod panics;
+mod process;
+pub mod scenario;
+pub mod shrink;
+pub mod world;
+
+pub use check::Failure;
+pub use grown::Grown;
