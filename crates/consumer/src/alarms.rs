@@ -14,7 +14,6 @@ use crate::subscriber::look_every;
 
 /// What has become of an alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
 pub enum Change {
     /// It is raised.
     Raised,

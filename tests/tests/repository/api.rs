@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 
 /// Crates whose names users write.
 const SDK: [&str; 7] = [
-    "wire",
+    "core/wire",
     "publisher",
     "consumer",
-    "plan",
-    "planner",
-    "predictor",
-    "energy",
+    "core/plan",
+    "planning/planner",
+    "core/predictor",
+    "core/energy",
 ];
 
 fn root() -> PathBuf {

@@ -70,11 +70,11 @@ impl Planner {
     /// # Errors
     /// [`ConnectError`].
     pub fn with_fleet(config: &Config, name: &str, fleet: Fleet) -> Result<Self, ConnectError> {
-        let planner = Subscriber::with_config(config, name)?;
+        let subscriber = Subscriber::with_config(config, name)?;
         Ok(Self {
-            states: planner.plan_states()?,
-            budgets: planner.budgets()?,
-            planner,
+            states: subscriber.plan_states()?,
+            budgets: subscriber.budgets()?,
+            subscriber,
             fleet,
         })
     }
@@ -133,7 +133,7 @@ impl Planner {
 impl fmt::Debug for Planner {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.debug_struct("Planner")
-            .field("planner", &self.planner)
+            .field("subscriber", &self.subscriber)
             .field("states", &self.states)
             .finish_non_exhaustive()
     }
