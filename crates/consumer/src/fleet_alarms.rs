@@ -11,7 +11,6 @@ use crate::{AlarmChange, AlarmFeed, AlarmHistory, Change, Event, ReadError, Subs
 
 /// A raise or an end of an alarm, of a robot or of the worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
 pub struct FleetAlarm {
     /// The robot; `None` for the worker.
     pub robot: Option<u32>,
@@ -54,7 +53,7 @@ type OfWorker = (&'static str, Level, u64);
 
 /// All alarms of a running fleet. Belongs to the thread that connected it.
 pub struct FleetAlarms {
-    planner: Subscriber,
+    subscriber: Subscriber,
     feed: AlarmFeed,
     worker: Option<OfWorker>,
 }
@@ -67,7 +66,7 @@ impl FleetAlarms {
     pub fn with_config(config: &Config, name: &str) -> Result<Self, ConnectError> {
         let feed = AlarmFeed::with_config(config, name)?;
         Ok(Self {
-            planner: Subscriber::polling(config, name, feed.look_every())?,
+            subscriber: Subscriber::polling(config, name, feed.look_every())?,
             feed,
             worker: None,
         })
@@ -79,7 +78,7 @@ impl FleetAlarms {
     /// # Errors
     /// [`ReadError`]; the next call may succeed, unless the fleet's files were removed.
     pub fn wait(&mut self, mut each: impl FnMut(FleetAlarm)) -> Result<(), ReadError> {
-        let now = match self.planner.wait_next(self.feed.look_every())? {
+        let now = match self.subscriber.wait_next(self.feed.look_every())? {
             Event::Frame(_) => Some(None),
             Event::Gone(_) => Some(Some(("WorkerGone", Level::Error))),
             Event::Stale { .. } => Some(Some(("WorkerStale", Level::Stale))),
@@ -129,7 +128,7 @@ impl FleetAlarms {
 impl fmt::Debug for FleetAlarms {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.debug_struct("FleetAlarms")
-            .field("planner", &self.planner)
+            .field("subscriber", &self.subscriber)
             .field("feed", &self.feed)
             .field("worker", &self.worker)
             .finish()

@@ -4,9 +4,7 @@ use std::sync::Arc;
 
 use joulebus_bus::{SendError, Writer, clock, process_id};
 use joulebus_config::Config;
-use joulebus_wire::{
-    Budgets, Diagnostics, Forecasts, Place, PlanStateHeader, PlanStates, WakeEvent,
-};
+use joulebus_wire::{Budgets, Diagnostics, Forecasts, Place, PlanStateHeader, PlanStates};
 
 use crate::outlets::{Outlets, PassError, header_here};
 use crate::protocol::carried::Carried;

@@ -11,7 +11,7 @@ use joulebus_wire::{Channel, Flow, Sample, SampleHeader, Samples, Service, WakeE
 use crate::liveness::worker_ports::WorkerPorts;
 use crate::query::{QueryClient, QueryServer};
 use crate::queues::{Connection, Listed, Queue, Sent, port_id, with};
-use crate::{Bus, Limits, OpenError, Poller, ReceiveError, SendError, Sent, Waiter, Waker};
+use crate::{Bus, Limits, OpenError, Poller, ReceiveError, SendError, Waiter, Waker};
 
 /// As of the real reader.
 const MOST_PASSED_OVER: u32 = 4_096;
@@ -553,8 +553,8 @@ impl SampleWriter {
         header: SampleHeader,
         len: usize,
         sample: impl FnMut(usize) -> Sample,
-    ) -> Result<Sent, SendError> {
-        Ok(Sent {
+    ) -> Result<crate::Sent, SendError> {
+        Ok(crate::Sent {
             readers: self.writer.send(header, len, sample)?,
             not_woken: self.waker.wake(WakeEvent::Frame).err(),
         })
