@@ -4,7 +4,16 @@ use std::fmt::Debug;
 
 use bytemuck::Pod;
 
-use crate::declare::ZeroCopySend;
+use declare::ZeroCopySend;
+
+/// What [`rows!`] needs where it is used.
+pub mod declare {
+    pub use iceoryx2_bb_derive_macros::ZeroCopySend;
+    pub use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
+
+    #[doc(hidden)]
+    pub use super::{Described, field};
+}
 
 /// A type that may lie in shared memory: every bit pattern is valid, it has no padding, and its
 /// layout is the same in every process. Implemented for every payload and header of this crate, and

@@ -38,7 +38,7 @@ pub use diagnostic::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, Level, diagn
 pub use forecast::{Forecast, ForecastHeader, Quality, forecast_flag};
 pub use hash::{combine_hashes, fnv1a};
 pub use journal::{TakenFrame, TickHeader, tick_flag};
-pub use layout::{FieldLayout, FieldRole, FieldType, Payload, Row, StructLayout};
+pub use layout::{FieldLayout, FieldRole, FieldType, Payload, Row, StructLayout, declare};
 pub use plan_state::{LISTED_MODELS, PlanState, PlanStateHeader, plan_state_flag};
 pub use query::{
     ANSWER_WORDS, AnswerHeader, AnswerRow, QUERY_CANDIDATES, QUERY_ROBOTS, QUERY_STEPS,
@@ -49,15 +49,6 @@ pub use reason::{DropCounts, DropReason, InvalidReason, Refusal};
 pub use sample::{Freshness, Sample, SampleHeader, sample_flag};
 pub use service::{Service, WakeEvent, service_name};
 pub use state::StateHeader;
-
-/// What [`rows!`] needs where it is used.
-pub mod declare {
-    pub use iceoryx2_bb_derive_macros::ZeroCopySend;
-    pub use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
-
-    #[doc(hidden)]
-    pub use crate::layout::{Described, field};
-}
 
 /// Version of every payload in this crate. A frame with another version is refused and counted.
 pub const SCHEMA_VERSION: u32 = 4;

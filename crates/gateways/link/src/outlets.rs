@@ -141,7 +141,62 @@ pub(crate) enum PassError {
 
 #[cfg(test)]
 mod tests {
+    use bytemuck::{bytes_of, cast_slice};
+    use joulebus_bus::{Domain, Limits, WorkerLock};
+    use joulebus_testkit_channels::{Signal, SignalHeader, Signals};
+    use joulebus_wire::SCHEMA_VERSION;
+
     use super::*;
+    use crate::protocol::carried::RawFrame;
+
+    /// Of a channel that this crate does not name.
+    #[test]
+    fn a_frame_of_any_channel_is_written_with_the_times_and_the_place_of_this_host() {
+        let root = format!("/dev/shm/joulebus-test-{}-signals", std::process::id());
+        let domain = Domain::new("test", root.as_ref(), "jbt_").unwrap();
+        let limits = Limits::default();
+        let bus = Bus::join(&domain, "link").unwrap();
+        let _lock = WorkerLock::acquire(&domain).unwrap();
+        let mut reader = bus.reader::<Signals>(&limits).unwrap();
+        let mut writer = bus.writer::<Signals>(&limits).unwrap();
+        let header = SignalHeader {
+            schema: SCHEMA_VERSION,
+            worker_epoch: 70,
+            tick: 12,
+            sent_ns: 5_000,
+            sent_unix_ns: 9,
+            ..SignalHeader::default()
+        };
+        let row = Signal {
+            robot: 3,
+            stamp_ns: 4_000,
+            level_dbm: -61.5,
+            ..Signal::default()
+        };
+        let mut bytes = bytes_of(&header).to_vec();
+        bytes.extend_from_slice(cast_slice(&[row; 2]));
+        let frame = RawFrame::new(Carried::SIGNALS, 2, 64, &bytes).unwrap();
+        assert_eq!(frame.sent_ns(), 5_000);
+        let accepted = Accepted {
+            frame,
+            offset_ns: -400,
+            term: 0,
+        };
+        pass_on(&mut writer, &accepted, (&mut Runs::default(), 3)).unwrap();
+        let found = reader.take_latest().unwrap().unwrap();
+        let here = SignalHeader {
+            pid: process_id(),
+            tick: 4,
+            sent_ns: 4_600,
+            ..header
+        };
+        assert_eq!(*found.header(), here);
+        let here = Signal {
+            stamp_ns: 3_600,
+            ..row
+        };
+        assert_eq!(found.payload(), [here; 2]);
+    }
 
     #[test]
     fn a_worker_that_starts_again_is_a_later_run_also_after_its_host_has_booted() {

@@ -153,7 +153,7 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         "capture/recorder/src/attachments.rs",
         "cli/src/demo/capture.rs",
         // Platform files contain the date of their calibration.
-        "lab/src/calibrate.rs",
+        "lab/program/src/calibrate.rs",
     ];
     for Member {
         name, directory, ..

@@ -38,6 +38,8 @@ const CHANNELS: &[Frames] = &[
     Frames::of::<Ticks>(),
     Frames::of::<Samples>(),
     Frames::of::<State>(),
+    #[cfg(test)]
+    Frames::of::<joulebus_testkit_channels::Signals>(),
 ];
 
 /// Bytes of a state for each robot of the capacity, at most, and for all else: it takes some 500 and a few thousand.
@@ -53,6 +55,8 @@ impl Carried {
     pub(crate) const SAMPLES: Self = Self(6);
     /// A worker's whole state, for those that stand by: the elements are its bytes.
     pub(crate) const STATE: Self = Self(7);
+    #[cfg(test)]
+    pub(crate) const SIGNALS: Self = Self(8);
 
     pub(crate) fn all() -> impl Iterator<Item = Self> {
         (1..).take(CHANNELS.len()).map(Self)
