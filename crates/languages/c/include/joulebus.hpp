@@ -407,6 +407,13 @@ private:
     Forecasts frame_;
 };
 
+/** A descriptor that is readable when Subscriber::wait is likely to have something to return, and how long to wait for it
+ *  before wait is called anyway. The descriptor is the subscriber's. */
+struct Readiness {
+    int descriptor;
+    std::chrono::nanoseconds look_within;
+};
+
 /** A reader of forecasts, diagnostics and budgets. Belongs to one thread. */
 class Subscriber {
 public:
@@ -440,6 +447,17 @@ public:
         default:
             return Event(TimedOut{});
         }
+    }
+
+    /** What an event loop waits for: joulebus_subscriber_readiness says how. */
+    Result<Readiness> readiness() {
+        std::int32_t descriptor = -1;
+        std::uint64_t look_within_ns = 0;
+        auto code = joulebus_subscriber_readiness(handle_.get(), &descriptor, &look_within_ns);
+        if (code != JOULEBUS_ERROR_NONE) {
+            return last_error(code);
+        }
+        return Readiness{descriptor, std::chrono::nanoseconds(look_within_ns)};
     }
 
     /** The newest frame, if one has arrived, without waiting. */

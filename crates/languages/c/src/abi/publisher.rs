@@ -143,6 +143,8 @@ fn publish(
             readers: done.readers,
             samples: done.samples,
             frame_seq: done.frame_seq,
+            woken: done.not_woken.is_none().into(),
+            reserved: 0,
         });
     }
     Ok(())

@@ -1,6 +1,7 @@
 //! A reader of forecasts, diagnostics and budgets, in place.
 
 use std::ffi::c_char;
+use std::os::fd::AsRawFd;
 use std::ptr;
 use std::time::Duration;
 
@@ -43,7 +44,7 @@ const NO_FRAME: joulebus_forecasts = joulebus_forecasts {
 /// @param header      JOULEBUS_HEADER.
 /// @param config_path The fleet's config file.
 /// @param name        1 to 128 bytes, shown to operators; need not be unique.
-/// @param subscriber     The new handle.
+/// @param subscriber  The new handle.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_subscriber_open(
     header: *const c_char,
@@ -96,6 +97,39 @@ pub unsafe extern "C" fn joulebus_subscriber_wait(
             found.map(told).map_err(|error| read_failed(&error))
         })?;
         event.set(found);
+        Ok(())
+    })
+}
+
+/// A descriptor that is readable when joulebus_subscriber_wait is likely to have something to return, for event loops: a
+/// frame has arrived, or the worker's process has exited. When it is readable, call joulebus_subscriber_wait with a
+/// time of 0 until it returns JOULEBUS_EVENT_KIND_TIMED_OUT; call it as well where it has not been readable for
+/// look_within_ns, since it tells nothing of a worker that is silent, and may miss a frame that arrives while an earlier one is
+/// read. It belongs to the subscriber, and must not be closed.
+///
+/// @param descriptor     To be polled for reading only.
+/// @param look_within_ns Longest time to wait for it from now on, ns; at most 100 ms.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn joulebus_subscriber_readiness(
+    subscriber: *mut joulebus_subscriber,
+    descriptor: *mut i32,
+    look_within_ns: *mut u64,
+) -> joulebus_error {
+    entry(|| {
+        // SAFETY: the caller's promises, in joulebus.h.
+        let (mut descriptor, mut look_within_ns) = unsafe {
+            (
+                out("descriptor", descriptor)?,
+                out("look_within_ns", look_within_ns)?,
+            )
+        };
+        let found = handles::with(subscriber, |ports: &mut Ports| {
+            let readiness = ports.subscriber.readiness().map_err(not_opened)?;
+            // The subscriber keeps it open.
+            Ok((readiness.as_raw_fd(), ports.subscriber.look_within()))
+        })?;
+        descriptor.set(found.0);
+        look_within_ns.set(found.1.as_nanos() as u64);
         Ok(())
     })
 }

@@ -66,8 +66,8 @@ pub struct joulebus_predictor;
 pub struct joulebus_robot_state {
     /// Id of the robot, unique in the fleet.
     pub robot: u32,
-    /// JOULEBUS_SAMPLE bits: which of the fields below are known, and HELD, CHARGING, FULL and SWAPPED. Others are
-    /// refused.
+    /// JOULEBUS_SAMPLE bits: which of the fields below are known, and HELD, CHARGING, FULL (which implies CHARGING) and
+    /// SWAPPED. Others are refused.
     pub flags: u32,
     /// When the power was measured, monotonic ns. 0: when the frame is published, or, for a held reading, when the
     /// repeated reading was measured.
@@ -100,6 +100,10 @@ pub struct joulebus_sent {
     pub samples: usize,
     /// Its number within this run of the source, from 0.
     pub frame_seq: u64,
+    /// 1 if the worker was woken. It takes the frame at its next tick all the same.
+    pub woken: u32,
+    /// 0.
+    pub reserved: u32,
 }
 
 /// What a publisher has done.

@@ -9,6 +9,7 @@
 #include <cstring>
 #include <iostream>
 #include <joulebus.hpp>
+#include <poll.h>
 #include <thread>
 #include <vector>
 
@@ -69,6 +70,10 @@ void publishing(const std::string &config) {
 void frames(const std::string &config) {
     std::optional<joulebus::Subscriber> subscriber = joulebus::Subscriber::open(config).value();
     next_frame(*subscriber);
+    const auto readiness = subscriber->readiness().value();
+    HOLDS(readiness.look_within <= 100ms);
+    pollfd polled{readiness.descriptor, POLLIN, 0};
+    HOLDS(poll(&polled, 1, 60000) == 1 && polled.revents == POLLIN);
     auto kept = subscriber->take_current().value();
     auto frame = next_frame(*subscriber);
     HOLDS(kept.header().tick < frame.header().tick);
