@@ -1,9 +1,10 @@
 //! A source of samples, from arrays.
 
+use std::ffi::CString;
 use std::path::PathBuf;
 
 use joulebus_publisher::{Charger, Config, Publisher as Port, RobotState, clock};
-use pyo3::exceptions::PyValueError;
+use pyo3::exceptions::{PyRuntimeWarning, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyFloat};
 
@@ -53,6 +54,10 @@ impl PublisherPort {
                 .map_err(|error| PublishError::new_err(error.to_string()))
         };
         let sent = py.detach(|| self.thread.ask(send))??;
+        if let Some(error) = &sent.not_woken {
+            let message = CString::new(format!("the worker was not woken: {error}"))?;
+            PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &message, 2)?;
+        }
         Ok((sent.readers, sent.samples, sent.frame_seq))
     }
 
