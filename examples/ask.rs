@@ -1,5 +1,5 @@
-//! Ask before you move: what a plan costs, whether a robot makes it, when it must turn back, and which
-//! robot does it for the least. `cargo run -p joulebus-examples --example ask`
+//! Ask before you move: what a plan costs, whether a robot makes it, when it must turn back, and
+//! which robot does it for the least. `cargo run -p joulebus-examples --example ask`
 
 use std::time::Duration;
 

@@ -1,5 +1,5 @@
-//! Ask the worker: a program that loads no models asks what a path costs, and what standing still costs.
-//! `cargo run -p joulebus-examples --example ask_worker`
+//! Ask the worker: a program that loads no models asks what a path costs, and what standing still
+//! costs. `cargo run -p joulebus-examples --example ask_worker`
 
 use std::time::Duration;
 

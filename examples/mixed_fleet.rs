@@ -36,7 +36,8 @@ fn main() -> anyhow::Result<()> {
         let rovers = [RobotState::new(200).reading(31.0)];
         publisher.publish(gternals.chain(huskies).chain(rovers))?;
         if let Event::Frame(_) = subscriber.wait_next(Duration::from_secs(1))? {}
-        // Two seconds. Where a program gets no processor for a while, the windows of its robots begin anew.
+        // Two seconds. Where a program gets no processor for a while, the windows of its robots
+        // begin anew.
         let frame = subscriber.current();
         let known = frame.map_or(0, |frame| {
             frame.iter().filter_map(Forecast::expected_w).count()

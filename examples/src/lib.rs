@@ -129,7 +129,8 @@ impl Drop for PrivateFleet {
 /// Records a fleet of ten robots for two seconds, as `joulebus record` does, into `file`.
 ///
 /// # Errors
-/// The fleet cannot start, the file cannot be written, or the recorder got no processor in time and lost messages.
+/// The fleet cannot start, the file cannot be written, or the recorder got no processor in time and
+/// lost messages.
 pub fn record(file: &Path) -> anyhow::Result<()> {
     let mut fleet =
         PrivateFleet::new("[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n")?;

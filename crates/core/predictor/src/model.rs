@@ -59,7 +59,7 @@ impl Model {
         }
     }
 
-    /// As [`Model::predict`], with one column for each feature, in the order of [`Features`]:
+    /// Same as [`Model::predict`], with one column for each feature, in the order of [`Features`]:
     /// `features[f][i]` is feature `f` of row `i`. The same bits.
     ///
     /// Columns of features that the model does not read ([`Model::feature_set`]) may be empty.
@@ -91,7 +91,7 @@ impl Model {
         Ok(())
     }
 
-    /// The instruction set for other loops: that of a network's kernel.
+    /// The instruction set for other loops, which is the network kernel's.
     pub fn simd_level(&self) -> SimdLevel {
         match self {
             Model::Network(network) => network.simd_level(),
@@ -139,8 +139,8 @@ impl Model {
         }
     }
 
-    /// The energy of longer plans; `None` for a model without training, an imported one, and a file of
-    /// an older version.
+    /// The energy of longer plans; `None` for a model without training, an imported one, and a file
+    /// of an older version.
     pub fn energy(&self) -> Option<&EnergyModel> {
         match self {
             Model::Network(network) => network.card().energy.as_ref(),
@@ -148,8 +148,9 @@ impl Model {
         }
     }
 
-    /// [`Model::energy`], and without one the mean of the last seconds without intervals; a robot that has not been
-    /// read is then assumed to draw `power_max_w`, the most that its platform can, W.
+    /// [`Model::energy`], and without one the mean of the last seconds without intervals; a robot
+    /// that has not been read is then assumed to draw `power_max_w`, the most that its platform
+    /// can, W.
     pub fn energy_or_untrained(&self, power_max_w: f32) -> EnergyModel {
         let untrained = || EnergyModel::untrained(power_max_w.max(f32::MIN_POSITIVE));
         self.energy().cloned().unwrap_or_else(untrained)
@@ -159,11 +160,12 @@ impl Model {
     /// its forecast of every step in watt (step by step: `power_w[t * lanes.len() + l]`).
     ///
     /// At each step the features are the command of that step, the derivatives over `step_s`, and
-    /// as lag window the model's own forecasts as [fed back](TrainingRange::fed_back_w), preceded by the
-    /// robot's readings. The bits are those of [`Model::predict`] called step by step with rows of
-    /// [`features`](crate::features()); the energy is `step_s` times the sum of the forecasts in
-    /// step order, both in double precision, rounded once. A lane with a command or reading that is
-    /// not finite gives results that are not finite from that step on, and changes no other lane.
+    /// as lag window the model's own forecasts as [fed back](TrainingRange::fed_back_w), preceded
+    /// by the robot's readings. The bits are those of [`Model::predict`] called step by step with
+    /// rows of [`features`](crate::features()); the energy is `step_s` times the sum of the
+    /// forecasts in step order, both in double precision, rounded once. A lane with a command or
+    /// reading that is not finite gives results that are not finite from that step on, and changes
+    /// no other lane.
     ///
     /// `lanes` is a part of `0..rollouts.lanes()`, so that threads can share the work: the outputs
     /// are those of the part only. Allocates nothing.

@@ -25,7 +25,7 @@ const FOLLOW_EVERY: Duration = Duration::from_micros(200);
 /// Why the thread of a [`Feed`] does not read, or no longer.
 #[derive(Debug, thiserror::Error)]
 pub enum FeedError {
-    /// It cannot join the fleet.
+    /// The fleet cannot be joined.
     #[error(transparent)]
     Connect(#[from] ConnectError),
     /// Reading fails permanently.
@@ -34,7 +34,7 @@ pub enum FeedError {
     /// There is no thread for it.
     #[error("cannot start a thread: {0}")]
     Thread(std::io::Error),
-    /// It ended before it had joined.
+    /// The thread ended before it had joined.
     #[error("the planner ended before it joined the fleet")]
     Ended,
     /// A defect.
@@ -67,9 +67,9 @@ impl Reading {
         Ok(reading)
     }
 
-    /// As [`Reading::open`], for boards that are looked at only `every` so often: ticks do not wake it, as in
-    /// [`Subscriber::polling`]. No frame of forecasts is skipped. They count as readable when they are sent, since what
-    /// passes until the next look is not the worker's.
+    /// Same as [`Reading::open`], for boards that are read only `every` so often. Ticks do not wake
+    /// it, as in [`Subscriber::polling`]. No frame of forecasts is skipped. They count as readable
+    /// when they are sent, because the worker does not cause the time until the next reading.
     ///
     /// # Errors
     /// The domain cannot be joined.
@@ -104,7 +104,7 @@ impl Reading {
         self.turn_within(PATIENCE, borrow)
     }
 
-    /// As [`Reading::turn`], with another longest wait.
+    /// Same as [`Reading::turn`], with another maximum wait.
     ///
     /// # Errors
     /// Reading fails permanently.

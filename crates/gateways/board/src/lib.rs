@@ -1,7 +1,7 @@
-//! What a planner has read of a fleet, joined by robot: the source of every view.
+//! A planner's data of a fleet, joined by robot: the source of every view.
 //!
-//! [`Reading`] is a planner like any other: it adds what it reads to a [`Board`]. [`Feed`] does so in a thread.
-//! [`FrameRecord`] and [`RobotRecord`] are a board as JSON.
+//! [`Reading`] is a planner like any other: it adds its frames to a [`Board`]. [`Feed`] does so in
+//! a thread. [`FrameRecord`] and [`RobotRecord`] are a board as JSON.
 #![forbid(unsafe_code)]
 
 mod alarm;

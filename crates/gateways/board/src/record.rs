@@ -25,7 +25,7 @@ pub struct FrameRecord {
     ticks_late: u64,
     samples_accepted: u64,
     samples_dropped: BTreeMap<&'static str, u64>,
-    /// Questions about plans that the worker answered; null if it has not said so.
+    /// Number of questions about plans that the worker answered. Null if it has not reported it.
     questions_answered: Option<u64>,
     questions_refused: BTreeMap<&'static str, u64>,
     /// Frames overwritten before this planner read them, since its start.
@@ -83,7 +83,8 @@ pub struct RobotRecord {
     time_to_empty_hi_s: Option<f64>,
 }
 
-/// What the robot's readings have taught; weights are of last reading, network and stack, gains within the stack.
+/// Results of learning from the robot's readings: the weights of last reading, network and stack,
+/// and the gains within the stack.
 #[derive(Debug, Serialize)]
 pub struct LearnedRecord {
     weight_last: f64,

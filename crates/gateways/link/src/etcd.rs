@@ -1,6 +1,7 @@
-//! etcd by its HTTP and JSON gateway (`/v3/…`, etcd 3.4 and later), for [`crate::protocol::lease`].
+//! A client of etcd's HTTP and JSON gateway (`/v3/…`, etcd 3.4 and later), for
+//! [`crate::protocol::lease`].
 //!
-//! The gateway leaves out what is false, 0 or empty, and writes numbers of 64 bits as texts.
+//! The gateway omits fields that are false, 0 or empty, and writes 64-bit integers as strings.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -17,45 +18,45 @@ use ureq::tls::{Certificate, ClientCert, PemItem, PrivateKey, RootCerts, TlsConf
 use crate::config::LeaseSettings;
 use crate::protocol::lease::{Call, Holder, Reply, Seen};
 
-/// All members of the store together may take this share of a lease's time for one call.
+/// A call may take this share of the lease's time to live, divided among all members.
 const CALL_DIVISOR: u32 = 3;
-/// Least time for a member to answer.
+/// Minimum time for a member to answer.
 const LEAST_TIME: Duration = Duration::from_millis(100);
-/// Least time between two failures that are said.
+/// Minimum time between two logged failures.
 const TOLD_EVERY: Duration = Duration::from_secs(10);
-/// Longest answer, bytes.
+/// Maximum size of an answer, bytes.
 const MOST_BYTES: u64 = 64 << 10;
 const MOST_CERTIFICATE_BYTES: u64 = 1 << 20;
 const MOST_SECRET_BYTES: u64 = 4_096;
 const NANOSECONDS: u64 = 1_000_000_000;
 
-/// The store of one shard, as one candidate uses it.
+/// The etcd client of one candidate for one shard.
 pub(crate) struct Etcd {
     agent: Agent,
     endpoints: Vec<String>,
-    /// The one that answered last.
+    /// Index of the member that answered last.
     at: usize,
     ttl_s: u32,
     limit: Duration,
-    /// Encoded names of the three keys.
+    /// Base64 names of the three keys.
     holder: String,
     term: String,
     wish: String,
     own: String,
     user: Option<(String, String)>,
     token: Option<String>,
-    /// What failed last and was said, and when.
+    /// The failure that was logged last, and when.
     told: Option<(String, Instant)>,
 }
 
-/// What the holder's key contains.
+/// The value of the holder's key.
 #[derive(Debug, Serialize, Deserialize)]
 struct HolderValue {
     name: String,
     term: u64,
 }
 
-/// A number that is a text, or left out.
+/// A number that JSON has as a string, as a number, or not at all.
 #[derive(Debug, Clone, Copy, Default)]
 struct Number(u64);
 
@@ -92,7 +93,7 @@ struct Renewed {
 
 #[derive(Debug, Deserialize)]
 struct RenewedResult {
-    /// Left out where the lease is gone.
+    /// Absent if the lease is gone.
     #[serde(rename = "TTL", default)]
     ttl_s: Number,
 }
@@ -135,7 +136,7 @@ impl KeyValue {
 }
 
 impl Etcd {
-    /// `own`: the name of this candidate.
+    /// Prepares a client. `own` is the name of this candidate.
     ///
     /// # Errors
     /// A file of the settings cannot be read.
@@ -167,8 +168,10 @@ impl Etcd {
         })
     }
 
-    /// Calls the store. What fails is said once, until it answers again; members may fail for different reasons in turn, of which
-    /// another one is said now and then.
+    /// Calls the store.
+    ///
+    /// Logs the first failure, then at most one different failure per interval, until a call
+    /// succeeds: members may fail for different reasons in alternation.
     pub(crate) fn call(&mut self, call: &Call) -> Reply {
         match self.try_call(call) {
             Ok(reply) => {
@@ -224,7 +227,7 @@ impl Etcd {
         }
     }
 
-    /// All three keys at one instant, from a quorum.
+    /// Reads all three keys in one transaction, so from a quorum and at one revision.
     fn look(&mut self) -> anyhow::Result<Seen> {
         let range = |key: &str| json!({"requestRange": {"key": key}});
         let all = [&self.holder, &self.term, &self.wish].map(|key| range(key));
@@ -280,7 +283,7 @@ impl Etcd {
         }))
     }
 
-    /// Has the present holder leave the shard to this candidate.
+    /// Requests that the present leader leaves the shard to this candidate.
     ///
     /// # Errors
     /// No member answers.
@@ -297,7 +300,7 @@ impl Etcd {
                 Ok(answer) => return Ok(answer),
                 Err(error) => failed = error.context(self.endpoints[self.at].clone()),
             }
-            // Who comes next has to log in again, too.
+            // The next member needs a login of its own.
             self.token = None;
             self.at = (self.at + 1) % self.endpoints.len();
         }
@@ -357,7 +360,7 @@ fn agent(settings: &LeaseSettings) -> anyhow::Result<Agent> {
     Ok(config.into())
 }
 
-/// The certificates in a file.
+/// Reads the certificates of a PEM file.
 fn certificates(path: &Path) -> anyhow::Result<Vec<Certificate<'static>>> {
     let named = || path.display().to_string();
     let bytes = joulebus_files::read(path, MOST_CERTIFICATE_BYTES).with_context(named)?;
@@ -398,7 +401,7 @@ mod tests {
         Etcd::new(&settings, ("lab", "hall", "base")).unwrap()
     }
 
-    /// Reads a request whole: a body of the stated length after an empty line.
+    /// Reads a whole request: headers, an empty line, and a body of the stated length.
     fn read_request(stream: &mut TcpStream) {
         let (mut read, mut byte) = (Vec::new(), [0]);
         while !read.ends_with(b"\r\n\r\n") && stream.read(&mut byte).unwrap_or(0) == 1 {
@@ -412,7 +415,8 @@ mod tests {
         let _ = stream.read_exact(&mut vec![0; length]);
     }
 
-    /// What a call says to a member that answers with these bytes, and then with the last ones for as long as anybody listens.
+    /// The reply to a call, and how long it took, if a member answers with `bytes` and then repeats
+    /// `for_ever` while the client reads.
     fn answer(call: &Call, bytes: &[u8], for_ever: &'static [u8]) -> (Reply, Duration) {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();
@@ -542,7 +546,7 @@ mod tests {
             let (reply, took) = answer(&RENEW, bytes, for_ever);
             let shown = String::from_utf8_lossy(bytes);
             assert_eq!(reply, Reply::Failed, "{shown}");
-            // Generous beside a busy machine; without a limit it would not end.
+            // Generous for a busy machine. Without a limit the call would not end.
             assert!(took < 20 * limit, "{shown}: {took:?}");
         }
     }

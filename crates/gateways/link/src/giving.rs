@@ -1,4 +1,4 @@
-//! Frames of this host for all who ask for them.
+//! The sending side of this host: frames for every link that requests them.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -14,17 +14,18 @@ use crate::protocol::stream::{LocalFrame, Sent, Stream};
 use crate::refusals::Refusals;
 use crate::wall_clock::WallClock;
 
-/// Links that are sent to at once.
+/// Maximum number of receivers at a time.
 const MOST_RECEIVERS: usize = 64;
 
-/// Receivers that have left which are told one by one; the others together, since anybody who may ask can ask under any name.
+/// Maximum number of past receivers with a record of their own. Further ones share one record,
+/// because a client may request under any number of names.
 const MOST_PAST: usize = 256;
 const OTHERS: &str = "others";
 
-/// Longest request, bytes.
+/// Maximum size of a request, bytes.
 const LONGEST_REQUEST: usize = 4 << 10;
 
-/// What was given to one link.
+/// Totals of the frames sent to one link.
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct GivenRecord {
     pub(crate) to: String,
@@ -32,17 +33,17 @@ pub(crate) struct GivenRecord {
     pub(crate) sent: Sent,
 }
 
-/// The receivers of one kind of frames.
+/// The streams of one kind of frames to all their receivers.
 #[derive(Debug)]
 pub(crate) struct Giving {
     network: Arc<Network>,
     kind: Kind,
-    /// Only these links may ask; without it all.
+    /// The links that may request. Without it all links may.
     only: Option<Vec<String>>,
     fleet: FleetId,
     inbox: Inbox,
     streams: BTreeMap<Arc<str>, (Stream, Outlet)>,
-    /// Of receivers that have left.
+    /// Totals of receivers that have left.
     past: BTreeMap<Arc<str>, Sent>,
     pub(crate) voice: Voice,
     clock: WallClock,
@@ -72,7 +73,7 @@ impl Giving {
         })
     }
 
-    /// Takes the requests that have come.
+    /// Processes the requests in the inbox.
     ///
     /// # Errors
     /// [`NetworkError`].
@@ -102,7 +103,7 @@ impl Giving {
         Ok(())
     }
 
-    /// Takes the requests that have come, forgets receivers that are silent, and sends what waited.
+    /// Processes requests, drops silent receivers, and sends frames that waited.
     ///
     /// # Errors
     /// [`NetworkError`].
@@ -128,7 +129,7 @@ impl Giving {
         Ok(())
     }
 
-    /// Ends the stream to a link that is gone.
+    /// Ends the stream to a link that has left.
     fn forget(&mut self, name: &Arc<str>) {
         if let Some((stream, _)) = self.streams.remove(name) {
             tracing::info!("link {name} no longer asks");
@@ -177,23 +178,24 @@ impl Giving {
         }
     }
 
-    /// Whether anybody wants frames of the service.
+    /// Whether any receiver selects the service.
     pub(crate) fn wants(&self, service: Carried) -> bool {
         let mut streams = self.streams.values();
         streams.any(|(stream, _)| stream.request_of().selection.wants(service))
     }
 
-    /// Whether a frame waits until a receiver has acknowledged an earlier one.
+    /// Whether a frame waits for the acknowledgement of an earlier one.
     pub(crate) fn waits(&self) -> bool {
         self.streams.values().any(|(stream, _)| stream.waits())
     }
 
-    /// Sends a frame to all who want it, or keeps it for those that are not ready.
+    /// Sends a frame to every receiver that selects it, or holds it back for receivers with too
+    /// many in flight.
     pub(crate) fn offer(&mut self, frame: LocalFrame<'_>) {
         self.offer_to(|_| true, frame);
     }
 
-    /// As [`Giving::offer`], to the links that are `meant`.
+    /// Same as [`Giving::offer`], for the links that satisfy `meant`.
     pub(crate) fn offer_to(&mut self, meant: impl Fn(&str) -> bool, frame: LocalFrame<'_>) {
         let (voice, now_ns) = (self.voice, clock::monotonic_ns());
         let streams = self.streams.iter_mut();
@@ -205,7 +207,7 @@ impl Giving {
         }
     }
 
-    /// Tells all receivers the state of the worker now.
+    /// Sends the worker's current state to all receivers.
     pub(crate) fn tell(&mut self) {
         let (voice, now_ns) = (self.voice, clock::monotonic_ns());
         for (stream, outlet) in self.streams.values_mut() {
@@ -215,7 +217,7 @@ impl Giving {
         }
     }
 
-    /// What was given, by link.
+    /// The totals sent, by link.
     pub(crate) fn records(&self) -> Vec<GivenRecord> {
         let mut all = self.past.clone();
         for (name, (stream, _)) in &self.streams {

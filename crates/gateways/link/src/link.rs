@@ -1,4 +1,4 @@
-//! `joulebus link`: its threads, and its report.
+//! `joulebus link`: starts the threads, waits for the stop, and reports.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -27,25 +27,25 @@ use crate::taking::TakenRecord;
 use crate::turn::Turn;
 use crate::{follow, forward, intake, one_thread, outputs, standby, take_over};
 
-/// Interval of checking whether to stop: nothing else is done here.
+/// Interval between checks for a stop. The main thread does nothing else.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
-/// Pause before a router is looked for again.
+/// Pause before the next attempt to reach a router.
 const ROUTER_AGAIN_NS: u64 = 500_000_000;
-/// Nice value of all threads: the worker and its sources run first.
+/// Nice value of all threads, so that the worker and its sources run first.
 const NICE: u8 = 5;
 
-/// What was linked.
+/// The report of a link that has ended.
 #[derive(Debug, Serialize)]
 struct LinkReport {
     fleet: String,
     link: String,
     given: Vec<GivenRecord>,
     taken: Vec<TakenRecord>,
-    /// Requests that were refused, by reason.
+    /// Refused requests, by reason.
     refused: Refusals,
 }
 
-/// What `--check` says.
+/// The report of `--check`.
 #[derive(Debug, Serialize)]
 struct CheckReport {
     fleet: String,
@@ -54,17 +54,17 @@ struct CheckReport {
     connect: Vec<String>,
     listen: Vec<String>,
     encrypted: bool,
-    /// The shards, and the robots of each that the config names.
+    /// Number of the config's robots in each shard.
     shards: BTreeMap<String, usize>,
-    /// The one that this host's worker speaks for.
+    /// The shard that this host's worker may lead.
     speaks_for: Option<String>,
-    /// Whose samples are taken, or whose outputs are followed.
+    /// Links whose samples are taken, or whose outputs are followed.
     takes: Vec<String>,
-    /// Where samples go.
+    /// Links that get the samples published here.
     gives: Vec<String>,
-    /// The other links whose workers may serve in place of this host's.
+    /// Links of the other candidates for this host's shard.
     stands_by_with: Vec<String>,
-    /// The members of etcd that decide which of them does; without them an operator decides.
+    /// The etcd members of the lease. Without them an operator chooses the leader.
     lease: Vec<String>,
 }
 
@@ -76,7 +76,7 @@ pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcom
         return Ok(Outcome::Done);
     }
     if settings.network.tls.is_some() && !args.take_over {
-        // Before signals are caught: one that comes meanwhile is not forgotten.
+        // Restart before signals are caught. A signal in between then still ends the program.
         one_thread::begin();
     }
     let stop = Stop::on_signals()?;
@@ -148,7 +148,7 @@ fn checked(config: &Config, settings: &Settings) -> CheckReport {
     }
 }
 
-/// Opens the network; a client waits for its router, until it is asked to stop.
+/// Opens the network. A client retries until a router answers or a stop is requested.
 fn open(
     config: &Config,
     settings: &Settings,
@@ -181,7 +181,7 @@ fn open(
     Ok(None)
 }
 
-/// What a thread has done.
+/// The part of the report from one thread.
 #[derive(Debug, Default)]
 struct Done {
     given: Vec<GivenRecord>,
@@ -193,14 +193,15 @@ struct Done {
 struct Link {
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<anyhow::Result<Done>>>,
-    /// Answers questions on a host without a worker.
+    /// Answers planners' questions on a host without a worker.
     questions: Option<PlanServer>,
-    /// Of this host, which has no other worker: after the threads that need it.
+    /// The worker lock of a host without a worker. Released after the threads that need it have
+    /// ended.
     lock: Option<Arc<WorkerLock>>,
 }
 
 impl Link {
-    /// `None` if it is asked to stop before its router answers.
+    /// Starts all threads. `None` if a stop is requested before the router answers.
     fn start(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::Result<Option<Self>> {
         let mut link = Self {
             stop: Arc::default(),
@@ -276,7 +277,7 @@ impl Link {
         })
     }
 
-    /// Starts what decides whether the worker of this host serves.
+    /// Starts the threads that decide whether this host's worker leads.
     fn start_standby(
         &mut self,
         (config, settings): (&Config, &Settings),
@@ -353,7 +354,7 @@ impl Link {
         let stop = Arc::clone(&self.stop);
         let thread = thread::Builder::new().name(name.to_owned()).spawn(move || {
             let tell = move || {
-                // The caller waits for it.
+                // The caller of `spawn` waits for this.
                 let _ = ready.send(());
             };
             work(&stop, Box::new(tell))
@@ -397,8 +398,8 @@ fn join(thread: JoinHandle<anyhow::Result<Done>>) -> anyhow::Result<Done> {
 }
 
 impl LinkReport {
-    /// Whether frames were lost on the way or refused. Those left out because the link is slower than the fleet count: a
-    /// planner did not get them.
+    /// Whether frames were lost or refused. Frames dropped on a slow link count, because planners
+    /// did not get them.
     fn is_lossy(&self) -> bool {
         let given = self.given.iter();
         self.refused.total() > 0

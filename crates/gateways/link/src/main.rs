@@ -1,4 +1,7 @@
-//! `joulebus link` as a separate program: a source and a planner like any other, that speak to their like on other hosts.
+//! The program of `joulebus link`.
+//!
+//! To its host's fleet a link is a source and a planner like any other. It exchanges their frames
+//! with links on other hosts.
 #![forbid(unsafe_code)]
 
 mod arguments;

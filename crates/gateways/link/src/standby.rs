@@ -1,4 +1,5 @@
-//! The threads of a host whose worker is one of several that may serve: one holds the lease, the other follows the others.
+//! The threads of a host whose worker is one of several candidates. One thread holds the lease, one
+//! follows the other candidates.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -25,22 +26,22 @@ use crate::protocol::shift::shift;
 use crate::taking::{TakenRecord, Taking};
 use crate::turn::Turn;
 
-/// Longest sleep: how late a stop, a request or a later term may be noticed.
+/// Maximum sleep: the delay until a stop, a request or a later term is noticed.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
-/// How often is looked whether the worker lives.
+/// Interval of checks whether the worker lives.
 const WORKER_EVERY_NS: u64 = 200_000_000;
-/// A worker that has been away for so long is not started again soon; one that serves and has sent nothing for so long, and so
-/// many ticks, hangs.
+/// Time after which an absent worker is not expected back. A leader that has sent nothing for
+/// `HANGS_NS` and for `HANGS_TICKS` ticks hangs.
 const AWAY_NS: u64 = 2_000_000_000;
 const HANGS_NS: u64 = 5_000_000_000;
 const HANGS_TICKS: u64 = 5;
-/// Nanoseconds of a second.
+/// Nanoseconds in a second.
 const NANOSECONDS: u64 = 1_000_000_000;
 
 /// Holds the lease, or waits for it, until `stop`.
 ///
 /// # Errors
-/// The settings name a file that cannot be read.
+/// A file that the settings name cannot be read.
 pub(crate) fn hold(
     (config, settings): (&Config, &Settings),
     (standby, lease): (&Standby, &LeaseSettings),
@@ -59,7 +60,7 @@ pub(crate) fn hold(
         })
     });
     if right.is_none() {
-        // That of an operator, from a time without a lease.
+        // An operator's permit, from a time without a lease.
         turn.withdraw()?;
     }
     let ttl_ns = u64::from(lease.ttl_s) * NANOSECONDS;
@@ -72,7 +73,7 @@ pub(crate) fn hold(
     while !stop.load(Ordering::Relaxed) {
         candidate.hears(turn.heard());
         candidate.is_able(worker.is_able(turn));
-        // A lease ends while this host is suspended.
+        // Boot time counts suspension: a lease also ends while this host is suspended.
         let now_ns = clock::boot_ns();
         match candidate.next(now_ns) {
             Next::Wait(until_ns) => {
@@ -99,12 +100,12 @@ pub(crate) fn hold(
     Ok(())
 }
 
-/// Whether the worker of this host can serve.
+/// Whether the worker of this host can lead.
 struct HostsWorker {
     domain: Domain,
     hangs_ns: u64,
     look_ns: u64,
-    /// When it was seen last, monotonic ns.
+    /// When its lock was last seen held, monotonic ns.
     seen_ns: Option<u64>,
     is_able: bool,
 }
@@ -120,7 +121,8 @@ impl HostsWorker {
         }
     }
 
-    /// One that lives, and sends if it is its turn. One that is being started again counts for a while.
+    /// Whether the worker lives and, as leader, sends. A worker that restarts counts as able for a
+    /// while.
     fn is_able(&mut self, turn: &Turn) -> bool {
         let now_ns = clock::monotonic_ns();
         if now_ns >= self.look_ns {
@@ -143,7 +145,7 @@ impl HostsWorker {
     }
 }
 
-/// The permit, as the lease has it.
+/// Writes the worker's permit as the lease changes.
 struct Holding<'a> {
     turn: &'a Turn,
     right: Option<Right>,
@@ -163,7 +165,7 @@ impl Holding<'_> {
             None => self.turn.withdraw(),
         };
         match (done, self.right, right) {
-            // Tried again with the next renewal.
+            // The permit is written again with the next renewal.
             (Err(error), ..) => {
                 tracing::error!("{error}");
                 return;
@@ -183,8 +185,10 @@ impl Holding<'_> {
     }
 }
 
-/// Follows the other candidates until `stop`: keeps the state of the one that serves for this host's worker, and notices who
-/// serves in a later term. Where no lease decides, it does what operators command.
+/// Follows the other candidates until `stop`.
+///
+/// It keeps the leader's state for this host's worker and notices leaders of later terms. Without a
+/// lease it executes the operator's requests.
 ///
 /// # Errors
 /// The network is refused.
@@ -225,12 +229,13 @@ pub(crate) fn follow(
 
 struct Following<'a> {
     turn: &'a Turn,
-    /// Each with its place among the candidates.
+    /// The other candidates' streams with their ranks.
     others: Vec<(usize, Taking)>,
     rank: usize,
-    /// Operators decide who serves.
+    /// An operator chooses the leader.
     is_by_hand: bool,
-    /// The term in which this host is to serve by command, once no other is heard to; 0 without a command.
+    /// The term in which this host leads by request once no other candidate does. 0 without a
+    /// request.
     claim: u64,
 }
 
@@ -281,12 +286,13 @@ impl Following<'_> {
         Ok(())
     }
 
-    /// The candidate of this place serves in this term, 0 if it does not, and knows of the other one, or claims it.
+    /// Handles what the candidate of this rank reports: `term`, in which it leads (0 if it does
+    /// not), and the highest term that it knows of or claims.
     fn hears(&self, rank: usize, (term, heard): (u64, u64)) -> anyhow::Result<()> {
         let own = self.turn.term();
         self.turn.hear(heard);
-        // Of two whom operators have permitted the same the first in the list goes on. A lease permits it to one, and its
-        // thread notices later terms by itself.
+        // If operators permitted two candidates the same term, the first in the list stays. A lease
+        // permits a term to one candidate, and its thread notices later terms by itself.
         let gives_way = heard > own || (term == own && rank < self.rank);
         if own > 0 && gives_way && self.is_by_hand {
             tracing::warn!(
@@ -297,8 +303,10 @@ impl Following<'_> {
         Ok(())
     }
 
-    /// Does what an operator has requested: claims the next term, and serves when the others that are heard have given way.
-    /// One that is not heard may still serve those beside it: only a lease prevents that.
+    /// Executes an operator's request: claims the next term, and leads once the other candidates
+    /// that are connected have given way.
+    ///
+    /// A candidate out of reach may still lead for the hosts beside it. Only a lease prevents that.
     fn obey(&mut self) -> anyhow::Result<()> {
         let request = &self.turn.places().request;
         if !request.exists() {
@@ -339,7 +347,7 @@ fn remove(request: &Path) -> anyhow::Result<()> {
     std::fs::remove_file(request).with_context(|| format!("{request:?}"))
 }
 
-/// Keeps the state of the worker that serves for the one of this host.
+/// Saves the leader's state for the worker of this host.
 fn keep(turn: &Turn, accepted: &Accepted<'_>) -> anyhow::Result<()> {
     let frame = &accepted.frame;
     if frame.service != Carried::STATE || turn.term() > 0 {

@@ -1,4 +1,4 @@
-//! Frames of another host: what came, and the requests for more.
+//! The receiving side of this host: frames from one link, and the requests for them.
 
 use std::sync::Arc;
 
@@ -12,28 +12,29 @@ use crate::protocol::selection::Selection;
 use crate::refusals::Refusals;
 use crate::wall_clock::WallClock;
 
-/// After this time without a sign of another link it is said that there was none.
+/// Time without any message after which a link is reported as absent.
 pub(crate) const ABSENT_AFTER_NS: u64 = 5_000_000_000;
 
-/// What was taken from one link.
+/// Totals of the frames received from one link.
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct TakenRecord {
     pub(crate) from: String,
     #[serde(flatten)]
     pub(crate) received: Received,
-    /// Frames that came before the clocks were compared.
+    /// Frames that arrived before the clock offset was known.
     pub(crate) before_clock: u64,
-    /// Frames of a worker whose turn another has taken.
+    /// Frames of an earlier leader, dropped after another has led.
     pub(crate) fenced: u64,
-    /// The most by which stamps may look older than they are, s; null before the clocks were compared.
+    /// Upper bound of how much older stamps may look than they are, s. Null before the clock offset
+    /// is known.
     pub(crate) clock_uncertainty_s: Option<f64>,
-    /// Times that stamps were moved by another offset than before.
+    /// Number of changes of the clock offset in use.
     pub(crate) clock_refits: u64,
-    /// Steps of a clock.
+    /// Number of clock steps.
     pub(crate) clock_steps: u64,
-    /// Whether realtime clocks narrow the uncertainty.
+    /// Whether realtime clocks narrow the uncertainty now.
     pub(crate) clock_realtime: bool,
-    /// Times that realtime clocks said what round trips rule out.
+    /// Number of times that round trips ruled out what realtime clocks said.
     pub(crate) clock_contradictions: u64,
     pub(crate) refused: Refusals,
 }
@@ -43,13 +44,13 @@ pub(crate) struct TakenRecord {
 pub(crate) struct Taking {
     from: String,
     fleet: FleetId,
-    /// Elements that a frame may have.
+    /// Maximum number of elements of a frame.
     most: usize,
     receiver: Receiver,
     clock: WallClock,
     outlet: Outlet,
     opened_ns: u64,
-    /// Something has come from the link, or it was said that nothing has.
+    /// The link has sent something, or its absence was logged.
     is_known: bool,
     before_clock: u64,
     pub(crate) fenced: u64,
@@ -57,7 +58,7 @@ pub(crate) struct Taking {
 }
 
 impl Taking {
-    /// Takes frames of the link `from` into the inbox.
+    /// Subscribes the inbox to frames of the link `from`.
     pub(crate) fn open(
         network: &Arc<Network>,
         (kind, from): (Kind, &str),
@@ -82,12 +83,13 @@ impl Taking {
         })
     }
 
-    /// The link that it takes from.
+    /// Name of the sending link.
     pub(crate) fn from(&self) -> &str {
         &self.from
     }
 
-    /// Takes a message, and has `each` pass its frame on, if it has one. `each` returns why it does not.
+    /// Takes a message and passes its frame, if it has one, to `each`. An error of `each` is
+    /// counted as a refusal.
     pub(crate) fn message(
         &mut self,
         bytes: &Bytes,
@@ -136,7 +138,7 @@ impl Taking {
         }
     }
 
-    /// Asks if it is due.
+    /// Sends a request if one is due, and logs once that the link is absent.
     pub(crate) fn ask(&mut self) {
         let now_ns = clock::monotonic_ns();
         if let Some(request) = self.receiver.ask(now_ns) {

@@ -1,26 +1,27 @@
-//! This host's turn to serve its shard: what the threads of the link know of it, and the permit of the worker.
+//! The leadership of this host's worker: shared by the threads of a link, and written to the
+//! worker's permit.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use joulebus_bus::clock;
 use joulebus_standby::{Permit, PermitError, Places};
 
-/// What it is at an instant; shared by the threads.
+/// Whether this host's worker leads its shard, and in which term. Shared by the threads.
 #[derive(Debug)]
 pub(crate) struct Turn {
     places: Places,
-    /// 0: another serves, or nobody.
+    /// Term in which this host leads; 0 if another or no candidate does.
     term: AtomicU64,
     /// As [`Permit::until_ns`].
     until_ns: AtomicU64,
-    /// Greatest term in which anybody was heard to serve, or this host has.
+    /// Highest term in which any candidate is known to have led, this one included.
     heard: AtomicU64,
-    /// When the worker of this host was last seen to do what it is to do, monotonic ns.
+    /// When this host's worker last sent as leader, monotonic ns.
     able_ns: AtomicU64,
 }
 
 impl Turn {
-    /// Goes on with the permit that a link before has left.
+    /// Continues with the permit of the previous link on this host, if it still holds.
     ///
     /// # Errors
     /// [`PermitError`].
@@ -45,9 +46,10 @@ impl Turn {
         &self.places
     }
 
-    /// Term in which this host's worker serves now; 0 if it does not.
+    /// Term in which this host's worker leads now; 0 if it does not.
     pub(crate) fn term(&self) -> u64 {
-        // The term last: with it the time until which it holds.
+        // `begin` stores the term last. A term that is read here therefore comes with its own end
+        // or a later one.
         let term = self.term.load(Ordering::Acquire);
         let until_ns = self.until_ns.load(Ordering::Acquire);
         if until_ns == u64::MAX || clock::boot_ns() < until_ns {
@@ -57,10 +59,10 @@ impl Turn {
         }
     }
 
-    /// Permits the worker of this host to serve, or to go on.
+    /// Permits the worker of this host to lead, or to go on.
     ///
     /// # Errors
-    /// [`PermitError`]: it is not permitted.
+    /// [`PermitError`]: the permit could not be written.
     pub(crate) fn grant(&self, permit: &Permit) -> Result<(), PermitError> {
         permit.write(&self.places.permit)?;
         self.begin(permit);
@@ -71,7 +73,7 @@ impl Turn {
         self.hear(permit.term);
         if self.term.load(Ordering::Acquire) != permit.term {
             self.term.store(0, Ordering::Release);
-            // It has to restore a state first.
+            // Give a new leader time to restore a state.
             self.worker_works();
         }
         let until_ns = permit.until_ns.unwrap_or(u64::MAX);
@@ -79,27 +81,27 @@ impl Turn {
         self.term.store(permit.term, Ordering::Release);
     }
 
-    /// Ends the worker's permit.
+    /// Withdraws the worker's permit.
     ///
     /// # Errors
-    /// [`PermitError`]: it ends when its time is over.
+    /// [`PermitError`]: the permit stays until its time is over.
     pub(crate) fn withdraw(&self) -> Result<(), PermitError> {
         self.term.store(0, Ordering::Release);
         Permit::withdraw(&self.places.permit)
     }
 
-    /// The worker of this host sends, or has just been permitted to.
+    /// Notes that this host's worker has sent, or has just been permitted to.
     pub(crate) fn worker_works(&self) {
         self.able_ns.store(clock::monotonic_ns(), Ordering::Release);
     }
 
-    /// Time since the worker of this host was seen to work, ns.
+    /// Time since this host's worker last sent, ns.
     pub(crate) fn idle_ns(&self) -> u64 {
         let able_ns = self.able_ns.load(Ordering::Acquire);
         clock::monotonic_ns().saturating_sub(able_ns)
     }
 
-    /// Somebody serves, or has served, in this term.
+    /// Notes a term in which a candidate leads or has led.
     pub(crate) fn hear(&self, term: u64) {
         self.heard.fetch_max(term, Ordering::AcqRel);
     }

@@ -1,4 +1,4 @@
-//! This host's realtime clock, where the link's file states that those of all hosts are kept together.
+//! This host's realtime clock, for hosts whose realtime clocks an operator keeps together.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -6,23 +6,24 @@ use joulebus_bus::clock;
 
 use crate::protocol::wall::{Kept, Reading, Wall};
 
-/// How often the kernel is asked.
+/// Interval between queries of the kernel.
 const LOOK_EVERY_NS: u64 = 100_000_000;
-/// Largest error beside the stated one with which a clock counts as kept: linuxptp states 0 each second, and the kernel adds
-/// 500 µs a second.
+/// Maximum error, as the kernel states it, of a clock that counts as synchronised. linuxptp states
+/// 0 every second, and the kernel adds 500 µs a second.
 const MOST_ERROR_NS: u64 = 1_000_000;
 
-/// The clock, as one stream reads it.
+/// The realtime clock, as one stream reads it.
 #[derive(Debug)]
 pub(crate) struct WallClock {
-    /// How far the clocks of two hosts may be apart; without it they do not count.
+    /// Upper bound of the difference between the clocks of two hosts. Without it realtime clocks
+    /// are not used.
     within_ns: Option<u64>,
     wall: Wall,
     look_ns: u64,
     is_synchronised: bool,
 }
 
-/// It was said why the clock does not count: all streams have the same.
+/// Whether the reason for not using the clock was logged. All streams have the same reason.
 static IS_TOLD: AtomicBool = AtomicBool::new(false);
 
 impl WallClock {
@@ -35,7 +36,7 @@ impl WallClock {
         }
     }
 
-    /// What it says now; `None` where it does not count.
+    /// Reads the clock. `None` if it is not used.
     pub(crate) fn read(&mut self) -> Option<Kept> {
         let within_ns = self.within_ns?;
         let now_ns = clock::monotonic_ns();

@@ -123,8 +123,8 @@ impl Batch {
         }
     }
 
-    /// The rows from `row` on that are of one block, after [`Batch::infer`] and [`Batch::mark_outside`];
-    /// and the row behind them.
+    /// The rows from `row` on that are of one block, after [`Batch::infer`] and
+    /// [`Batch::mark_outside`]; and the row behind them.
     #[inline(always)]
     pub(crate) fn of_block(&self, row: usize) -> Option<(Inferred, usize)> {
         let slots = self.slots.get(row..)?;
@@ -170,7 +170,7 @@ impl Batch {
     }
 }
 
-/// What was inferred for the robots of a block.
+/// Results of inference for the robots of a block.
 pub(crate) struct Inferred {
     pub block: usize,
     /// Lanes with a row.
@@ -191,7 +191,7 @@ impl Inferred {
     }
 }
 
-/// Whether the first slots are those of a whole block, in their order.
+/// Whether the first slots are a whole block's, in their order.
 #[inline(always)]
 fn is_block(slots: &[u32]) -> bool {
     let Some(slots) = slots.first_chunk::<LANES>() else {

@@ -1,4 +1,4 @@
-//! What a question costs whose ways are followed once for all robots.
+//! The cost of a question whose paths are followed once for all robots.
 
 use std::time::Instant;
 

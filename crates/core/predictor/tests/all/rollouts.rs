@@ -80,7 +80,7 @@ fn a_column_of_another_length_is_refused_and_nothing_is_written() {
     }
 }
 
-/// That of a robot with a monitor of any rate, at any time; one in eight is unknown.
+/// The reading age of a robot with a monitor of any rate, at any time. One in eight is unknown.
 fn reading_age(noise: &mut Noise) -> ReadingAge {
     let mut reading_age = ReadingAge::UNKNOWN;
     if noise.next_u64().is_multiple_of(8) {

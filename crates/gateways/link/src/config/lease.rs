@@ -1,4 +1,4 @@
-//! `[lease]`, checked: the store that decides which of a shard's workers serves.
+//! Checks `[lease]`: the etcd cluster that elects the leader of a shard.
 
 use std::path::{Path, PathBuf};
 
@@ -7,14 +7,14 @@ use crate::config::file::{LeaseSection, NetworkSection, Text};
 use crate::config::network::is_loopback;
 use crate::protocol::lease::MOST_TTL_S;
 
-/// Range of a lease's time to live. etcd makes two of one.
+/// Range of the lease's time to live, s. etcd raises 1 s to 2 s.
 const TTL_S: (u32, u32) = (2, MOST_TTL_S);
-/// Members of the store.
+/// Maximum number of etcd members.
 const MOST_ENDPOINTS: usize = 16;
 const MOST_PREFIX: usize = 128;
 const MOST_SECRET_BYTES: u64 = 4_096;
 
-/// How etcd is reached.
+/// How to reach etcd.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct LeaseSettings {
     /// `http://host:port` or `https://host:port`.
@@ -24,7 +24,7 @@ pub(crate) struct LeaseSettings {
     pub(crate) ca: Option<PathBuf>,
     /// Certificate and key of this host.
     pub(crate) own: Option<(PathBuf, PathBuf)>,
-    /// Name, and the file of the password.
+    /// User name and password file.
     pub(crate) user: Option<(String, PathBuf)>,
 }
 
@@ -93,7 +93,7 @@ impl Check<'_> {
         }
     }
 
-    /// Two keys of which none is of use alone.
+    /// Checks two keys that are useful only together.
     fn pair<'t>(
         &mut self,
         (one, name): (&'t Option<Text>, &str),
@@ -111,7 +111,7 @@ impl Check<'_> {
         }
     }
 
-    /// A file beside this one that can be read.
+    /// A readable file, relative to the link's file.
     fn file(&mut self, text: &Text, key: &str, is_secret: bool) -> PathBuf {
         let path: PathBuf = self.folder.join(Path::new(text.get_ref()));
         let read = if is_secret {
@@ -128,7 +128,10 @@ impl Check<'_> {
     }
 }
 
-/// Checks an address. The error: what to do.
+/// Checks an endpoint's address.
+///
+/// # Errors
+/// What to write instead.
 fn endpoint(text: &str, unencrypted: bool) -> Result<(), &'static str> {
     let form = "Write \"https://host:port\", or \"http://host:port\", without a path";
     let (scheme, place) = text.split_once("://").ok_or(form)?;

@@ -1,5 +1,7 @@
-//! The file of a link: what this host gives and takes, and by which network. Strictly checked, every problem with its
-//! line.
+//! The link's file, checked strictly: which frames this host sends and receives, and over which
+//! network.
+//!
+//! Every problem is reported with its line.
 
 mod check;
 mod file;
@@ -27,47 +29,47 @@ use crate::protocol::shards::Shards;
 pub(crate) use lease::LeaseSettings;
 pub(crate) use network::{Mode, NetworkSettings};
 
-/// Longest file, bytes.
+/// Maximum size of the file, bytes.
 const MOST_BYTES: u64 = 1 << 20;
-/// Longest name of a link, bytes.
+/// Maximum length of a link's name, bytes.
 const MOST_NAME: usize = 64;
-/// Hosts whose samples a worker takes.
+/// Maximum number of hosts whose samples a worker takes.
 const MOST_HOSTS: usize = 256;
 const EVERY: (u32, u32) = (1, 3_600);
 
-/// A checked file.
+/// The checked settings of a link.
 #[derive(Debug, Clone)]
 pub(crate) struct Settings {
     pub(crate) name: String,
     pub(crate) network: NetworkSettings,
-    /// Who speaks for which robots, where the fleet is split.
+    /// The shards of the fleet, if it is split over several workers.
     pub(crate) shards: Option<Arc<Shards>>,
     pub(crate) side: Side,
-    /// Where the worker of this host is one of several that may serve.
+    /// Set if this host's worker is one of several candidates for its shard.
     pub(crate) standby: Option<Standby>,
 }
 
-/// One of the candidates of a shard, one of which serves at a time.
+/// A candidate for a shard. One of the candidates leads at a time.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Standby {
     /// The shard's name.
     pub(crate) shard: String,
-    /// Place in the list of its candidates.
+    /// Position in the shard's list of candidates.
     pub(crate) rank: usize,
-    /// Links of the other candidates, with their places.
+    /// Links of the other candidates, with their ranks.
     pub(crate) others: Vec<(usize, String)>,
-    /// Who decides; without it an operator does.
+    /// The lease that elects the leader. Without it an operator chooses.
     pub(crate) lease: Option<LeaseSettings>,
 }
 
-/// What this host is.
+/// What runs on this host.
 #[derive(Debug, Clone)]
 pub(crate) enum Side {
-    /// The host of the worker, with the hosts whose samples it takes.
+    /// A worker, with the hosts whose samples it takes.
     Worker(Vec<Take>),
-    /// A host without a worker of its own.
+    /// No worker.
     Other {
-        /// The links of workers to which the samples published here go.
+        /// Links of the workers that get the samples published here.
         samples: Option<Vec<String>>,
         follow: Option<Follow>,
     },
@@ -80,19 +82,19 @@ pub(crate) struct Take {
     pub(crate) robots: Selection,
 }
 
-/// Outputs of workers elsewhere.
+/// Which workers' outputs to follow.
 #[derive(Debug, Clone)]
 pub(crate) struct Follow {
-    /// Of each shard the names of its links; of a fleet that is not split one name.
+    /// Names of each shard's links. A fleet without shards has one list of one name.
     pub(crate) workers: Vec<Vec<String>>,
     pub(crate) selection: Selection,
 }
 
 impl Settings {
-    /// Reads a link's file for the fleet of `config`.
+    /// Reads and checks a link's file for the fleet of `config`.
     ///
     /// # Errors
-    /// [`ConfigError`]: it cannot be read, or is refused, with all problems.
+    /// [`ConfigError`] with all problems, if the file cannot be read or is refused.
     pub(crate) fn load(path: &Path, config: &Config) -> Result<Self, ConfigError> {
         let text = joulebus_files::read_to_string(path, MOST_BYTES).map_err(|source| {
             let path = path.to_owned();
@@ -113,7 +115,7 @@ impl Settings {
 }
 
 impl Settings {
-    /// The fleet, as messages name it.
+    /// The fleet's identity in messages.
     pub(crate) fn fleet(&self, config: &Config) -> FleetId {
         FleetId {
             name: fnv1a(config.fleet().bytes()),
@@ -121,7 +123,7 @@ impl Settings {
         }
     }
 
-    /// Whether the worker of this link has the robot.
+    /// Whether the robot belongs to the worker of this link.
     pub(crate) fn has_robot(&self, robot: u32) -> bool {
         let shards = self.shards.as_deref();
         shards.is_none_or(|shards| shards.of_robot(robot) == shards.of_worker(&self.name))
@@ -187,7 +189,7 @@ impl Check<'_> {
         })
     }
 
-    /// Whether the worker of the link `name` is one of several.
+    /// Checks whether the worker of the link `name` is one of several candidates.
     fn standby(
         &mut self,
         lease: Option<&LeaseSection>,
@@ -214,7 +216,7 @@ impl Check<'_> {
         })
     }
 
-    /// Hosts whose samples the worker of link `name` takes.
+    /// The hosts whose samples the worker of the link `name` takes.
     fn takes(&mut self, worker: &WorkerSection, name: &str, config: &Config) -> Vec<Take> {
         if worker.take.len() > MOST_HOSTS {
             let what = format!("names {} hosts", worker.take.len());
@@ -235,7 +237,7 @@ impl Check<'_> {
         takes
     }
 
-    /// The links of each shard's workers, or the one that `key` names where the fleet is not split.
+    /// The links of each shard's workers, or the one that `key` names in a fleet without shards.
     fn workers(
         &mut self,
         named: Option<&Text>,
@@ -299,7 +301,7 @@ impl Check<'_> {
         }
     }
 
-    /// The name of a link, which becomes a part of keys.
+    /// Checks the name of a link. It becomes a part of network keys.
     fn name(&mut self, text: &Text, key: &str) -> String {
         let name = text.get_ref();
         let allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
@@ -311,7 +313,7 @@ impl Check<'_> {
         name.clone()
     }
 
-    /// The name of a link that is not this one.
+    /// Checks the name of a link other than this one.
     fn other(&mut self, text: &Text, key: &str, own: &str) -> String {
         let name = self.name(text, key);
         if name == own {
@@ -321,7 +323,7 @@ impl Check<'_> {
         name
     }
 
-    /// Robots by ids and ranges `"a-b"`; a selection of all without a list.
+    /// Parses robots given as ids and ranges `"a-b"`. Without a list all robots are selected.
     fn robots(&mut self, list: Option<&[Value]>, key: &str, config: &Config) -> Selection {
         let mut ranges = Vec::new();
         for entry in list.unwrap_or_default() {
@@ -511,7 +513,7 @@ mod tests {
     const DESK: &str = "name = \"desk\"\nshards = \"shards.toml\"\n[network]\n\
         connect = [\"tcp/127.0.0.1:7447\"]\n[samples]\n[follow]\n";
 
-    /// A link's file beside one of shards.
+    /// Loads a link's file with a file of shards beside it.
     fn load_with(shards: &str, text: &str) -> Result<Settings, ConfigError> {
         let config = Config::parse(FLEET, Path::new(".")).unwrap();
         let folder = tempfile::tempdir().unwrap();
@@ -602,7 +604,7 @@ mod tests {
         let lease = settings.standby.unwrap().lease.unwrap();
         assert_eq!((lease.endpoints.len(), lease.ttl_s), (2, 3));
         assert_eq!((lease.prefix.as_str(), lease.user), ("joulebus/", None));
-        // The only one of its shard.
+        // The only candidate of its shard.
         let south = CANDIDATE.replace("spare", "south");
         assert_eq!(load_with(SHARDS, &south).unwrap().standby, None);
     }
@@ -671,7 +673,7 @@ mod tests {
     #[test]
     fn the_shipped_examples_are_taken_with_and_without_shards() {
         let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../configs/links");
-        // A published crate has none beside it.
+        // A published crate has no examples beside it.
         if !examples.is_dir() {
             return;
         }
@@ -716,7 +718,7 @@ mod tests {
             if settings.shards.is_some() {
                 continue;
             }
-            // With shards nobody names a worker.
+            // With shards, no section names a worker.
             let split = text.replacen("\n[network]", "\nshards = \"shards.toml\"\n[network]", 1);
             let split = split
                 .replace("to = \"base\"", "")

@@ -1,4 +1,4 @@
-//! The file of the shards: who speaks for which robots.
+//! Checks the file of shards: which links' workers may lead which robots.
 
 use joulebus_config::Config;
 
@@ -8,7 +8,7 @@ use crate::config::file::{ShardSection, ShardsFile, Text};
 use crate::protocol::shards::{MOST_SHARDS, MOST_WORKERS, Shard, Shards};
 
 impl Check<'_> {
-    /// Reads the file of the shards; its problems are named with its own lines.
+    /// Reads the file of shards. Its problems are reported with its own lines.
     pub(super) fn shards(&mut self, name: &Text, config: &Config) -> Option<Shards> {
         let path = self.folder.join(name.get_ref());
         let text = match joulebus_files::read_to_string(&path, MOST_BYTES) {
@@ -89,7 +89,7 @@ impl Check<'_> {
         }
     }
 
-    /// No name stands twice.
+    /// Checks that no name occurs twice.
     fn distinct<'f>(
         &mut self,
         file: &'f ShardsFile,
@@ -106,7 +106,7 @@ impl Check<'_> {
         }
     }
 
-    /// Every robot of the fleet is in one shard.
+    /// Checks that every robot of the fleet is in a shard.
     fn covers(&mut self, shards: &Shards, config: &Config) {
         let mut ranges: Vec<(u32, u32)> = Vec::new();
         for shard in shards.all() {
@@ -130,7 +130,7 @@ impl Check<'_> {
     }
 }
 
-/// The first of the ids that no range has. `ranges` are sorted.
+/// The first id of the range that no entry of the sorted `ranges` contains.
 fn unlisted(ranges: &[(u32, u32)], (first, last): (u32, u32)) -> Option<u32> {
     let mut next = first;
     for (begin, end) in ranges {

@@ -1,4 +1,4 @@
-//! What a neighbour that is not trusted can send, in any order: for tests, and for the fuzz target `link`.
+//! Messages of an untrusted peer in any order, for tests and for the fuzz target `link`.
 
 use bytemuck::{bytes_of, cast_slice};
 use joulebus_wire::{
@@ -20,27 +20,28 @@ use crate::protocol::stream::{LocalFrame, Stream};
 use crate::protocol::wall::Kept;
 
 const FLEET: FleetId = FleetId { name: 7, shards: 0 };
-/// Elements that a frame may have.
+/// Maximum number of elements of a frame.
 const MOST: usize = 4;
 const START_NS: u64 = 5_000_000_000;
 const PERIOD_NS: u64 = 33_333_333;
 /// Realtime minus monotonic on both hosts.
 const REALTIME_NS: u64 = 1_700_000_000_000_000_000;
 
-/// One side of a link, at the mercy of the other.
+/// One side of a link whose peer is hostile.
 struct Victim {
     now_ns: u64,
     receiver: Receiver,
     stream: Option<Stream>,
     split: Split,
     merge: Merge<Forecasts>,
-    /// Number and time of the newest message from which a frame was taken, and its run.
+    /// Run, time and number of the newest message from which a frame was taken.
     last: Option<(u64, u64, u64)>,
     messages: u64,
     frames: u64,
 }
 
-/// Takes the steps that the bytes describe: a code, a length, and as many bytes. Whether a frame was taken.
+/// Takes the steps that the bytes encode, each as a code, a length and that many bytes. Returns
+/// whether a frame was taken.
 pub(crate) fn run(mut bytes: &[u8]) -> bool {
     let own = Sender {
         fleet: FLEET,
@@ -96,7 +97,7 @@ impl Victim {
         assert!(received.frames <= self.messages);
         let Ok(accepted) = taken else { return };
         self.frames += 1;
-        // Of a run nothing comes twice or backwards, unless it was silent in between.
+        // Within a run no frame comes twice or backwards, unless the run was silent in between.
         if let Some((last_run, last_ns, last)) = self.last
             && last_run == run
             && received.runs == 1
@@ -166,7 +167,7 @@ impl Victim {
         }
     }
 
-    /// Frames of this host, which the neighbour has asked for.
+    /// Offers frames of this host that the peer has requested.
     fn offers(&mut self, given: &[u8]) {
         let Some(stream) = &mut self.stream else {
             return;
@@ -198,7 +199,7 @@ impl Victim {
     }
 }
 
-/// A good message, changed: pairs of a place and a value.
+/// A good message with changes, given as pairs of a position and a value.
 fn patched(mut message: Vec<u8>, patches: &[u8]) -> Vec<u8> {
     for patch in patches.chunks_exact(3) {
         let at = usize::from(u16::from_le_bytes([patch[0], patch[1]]));
@@ -254,7 +255,7 @@ fn request(now_ns: u64) -> Vec<u8> {
     write_request(sender, 1, &request)
 }
 
-/// Steps that go well: asked, answered, some time, and further frames.
+/// Steps of a working link: a request, its answer, some time, and further frames.
 #[cfg(test)]
 pub(crate) fn seed() -> Vec<u8> {
     let mut steps = vec![2, 0, 4, 2, 1, 2];

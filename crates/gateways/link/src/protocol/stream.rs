@@ -1,4 +1,4 @@
-//! The sending side of a stream: frames for one receiver, as many as it takes.
+//! The sending side of a stream: frames for one receiver, at the rate that its link carries.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -7,41 +7,42 @@ use crate::protocol::message::{
     FleetId, HEADS_BYTES, Outgoing, Request, Sender, Status, Voice, write_frame,
 };
 
-/// A receiver that has not asked for so long is no longer sent anything.
+/// Timeout of a receiver without requests. Its stream then ends.
 pub(crate) const SILENT_AFTER_NS: u64 = 1_500_000_000;
-/// How often a receiver is told the status, frames or not.
+/// Interval between statuses, whether or not frames are sent.
 pub(crate) const STATUS_EVERY_NS: u64 = 100_000_000;
-/// Frames of a service that may be on their way beside those that the way itself holds: one that is being sent, one
+/// Maximum number of frames in flight beyond the bandwidth–delay product: one in transmission, one
 /// behind it.
 const MOST_UNHEARD: u64 = 2;
-/// Frames are sent about that often; only for the number that a long way holds.
+/// Assumed interval between frames, for the number in flight on a path with a long delay.
 const FRAME_EVERY_NS: u64 = 25_000_000;
-/// A frame that has not been acknowledged for so long is lost.
+/// Timeout of an acknowledgement. The frame then counts as lost.
 const LOST_AFTER_NS: u64 = 1_000_000_000;
 
-/// Statuses on their way that are remembered.
+/// Maximum number of remembered statuses in flight.
 const MOST_TOLD: usize = 64;
-/// Lanes before those without a frame are forgotten: sources come and go.
+/// Number of lanes above which idle ones are dropped, because sources come and go.
 const MOST_LANES: usize = 256;
 
 /// A frame in memory of this host.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LocalFrame<'a> {
     pub(crate) service: Carried,
-    /// The source of samples, since the frames of one do not replace those of another; 0 for all else.
+    /// The source of samples, because frames of one source do not replace those of another. 0 for
+    /// other services.
     pub(crate) source: u64,
-    /// The tick, by which every n-th is chosen; 0 for samples, of which all are sent.
+    /// The tick, for decimation. 0 for samples, which are all sent.
     pub(crate) tick: u64,
     pub(crate) header: &'a [u8],
     pub(crate) elements: &'a [u8],
 }
 
-/// Frames of a service, and of one source, that wait, and those that are on their way.
+/// The queue of one service and source: frames in flight and at most one that waits.
 #[derive(Debug, Default)]
 struct Lane {
-    /// Number and time of each message on its way.
+    /// Number and time of each message in flight.
     unheard: VecDeque<(u64, u64)>,
-    /// The newest frame that could not be sent at once: its header and its elements.
+    /// The newest frame that could not be sent at once: its header and elements.
     waiting: Option<(Vec<u8>, Vec<u8>)>,
 }
 
@@ -51,31 +52,32 @@ impl Lane {
     }
 }
 
-/// What has been sent to a receiver.
+/// Totals of the frames sent to a receiver.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 pub(crate) struct Sent {
     pub(crate) frames: u64,
     pub(crate) bytes: u64,
-    /// Frames that were replaced by newer ones before the link was free.
+    /// Frames replaced by newer ones while the link was busy.
     pub(crate) dropped: u64,
-    /// Frames that were not acknowledged within a second.
+    /// Frames not acknowledged within a second.
     pub(crate) unheard: u64,
 }
 
 /// The frames for one receiver, from its first request until it is silent.
 #[derive(Debug)]
 pub(crate) struct Stream {
-    /// Its run is when the stream began: after a silence it is another.
+    /// Its run is the start of the stream. A stream after a silence has another run.
     sender: Sender,
     request: Request,
-    /// When the newest request was taken, monotonic ns.
+    /// When the newest request was received, monotonic ns.
     heard_ns: u64,
     /// Number of the last message.
     number: u64,
     told_ns: u64,
-    /// Number and time of each status on its way: short, so what it takes is the way itself.
+    /// Number and time of each status in flight. Statuses are short, so their round trip measures
+    /// the delay of the path.
     told: VecDeque<(u64, u64)>,
-    /// Shortest time from sending a status to its acknowledgement, ns.
+    /// Shortest time from a status to its acknowledgement, ns.
     shortest_ns: u64,
     lanes: BTreeMap<Place, Lane>,
     /// [`Status::realtime_ns`].
@@ -87,7 +89,7 @@ pub(crate) struct Stream {
 type Place = (Carried, u64);
 
 impl Stream {
-    /// The stream that a request begins.
+    /// Starts a stream for a receiver's first request.
     pub(crate) fn new(fleet: FleetId, request: Request, now_ns: u64) -> Self {
         Self {
             sender: Sender { fleet, run: now_ns },
@@ -103,12 +105,12 @@ impl Stream {
         }
     }
 
-    /// Takes a further request of the receiver, which arrived at `now_ns`. One that is late does no harm: it acknowledges
-    /// less, and the next one is right again.
+    /// Handles a further request, which arrived at `now_ns`. A late one does no harm: it
+    /// acknowledges less, and the next one corrects that.
     pub(crate) fn request(&mut self, request: Request, now_ns: u64) {
         self.heard_ns = now_ns;
         let (run, number) = request.heard;
-        // Numbers of another run, or not yet sent, acknowledge nothing.
+        // Ignore the acknowledgement of another run or of messages not yet sent.
         if run == self.sender.run && number <= self.number {
             self.heard(number, now_ns);
         }
@@ -122,7 +124,8 @@ impl Stream {
             let heard = lane.unheard.partition_point(|(sent, _)| *sent <= number);
             lane.unheard.drain(..heard);
         }
-        // Of those that one request acknowledges, only the last may have arrived just before it.
+        // One request may acknowledge several statuses. Only the last one may have
+        // arrived there just before.
         let heard = self.told.partition_point(|(sent, _)| *sent <= number);
         if let Some((last, sent_ns)) = self.told.drain(..heard).next_back()
             && last == number
@@ -132,7 +135,7 @@ impl Stream {
         }
     }
 
-    /// What messages say of this host's realtime clock from now on: [`Status::realtime_ns`].
+    /// Sets this host's realtime clock for further messages: [`Status::realtime_ns`].
     pub(crate) const fn tells(&mut self, realtime_ns: Option<u64>) {
         self.realtime_ns = match realtime_ns {
             Some(realtime_ns) => realtime_ns,
@@ -145,7 +148,7 @@ impl Stream {
         now_ns.saturating_sub(self.heard_ns) > SILENT_AFTER_NS
     }
 
-    /// The receiver's selection.
+    /// The receiver's newest request.
     pub(crate) const fn request_of(&self) -> &Request {
         &self.request
     }
@@ -154,13 +157,13 @@ impl Stream {
         self.sent
     }
 
-    /// Whether a frame waits.
+    /// Whether a frame waits to be sent.
     pub(crate) fn waits(&self) -> bool {
         self.lanes.values().any(|lane| lane.waiting.is_some())
     }
 
-    /// A new frame: writes its message into `out` and returns true, or keeps it, in place of an older one, until
-    /// the receiver has acknowledged enough.
+    /// Offers a new frame. Writes its message into `out` and returns true, or holds the frame, in
+    /// place of an older one, until the receiver has acknowledged enough.
     pub(crate) fn offer(
         &mut self,
         frame: LocalFrame<'_>,
@@ -193,8 +196,8 @@ impl Stream {
         false
     }
 
-    /// Writes what is due now into `out`, a frame that waited or the status; false if nothing is. Call it until it
-    /// returns false.
+    /// Writes the next due message into `out`: a waiting frame or the status. Returns false if
+    /// there is none. Call it until then.
     pub(crate) fn due(&mut self, voice: Voice, now_ns: u64, out: &mut Vec<u8>) -> bool {
         let waits = |(place, lane): (&Place, &Lane)| lane.waiting.is_some().then_some(*place);
         let waiting: Vec<Place> = self.lanes.iter().filter_map(waits).collect();
@@ -216,7 +219,7 @@ impl Stream {
         true
     }
 
-    /// Writes the status into `out`, whenever it was told last.
+    /// Writes the status into `out`, whenever the last one was sent.
     pub(crate) fn tell(&mut self, voice: Voice, now_ns: u64, out: &mut Vec<u8>) {
         self.number += 1;
         self.told_ns = now_ns;
@@ -229,7 +232,8 @@ impl Stream {
         self.sent.bytes += out.len() as u64;
     }
 
-    /// Whether a further frame of the lane may be on its way. One that is lost does not count for ever.
+    /// Whether a further frame of the lane may be in flight. A lost frame stops counting after a
+    /// while.
     fn is_free(&mut self, place: Place, now_ns: u64) -> bool {
         let Some(lane) = self.lanes.get_mut(&place) else {
             return true;
@@ -255,7 +259,7 @@ impl Stream {
         self.told_ns = now_ns;
         let status = self.status(voice, now_ns);
         out.clear();
-        // One allocation, also where only some robots are wanted.
+        // Reserve once, even if only some robots are selected.
         out.reserve(HEADS_BYTES + header.len() + elements.len());
         let mut runs = self.request.selection.runs(place.0, elements);
         let frame = Some(Outgoing {

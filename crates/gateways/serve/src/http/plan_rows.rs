@@ -1,4 +1,4 @@
-//! What plans of robots start from, as the worker writes it while somebody asks.
+//! The rows on which plans start. The worker writes them only while a program reads them.
 
 use joulebus_bus::clock;
 use joulebus_consumer::{Budgets, ConnectError, Feed, PlanStates, Subscriber};
@@ -7,7 +7,8 @@ use tokio::sync::oneshot;
 
 /// A frame must arrive within this time, ns.
 const PATIENCE_NS: u64 = 3_000_000_000;
-/// The services are left when nobody has asked for this time, ns: the worker then writes less.
+/// Time without a question after which the reader leaves the services, ns. The worker then writes
+/// less.
 const LEAVE_AFTER_NS: u64 = 10_000_000_000;
 
 /// Why there are no rows.
@@ -54,7 +55,7 @@ impl PlanRows {
         });
     }
 
-    /// Whether somebody waits for an answer.
+    /// Whether a client waits for an answer.
     pub(super) const fn are_asked(&self) -> bool {
         !self.waiting.is_empty()
     }
@@ -105,7 +106,8 @@ impl Feeds {
 
     /// None while there is no frame that is at most two ticks old.
     fn rows(&mut self, robots: &[u32]) -> Option<Result<Vec<RobotRows>, RowsError>> {
-        // The state first: the budget of the same tick has been sent before it. A failure to receive passes.
+        // Read the state first: the budget of the same tick was sent before it. A failed receive is
+        // transient.
         let states = self.states.latest().ok().flatten()?;
         let budgets = self.budgets.latest().ok().flatten()?;
         let now_ns = clock::monotonic_ns();

@@ -1,4 +1,5 @@
-//! What recordings say about a platform: rate, ranges, resolution, holds, steps of the readings.
+//! A platform's profile from recordings: rate, ranges, resolution, holds, and steps of the
+//! readings.
 
 use serde::Serialize;
 
@@ -11,12 +12,13 @@ const ON_GRID: f64 = 0.95;
 const NEAR_GRID: f64 = 0.05;
 /// Steps that are tried, from the quantiles of the gaps between readings.
 const CANDIDATES: usize = 40;
-/// As many different readings say nothing of their step.
+/// Number of different readings that is too small to infer their step.
 const FEW_VALUES: usize = 10;
-/// Most steps from the lowest reading to the highest: a finer grid is that of the file's decimals.
-const MOST_STEPS: f64 = 2e4;
+/// Maximum number of steps from the lowest to the highest reading. A finer grid is due to the
+/// file's decimals.
+const MAX_STEPS: f64 = 2e4;
 /// A step longer than this many median steps is a gap.
-const LONGEST_STEP: f64 = 1.5;
+const MAX_STEP: f64 = 1.5;
 
 /// A platform as its recordings show it. SI units.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -35,7 +37,7 @@ pub struct Profile {
     pub difference_w: f64,
     /// Usual time that a reading is held, s: the longest of the trials' means.
     pub usual_hold_s: f64,
-    /// Longest time over which all readings are equal, s.
+    /// Longest time with equal readings, s.
     pub longest_hold_s: f64,
     /// Largest |v|, m/s, if it is recorded.
     pub v_mps: Option<f64>,
@@ -101,7 +103,7 @@ fn difference(trials: &[Trial]) -> Option<f64> {
         let Some(power) = trial.column(Column::Power) else {
             continue;
         };
-        let longest_ns = (trial.period_ns() as f64 * LONGEST_STEP) as i64;
+        let longest_ns = (trial.period_ns() as f64 * MAX_STEP) as i64;
         let steps = trial.offset_ns().windows(2).zip(power.windows(2));
         for (times, readings) in steps {
             let difference = readings[1] - readings[0];
@@ -115,7 +117,7 @@ fn difference(trials: &[Trial]) -> Option<f64> {
     (count > 0).then(|| (sum / count as f64).sqrt())
 }
 
-/// The largest step of which nearly all readings are multiples apart.
+/// The largest step such that nearly all readings differ by multiples of it.
 fn resolution(mut sorted: Vec<f64>) -> Option<f64> {
     sorted.dedup();
     if sorted.len() <= FEW_VALUES {
@@ -124,7 +126,7 @@ fn resolution(mut sorted: Vec<f64>) -> Option<f64> {
     let mut gaps: Vec<f64> = sorted.windows(2).map(|pair| pair[1] - pair[0]).collect();
     gaps.sort_unstable_by(f64::total_cmp);
     let last = gaps.len() - 1;
-    // Recorded numbers are rounded, so the smallest gap may be that of the rounding.
+    // Recorded numbers are rounded, so the smallest gap may be due to rounding.
     let candidates = (0..=CANDIDATES)
         .rev()
         .map(|nth| gaps[last * nth / CANDIDATES]);
@@ -135,7 +137,7 @@ fn resolution(mut sorted: Vec<f64>) -> Option<f64> {
 fn grid(sorted: &[f64], step: f64) -> Option<f64> {
     let start = *sorted.first()?;
     let span = *sorted.last()? - start;
-    if !(step > 0.0 && span / step < MOST_STEPS) {
+    if !(step > 0.0 && span / step < MAX_STEPS) {
         return None;
     }
     let (mut exact, mut on_grid) = (step, 0);

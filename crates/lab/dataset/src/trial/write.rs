@@ -16,7 +16,7 @@ use joulebus_predictor::nan::canonical_f64;
 pub struct Row {
     /// Time, s.
     pub timestamp_s: f64,
-    /// In the order of [`Column::ALL`], in SI units; NaN where nothing was recorded.
+    /// Values in the order of [`Column::ALL`], in SI units, NaN if not recorded.
     pub values: [f64; Column::ALL.len()],
 }
 

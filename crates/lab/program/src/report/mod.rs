@@ -111,7 +111,7 @@ fn evaluate(args: &Args) -> anyhow::Result<Document> {
     Ok(document)
 }
 
-/// Which rows are evaluated.
+/// The design: the rows to evaluate.
 fn design(
     args: &Args,
     recordings: &[Recording],

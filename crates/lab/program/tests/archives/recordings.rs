@@ -22,8 +22,8 @@ fn power_mw(row: u64, seed: u64) -> f64 {
     12_000.0 + 3_000.0 * (row_s * 0.7).sin() + 400.0 * noise(row * 131 + seed)
 }
 
-/// A CSV of the published layout with everything that one may have: missing values, held readings, gaps, an unknown
-/// column, whole numbers, −0.
+/// A CSV of the published layout with everything that one may have: missing values, held readings,
+/// gaps, an unknown column, whole numbers, −0.
 pub(crate) fn full(folder: &Path, name: &str, rows: u64, seed: u64) -> PathBuf {
     let mut text = String::from(
         "robot_id,timestamp_s,phase,v_cmd_mps,omega_cmd_radps,x_m,y_m,theta_rad,voltage_mV,current_mA,power_mW,\
@@ -61,7 +61,7 @@ pub(crate) fn sparse(folder: &Path, name: &str, rows: u64, robots: u64) -> PathB
         for robot in 0..robots {
             let power_w = power_mw(row, robot) / 1000.0;
             let time_s = 1e5 + row as f64 / 10.0;
-            // The name has quotes of its own, and what looks like an escape.
+            // A name with quotes and an apparent escape.
             text += &format!("\"r/{robot} \"\"ü\"\" %41=,\",{time_s},{power_w}\n");
         }
     }
@@ -75,7 +75,8 @@ fn write(folder: &Path, name: &str, text: &str) -> PathBuf {
     path
 }
 
-/// A capture of several robots over a midnight, with a discontinuity, missing readings and a battery.
+/// A capture of several robots over a midnight, with a discontinuity, missing readings and a
+/// battery.
 pub(crate) fn capture(folder: &Path, name: &str, frames: u64, robots: u32) -> PathBuf {
     let path = folder.join(name);
     let settings = CaptureSettings::default();

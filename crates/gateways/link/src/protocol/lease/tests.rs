@@ -1,4 +1,5 @@
-//! Candidates with clocks of their own, a store with its clock, and a network that delays, loses and cuts.
+//! Simulated candidates with clocks of their own, a store with its clock, and a network that
+//! delays, loses and partitions.
 
 use std::collections::BTreeMap;
 
@@ -8,10 +9,11 @@ use super::*;
 
 const TTL_NS: u64 = 3_000_000_000;
 const STEP_NS: u64 = 10_000_000;
-/// How long a call is waited for: as the link's client does.
+/// Timeout of a call, as the link's client has it.
 const CALL_NS: u64 = 400_000_000;
 
-/// A store like etcd: a lease ends when its time has passed by the store's clock, or somewhat later.
+/// A store like etcd. A lease ends by the store's clock when its time has passed, or somewhat
+/// later.
 #[derive(Debug, Default)]
 struct Store {
     leases: BTreeMap<u64, u64>,
@@ -56,7 +58,7 @@ impl Store {
                 term_revision,
             } => {
                 let is_free = self.holder.is_none() && self.term_revision == *term_revision;
-                // etcd refuses a lease that has ended with an error.
+                // etcd answers with an error if the lease has ended.
                 if !self.leases.contains_key(lease) {
                     return Reply::Failed;
                 }
@@ -83,15 +85,15 @@ impl Store {
     }
 }
 
-/// What happens to a candidate in a span of time.
+/// Conditions of a candidate for a span of time.
 #[derive(Debug, Clone, Copy)]
 struct Weather {
-    /// Of requests and of answers.
+    /// Minimum and maximum delay of requests and replies.
     delay_ns: (u64, u64),
     is_cut: bool,
-    /// The process does not run.
+    /// The process is paused.
     is_paused: bool,
-    /// The link was killed, and starts again.
+    /// The link is killed and starts again.
     restarts: bool,
 }
 
@@ -99,12 +101,13 @@ struct Weather {
 struct Host {
     name: String,
     candidate: Candidate,
-    /// Own clock: begun, and ppm faster than the true one.
+    /// Start of its own clock, and how much faster than true time it runs, ppm.
     begun_ns: u64,
     ppm: i64,
-    /// The call under way: what, when asked by its own clock, true times of arrival at the store and back.
+    /// The call in flight: what, when it was made by the own clock, the true times of arrival at
+    /// the store and back, and the reply.
     under_way: Option<(Call, u64, u64, u64, Option<Reply>)>,
-    /// Calls that nobody waits for any more, and when they arrive at the store.
+    /// Calls that were given up, and when they arrive at the store.
     given_up: Vec<(Call, u64)>,
     terms: Vec<u64>,
     heard: u64,
@@ -137,7 +140,7 @@ impl Host {
         }
         let now_ns = self.clock(true_ns);
         if weather.restarts {
-            // The permit's file has it, if there is one.
+            // The permit's file keeps the right across a restart.
             let right = self.candidate.right(now_ns);
             let rank = self.candidate.rank as usize;
             self.candidate = Candidate::new(&self.name, rank, TTL_NS, right);
@@ -228,7 +231,7 @@ const CALM: Weather = Weather {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, ..ProptestConfig::default() })]
 
-    /// Each span takes 700 ms; wishes come in between.
+    /// Each span takes 700 ms. Operators' requests come in between.
     #[test]
     fn at_no_time_do_two_have_the_right_and_terms_only_grow_and_calm_brings_one_back(
         spans in prop::collection::vec(prop::collection::vec(weather(), 3), 5..60),
@@ -243,7 +246,7 @@ proptest! {
         let all: Vec<_> = spans.iter().chain(&calm).collect();
         let mut true_ns = 1_000_000_000;
         for (number, span) in all.into_iter().enumerate() {
-            // Not while it is calm: a wish has the shard change hands once more.
+            // Not during the calm: a request would move the shard once more.
             if let Some(Some(wished)) = wishes.get(number).filter(|_| number < spans.len()) {
                 store.wish = Some(format!("host-{wished}"));
             }
@@ -254,7 +257,8 @@ proptest! {
                 let store_ns = (i128::from(true_ns) + fast) as u64;
                 store.expire(store_ns);
                 if forgetting && store.holder.is_none() {
-                    // The store is set up anew after the lease has run out; those that have served know their terms.
+                    // The store loses its data after the lease has run out. Candidates that have
+                    // led know their terms.
                     forgetting = false;
                     (store.term, store.term_revision) = (0, 0);
                     hosts.iter_mut().for_each(|host| host.hears(greatest));
@@ -266,7 +270,8 @@ proptest! {
                         ..*weather
                     };
                     host.step(&mut store, store_ns, true_ns, weather);
-                    // A paused process does not speak, but goes on with whatever it had.
+                    // A paused process sends nothing, but would continue with the right that it
+                    // had.
                     speaking.extend(host.right(true_ns).map(|right| right.term));
                 }
                 prop_assert!(speaking.len() <= 1, "{speaking:?} at {true_ns}");
@@ -276,7 +281,7 @@ proptest! {
                 }
             }
         }
-        // After 17 s of calm one serves.
+        // After 17 s of calm one candidate leads.
         let serving = hosts.iter_mut().filter_map(|host| host.right(true_ns)).count();
         prop_assert_eq!(serving, 1);
         let mut terms: Vec<u64> = hosts.iter().flat_map(|host| host.terms.clone()).collect();
@@ -287,7 +292,7 @@ proptest! {
     }
 }
 
-/// Runs all hosts, each in its weather, until the condition holds; returns how long it took.
+/// Runs all hosts under their conditions until the condition holds. Returns how long it took.
 fn run(
     hosts: &mut [Host],
     store: &mut Store,
@@ -318,7 +323,7 @@ fn the_first_of_the_list_begins_and_when_it_is_gone_the_next_serves_within_a_sec
     let serves = |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].right(ns).is_some();
     run(&mut hosts, &mut store, &mut true_ns, &[CALM; 3], serves(0));
     assert_eq!(hosts[0].terms, [1]);
-    // Cut off, it is silent before the store gives its shard to another.
+    // A candidate that is cut off stops before the store gives its shard away.
     let weather = [CUT, CALM, CALM];
     let silent = |hosts: &mut [Host], ns: u64| hosts[0].right(ns).is_none();
     let silent_ns = run(&mut hosts, &mut store, &mut true_ns, &weather, silent);
@@ -338,7 +343,7 @@ fn the_first_of_the_list_begins_and_when_it_is_gone_the_next_serves_within_a_sec
     let after_ns = run(&mut hosts, &mut store, &mut true_ns, &weather, serves(1));
     assert!(after_ns < 1_000_000_000, "{free} {after_ns}");
     assert_eq!(hosts[1].terms, [2]);
-    // The one that comes back stands by.
+    // The candidate that returns is a standby.
     for _ in 0..500 {
         true_ns += STEP_NS;
         for host in &mut hosts {
@@ -365,7 +370,8 @@ fn a_wish_moves_the_shard_and_one_for_a_candidate_that_is_gone_does_not_lose_it(
     let silent = |hosts: &mut [Host], ns: u64| hosts[2].right(ns).is_none();
     run(&mut hosts, &mut store, &mut true_ns, &[CALM; 3], silent);
     let took_ns = run(&mut hosts, &mut store, &mut true_ns, &[CALM; 3], serves(0));
-    // Of the lease's end, which comes a moment after it is silent, however long a lease is.
+    // Measured from the lease's end, which comes shortly after the leader stops, however long a
+    // lease is.
     assert!(took_ns < 3_000_000_000, "{took_ns}");
 }
 
@@ -383,7 +389,7 @@ fn a_link_that_starts_again_goes_on_with_its_lease_and_one_that_hears_a_later_te
     let took_ns = run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], serves(0));
     assert!(took_ns < TTL_NS / 2, "{took_ns}");
     assert_eq!(hosts[0].terms, [1], "the same term");
-    // Candidates tell each other what they have heard.
+    // Candidates exchange the highest terms that they know of.
     hosts.iter_mut().for_each(|host| host.hears(5));
     assert!(hosts[0].right(true_ns).is_none());
     run(
