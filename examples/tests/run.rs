@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
@@ -43,8 +44,8 @@ fn said(output: Output) -> Vec<String> {
     said.lines().map(str::to_owned).collect()
 }
 
-/// As [`lines`], of an example that records: one whose recorder gets no processor in time loses messages and says so, and
-/// is run again.
+/// As [`lines`], of an example that records: one whose recorder gets no processor in time loses
+/// messages and says so, and is run again.
 fn recorded(start: impl Fn() -> Child) -> Vec<String> {
     for _ in 0..5 {
         let output = start().wait_with_output().unwrap();
@@ -88,6 +89,16 @@ fn ask_worker_is_answered_and_refused() {
     assert_eq!(said[2].split(':').next(), Some("robot 1"), "{said:#?}");
     assert_eq!(said[3].split(':').next(), Some("refused (UnknownRobot)"));
     assert_eq!(said[4], "2 questions answered");
+}
+
+#[test]
+fn an_error_prints_as_a_sentence() {
+    let nowhere = Path::new("/nowhere/fleet.toml");
+    let output = start("controller", &[nowhere]).wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let said = String::from_utf8(output.stderr).unwrap();
+    let begin = "Error: cannot read the config /nowhere/fleet.toml: ";
+    assert!(said.starts_with(begin), "{said}");
 }
 
 #[test]
@@ -152,6 +163,28 @@ fn worker_death() {
         &run("worker_death"),
         &["tick ", "the worker is gone", "tick "],
     );
+}
+
+#[test]
+fn an_event_loop_gets_frames_and_the_end_of_a_killed_worker() {
+    let fleet = PrivateFleet::new("[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n");
+    let fleet = fleet.unwrap();
+    // With a config, that example is a worker.
+    let mut worker = start("worker_death", &[fleet.config()]);
+    let mut event_loop = start("event_loop", &[fleet.config()]);
+    let mut lines = BufReader::new(event_loop.stdout.take().unwrap()).lines();
+    let mut line = || lines.next().unwrap().unwrap();
+    while line() == "0 frames" {}
+    worker.kill().unwrap();
+    worker.wait().unwrap();
+    let last = loop {
+        let line = line();
+        if line.starts_with("the worker is gone (") {
+            break line;
+        }
+    };
+    assert!(!last.ends_with(" 0 frames"), "{last}");
+    assert!(event_loop.wait().unwrap().success());
 }
 
 #[test]

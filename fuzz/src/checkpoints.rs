@@ -1,4 +1,5 @@
-//! Model files of other programs: refused with the position of the fault, or read as a valid network.
+//! Model files of other programs: refused with the position of the fault, or read as a valid
+//! network.
 
 #[path = "../../crates/lab/model-files/tests/all/wrapped.rs"]
 #[allow(dead_code)] // The tests also embed pickles in other formats.

@@ -1,4 +1,5 @@
-//! The state of a fleet in a file: refused without a change to the fleet, or restored and continued.
+//! The state of a fleet in a file: refused without a change to the fleet, or restored and
+//! continued.
 //!
 //! An input's first byte selects settings and models; if its third bit is set, the rest follows the
 //! valid head of such a state (format, capacity, hashes), which mutation would not find.
@@ -89,7 +90,7 @@ fn exercise(fleet: &mut Fleet) {
                 fleet.diagnostic(place),
                 fleet.budget(place),
             );
-            let shown = forecast.power_w();
+            let shown = forecast.expected_w();
             assert!(shown.is_none_or(f32::is_finite), "{forecast:?}");
         }
     }

@@ -1,8 +1,8 @@
 //! The fuzz targets: one function for each kind of untrusted input. Each asserts the invariants of
 //! the result, not only the absence of panics, and returns whether the input was accepted.
 //!
-//! The programs in `fuzz_targets` run them under libFuzzer; `tests/tests/repository/fuzz_inputs.rs` of the
-//! parent workspace runs every seed and every finding through them on stable.
+//! The programs in `fuzz_targets` run them under libFuzzer; `tests/tests/repository/fuzz_inputs.rs`
+//! of the parent workspace runs every seed and every finding through them on stable.
 
 mod capture;
 mod checkpoints;

@@ -1,7 +1,8 @@
 //! Questions, answers and records of both as another process might write them into shared memory.
 //!
-//! An input's first byte selects a valid question, whose header and values the rest overwrites; or, if its
-//! third bit is set, the rest is the header's lengths and the words of an answer and of a frame of records.
+//! An input's first byte selects a valid question, whose header and values the rest overwrites; or,
+//! if its third bit is set, the rest is the header's lengths and the words of an answer and of a
+//! frame of records.
 
 use std::sync::OnceLock;
 

@@ -118,7 +118,8 @@ impl RawHops {
     }
 }
 
-/// Prefix of the segments of the measurement in `root`: those of others running at the same time have another.
+/// Prefix of the segments of the measurement in `root`: those of others running at the same time
+/// have another.
 fn prefix(root: &Path) -> String {
     let name = root.to_string_lossy();
     let pid = name.rsplit('-').next().unwrap_or_default();

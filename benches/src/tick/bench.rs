@@ -129,8 +129,8 @@ impl Bench {
         Some(anonymous_bytes()? - self.before_bytes?)
     }
 
-    /// The kernel and the variants of the tick, one after the other. Every other round, the tick that
-    /// writes plan states comes before the one that does not.
+    /// The kernel and the variants of the tick, one after the other. Every other round, the tick
+    /// that writes plan states comes before the one that does not.
     pub(super) fn round(&mut self) -> Round {
         let kernel = self.kernel();
         self.rounds += 1;

@@ -6,9 +6,10 @@ use joulebus_fleet::{Ledger, SavedBattery};
 use joulebus_wire::{Budget, BudgetHeader, budget_flag};
 use serde::{Deserialize, Serialize};
 
-/// A stamp that is later than the frame of budgets with it, by more than this, is false, ns. Samples are stamped before
-/// they are sent, and links move stamps to this host's clock so that none looks fresher than it is.
-const MOST_AHEAD_NS: u64 = 1_000_000_000;
+/// Tolerance of a stamp later than its frame of budgets, ns. Beyond it the stamp is false. Samples
+/// are stamped before they are sent, and links move stamps to this host's clock so that none looks
+/// fresher than it is.
+const MAX_AHEAD_NS: u64 = 1_000_000_000;
 
 /// All robots' accounts at one moment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -36,7 +37,7 @@ pub(crate) struct Account {
     metered_ns: u64,
     unmetered_ns: u64,
     stamp_ns: u64,
-    /// As [`budget_flag::CHARGED`].
+    /// Same as [`budget_flag::CHARGED`].
     charged: bool,
     /// `None` for a platform without one, and in files of version 2.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -68,8 +69,8 @@ impl Checkpoint {
         }
     }
 
-    /// Takes the accounts of a frame of budgets. Keeps at most `most`, those of the frame's robots before others, and of
-    /// the others those whose last sample is newest; returns how many had to go.
+    /// Takes the accounts of a frame of budgets. Keeps at most `most`: the frame's robots first,
+    /// then those with the newest last sample. Returns the number of dropped accounts.
     pub(crate) fn take(&mut self, header: &BudgetHeader, budgets: &[Budget], most: usize) -> usize {
         (self.written_ns, self.written_unix_ns) = (header.sent_ns, header.sent_unix_ns);
         let of_frame = || {
@@ -77,8 +78,8 @@ impl Checkpoint {
             rows.filter(|budget| budget.flags & budget_flag::LEDGER != 0)
         };
         for budget in of_frame() {
-            // While a robot is silent its budget falls; the account begins at its last sample, and counts the
-            // silence again.
+            // While a robot is silent its budget falls; the account begins at its last sample, and
+            // counts the silence again.
             let known = self.robots.get(&budget.robot);
             let silent = known.filter(|known| known.stamp_ns == budget.stamp_ns);
             let account = Account {
@@ -110,7 +111,7 @@ impl Checkpoint {
         too_many
     }
 
-    /// Robots of which a frame says that they have another battery since the last one taken.
+    /// Robots whose battery was exchanged, according to a frame, since the last frame taken.
     pub(crate) fn exchanged<'a>(&'a self, budgets: &'a [Budget]) -> impl Iterator<Item = u32> + 'a {
         let changed = |budget: &&Budget| {
             let known = self
@@ -127,15 +128,17 @@ impl Checkpoint {
         robots.map(|(robot, account)| (self.age(account), *robot))
     }
 
-    /// A false stamp, far in the future, must not keep its robot's account before those of all others.
+    /// Orders accounts by age. A false stamp, far in the future, must not keep its robot's account
+    /// ahead of all others.
     const fn age(&self, account: &Account) -> Age {
-        let latest_ns = self.written_ns.saturating_add(MOST_AHEAD_NS);
+        let latest_ns = self.written_ns.saturating_add(MAX_AHEAD_NS);
         (account.stamp_ns <= latest_ns, account.stamp_ns)
     }
 
-    /// Converts the accounts to the current boot: after a reboot the stamps restart, and the time
-    /// in between, known only from the wall clock, is unmetered. Where that says less than the time since
-    /// this boot (it is not set yet, or was set back), nobody knows how long it was, nor what is left in the batteries.
+    /// Converts the accounts to the current boot. After a reboot the stamps restart, and the time
+    /// in between, known only from the wall clock, is unmetered. If the wall clock says less than
+    /// the time since this boot (it is not set yet, or was set back), the time is unknown, and so
+    /// is the charge of the batteries.
     #[must_use]
     pub(crate) fn carried_over(mut self, boot_id: &str, now_ns: u64, now_unix_ns: u64) -> Self {
         if self.boot_id == boot_id {
@@ -163,7 +166,8 @@ impl Checkpoint {
         self
     }
 
-    /// The accounts as ledgers, that of the robot that was silent longest first; before it those with false stamps.
+    /// The accounts as ledgers, the robot that was silent longest first. Accounts with false stamps
+    /// come before it.
     pub(crate) fn ledgers(&self) -> Vec<Restored> {
         let mut robots: Vec<(&u32, &Account)> = self.robots.iter().collect();
         robots.sort_by_key(|(_, account)| self.age(account));
@@ -297,7 +301,7 @@ pub(crate) mod tests {
         assert_eq!(order, [5, 7, 9, 1]);
     }
 
-    /// What a fleet of eight robots keeps when it starts.
+    /// The robots that a fleet of eight keeps when it starts.
     fn restored(ledger: &Checkpoint) -> Vec<u32> {
         let all = ledger.ledgers();
         let mut newest: Vec<u32> = all.iter().rev().take(8).map(|it| it.robot).collect();
@@ -313,31 +317,31 @@ pub(crate) mod tests {
             stamp_ns,
             ..Budget::default()
         };
-        let far_ns = [u64::MAX, u64::MAX - 1, 5_000 * MOST_AHEAD_NS];
+        let far_ns = [u64::MAX, u64::MAX - 1, 5_000 * MAX_AHEAD_NS];
         let mut ledger = Checkpoint::new("lab", "boot-a");
         let mut now_ns = 1_000_000;
         let mut gone = 0;
         for liar in 0..30 {
-            now_ns += MOST_AHEAD_NS;
+            now_ns += MAX_AHEAD_NS;
             let stamp_ns = far_ns[liar as usize % 3];
             // One of the robots is stamped a little ahead.
             let frame = [
                 (1, now_ns),
-                (2, now_ns + MOST_AHEAD_NS / 9),
+                (2, now_ns + MAX_AHEAD_NS / 9),
                 (900 + liar, stamp_ns),
             ];
             gone += ledger.take(&sent(now_ns), &frame.map(of), 16);
             assert!(ledger.robots.contains_key(&(900 + liar)), "it is there");
         }
         assert_eq!((ledger.robots.len(), gone), (16, 16));
-        // As many as there are places, the two among them; then none but the two.
-        now_ns += MOST_AHEAD_NS;
+        // As many as there are slots, the two among them. Then only the two.
+        now_ns += MAX_AHEAD_NS;
         let all = [1, 2, 10, 11, 12, 13, 14, 15].map(|robot| of((robot, now_ns)));
         assert_eq!(ledger.take(&sent(now_ns), &all, 16), 6);
         assert_eq!(restored(&ledger), [1, 2, 10, 11, 12, 13, 14, 15]);
         let rebooted = ledger.clone().carried_over("boot-b", 5_000, 0);
         assert_eq!(restored(&rebooted), [1, 2, 10, 11, 12, 13, 14, 15]);
-        now_ns += MOST_AHEAD_NS;
+        now_ns += MAX_AHEAD_NS;
         let two = [1, 2].map(|robot| of((robot, now_ns)));
         assert_eq!(ledger.take(&sent(now_ns), &two, 2), 14);
         assert_eq!(restored(&ledger), [1, 2]);

@@ -16,7 +16,7 @@ use crate::ledger_files::{LedgerFileError, LedgerFiles};
 use crate::save_schedule::SaveSchedule;
 use crate::state_directory::checkpoint_path;
 
-/// Longest sleep of the checkpointer, ns.
+/// Maximum sleep of the checkpointer, ns.
 const PERIOD_NS: u64 = 200_000_000;
 /// Polling interval for a keyframe being sent, ns.
 const POLL_EVERY_NS: u64 = PERIOD_NS / 10;
@@ -29,7 +29,7 @@ const ACCOUNTS_PER_ROBOT: usize = 2;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CheckpointerError {
-    /// It could not join the domain.
+    /// The domain cannot be joined.
     #[error(transparent)]
     Join(#[from] JoinError),
     /// A port could not be opened.
@@ -87,8 +87,8 @@ struct Checkpointer {
     sheds: bool,
     /// When the next lines are logged, monotonic ns.
     log_ns: u64,
-    /// When a save that fails is told again, monotonic ns: it is tried some times a second.
-    told_ns: u64,
+    /// Time of the next log of a failing save, monotonic ns. It is tried several times a second.
+    next_log_ns: u64,
 }
 
 impl Checkpointer {
@@ -125,14 +125,15 @@ impl Checkpointer {
             shed: 0,
             sheds: false,
             log_ns: 0,
-            told_ns: 0,
+            next_log_ns: 0,
         })
     }
 
     fn read_budgets(&mut self) {
         let (checkpoint, most) = (&mut self.checkpoint, self.most_accounts);
         let (mut gone, mut changed) = (0, false);
-        // Not the newest alone: of a worker that was stopped for long, robots that have left are in the one before.
+        // Not the newest alone: of a worker that was stopped for long, robots that have left are in
+        // the one before.
         let read = self.budgets.take_all(|header, budgets| {
             for robot in checkpoint.exchanged(budgets) {
                 tracing::info!(robot, "the robot has another battery");
@@ -158,15 +159,15 @@ impl Checkpointer {
         let begun_ns = clock::monotonic_ns();
         let of_ns = self.checkpoint.written_ns;
         let Some(files) = self.files.as_mut().filter(|_| self.changed) else {
-            // Nothing is newer than the saved state.
+            // There is nothing newer than the saved state.
             self.schedule.tried(begun_ns, (begun_ns, begun_ns), true);
             return;
         };
         let saved = files.write(&self.checkpoint);
         if let Err(error) = &saved
-            && begun_ns >= self.told_ns
+            && begun_ns >= self.next_log_ns
         {
-            self.told_ns = begun_ns.saturating_add(LOG_EVERY_NS);
+            self.next_log_ns = begun_ns.saturating_add(LOG_EVERY_NS);
             tracing::error!(%error, "the ledger was not saved");
         }
         self.changed = saved.is_err();

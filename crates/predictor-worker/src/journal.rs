@@ -45,7 +45,8 @@ impl Journal {
     }
 
     /// Sends the journal of tick `tick` of the worker's run `worker_epoch`, and begins the next
-    /// one; `left_out`: what the tick did not write. Failures are counted in `unsent`.
+    /// one. `left_out` has the outputs that the tick did not write. Failures are counted in
+    /// `unsent`.
     pub(crate) fn send(
         &mut self,
         (worker_epoch, tick): (u64, u64),

@@ -1,8 +1,9 @@
-//! Keyframes: the fleet's whole state, for recorders, and for the worker of another host that stands by.
+//! Keyframes: the fleet's whole state, for recorders and for the standby worker of another host.
 //!
-//! When the checkpointer detects readers, or the worker serves with a permit, it passes the tick a box for the state; the tick copies
-//! its state into the box after everything else is sent, and returns it; the checkpointer encodes
-//! and sends it. The tick neither allocates nor blocks, and if nobody needs the state there is no box.
+//! When the checkpointer detects readers, or the worker serves with a permit, it passes the tick a
+//! box for the state. The tick copies its state into the box after everything else is sent, and
+//! returns it. The checkpointer encodes and sends it. The tick neither allocates nor blocks, and if
+//! nobody needs the state there is no box.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -14,14 +15,15 @@ use joulebus_settings::FleetSettings;
 use joulebus_standby::SavedState;
 use joulebus_wire::{SCHEMA_VERSION, State, StateHeader};
 
-use crate::standby::watch::Speaking;
+use crate::standby::watch::CurrentPermit;
 
 /// Minimum time between two keyframes, unless there is a new reader, ns.
 const EVERY_NS: u64 = 5_000_000_000;
 /// A keyframe may take at most 1/100 of the checkpointer's time, and of the tick's.
 const TIME_DIVISOR: u64 = 100;
-/// The same for the file that the link gives to other hosts: a worker that takes over begins at most that far back. Its encoding may take
-/// 1/10 of the checkpointer's time, which waits for disks otherwise; copying still 1/100 of the tick's.
+/// Interval of the file that the link sends to other hosts: a worker that takes over begins at most
+/// that far back. Its encoding may take 1/10 of the time of the checkpointer, which otherwise waits
+/// for disks. Copying may still take 1/100 of the tick's time.
 const FILE_EVERY_NS: u64 = 1_000_000_000;
 const FILE_TIME_DIVISOR: u64 = 10;
 /// Pieces sent per poll: a reader's buffer holds four times as many, and a recorder reads it
@@ -62,17 +64,17 @@ pub(crate) struct Keyframes {
 pub(crate) struct KeyframeOrders {
     ask: SyncSender<Box<Keyframe>>,
     taken: Receiver<Box<Keyframe>>,
-    speaking: Arc<Speaking>,
+    current_permit: Arc<CurrentPermit>,
 }
 
 /// Both ends. At most one box is in transfer in either direction, so no end ever blocks.
-pub(crate) fn keyframes(speaking: Arc<Speaking>) -> (Keyframes, KeyframeOrders) {
+pub(crate) fn keyframes(current_permit: Arc<CurrentPermit>) -> (Keyframes, KeyframeOrders) {
     let (ask, asked) = sync_channel(1);
     let (give, taken) = sync_channel(1);
     let orders = KeyframeOrders {
         ask,
         taken,
-        speaking,
+        current_permit,
     };
     (Keyframes { asked, taken: give }, orders)
 }
@@ -112,7 +114,7 @@ pub(crate) struct KeyframeSender {
     file: PathBuf,
     /// When the next one for the file is due.
     file_ns: u64,
-    is_file_told: bool,
+    is_file_logged: bool,
 }
 
 impl KeyframeSender {
@@ -136,7 +138,7 @@ impl KeyframeSender {
             is_for_readers: false,
             file,
             file_ns: 0,
-            is_file_told: false,
+            is_file_logged: false,
         };
         sender.ask_if_wanted();
         Ok(sender)
@@ -177,13 +179,13 @@ impl KeyframeSender {
         let somebody_new = readers > self.readers;
         self.readers = readers;
         if somebody_new {
-            // It may receive the rest of the current keyframe only: request another one at once.
+            // It may receive only the rest of the current keyframe, so request another one at once.
             self.next_ns = 0;
         }
         if self.is_busy() {
             return;
         }
-        let has_permit = self.orders.speaking.term() > 0;
+        let has_permit = self.orders.current_permit.term() > 0;
         if readers == 0 && !has_permit {
             (self.spare, self.bytes) = (None, Vec::new());
             return;
@@ -231,20 +233,21 @@ impl KeyframeSender {
         }
     }
 
-    /// Leaves the state to the link of this host, if the worker serves with a permit. `begun_ns`: when the encoding began.
+    /// Leaves the state to the link of this host, if the worker serves with a permit. `begun_ns`:
+    /// when the encoding began.
     fn save(&mut self, keyframe: &Keyframe, begun_ns: u64) {
-        let term = self.orders.speaking.term();
+        let term = self.orders.current_permit.term();
         if term == 0 {
             return;
         }
         let saved = SavedState::write(&self.file, (term, keyframe.taken_ns, 0), &self.bytes);
         match saved {
-            Ok(()) => self.is_file_told = false,
-            Err(error) if !self.is_file_told => {
+            Ok(()) => self.is_file_logged = false,
+            Err(error) if !self.is_file_logged => {
                 tracing::error!(
                     "a worker that takes over would begin with an older state: {error}"
                 );
-                self.is_file_told = true;
+                self.is_file_logged = true;
             }
             Err(_) => {}
         }

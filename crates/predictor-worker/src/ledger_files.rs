@@ -2,9 +2,9 @@
 //! of all of it.
 //!
 //! `ledger.json` is the newest, `ledger.json.older` the previous one. A new one is written to a
-//! temporary file, `ledger.json.new`, and renamed, so that a kill or power failure at any point leaves two intact
-//! ones. Cut off before its last rename, the temporary file is the newest generation: the next save renames it
-//! before it writes another, whoever does it.
+//! temporary file, `ledger.json.new`, and renamed, so that a kill or power failure at any point
+//! leaves two intact ones. If a save is cut off before its last rename, the temporary file is the
+//! newest generation. The next save of any worker renames it before it writes another.
 
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
@@ -21,16 +21,17 @@ const SCHEMA: u32 = 3;
 /// The version before, without batteries: it is read, and written as the newest.
 const BEFORE: u32 = 2;
 /// Maximum size of a file: the accounts of two million robots take about half of it.
-const MOST_BYTES: u64 = 1 << 30;
+const MAX_BYTES: u64 = 1 << 30;
 
 /// Contents of a file.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Content<C> {
     schema: u32,
-    /// One more than that of the previous file.
+    /// One more than the previous file's.
     generation: u64,
-    /// FNV-1a of version (from 3 on), generation and ledger as they are written, 16 hexadecimal digits.
+    /// FNV-1a of version (from 3 on), generation and ledger as they are written, 16 hexadecimal
+    /// digits.
     fnv1a: String,
     ledger: C,
 }
@@ -93,7 +94,7 @@ pub enum LedgerFileError {
 #[derive(Debug, Clone)]
 pub(crate) struct LedgerFiles {
     newest: PathBuf,
-    /// That of the newest whole file.
+    /// Generation of the newest whole file.
     generation: u64,
     /// The newest whole file is the temporary one.
     is_unfinished: bool,
@@ -138,8 +139,8 @@ impl LedgerFiles {
                     }
                 }
                 Ok(None) => {}
-                // The worker was killed while writing it, or it is not the ledger's: the others are intact, and the next
-                // save clears the place.
+                // The worker was killed while writing it, or it is not the ledger's: the others are
+                // intact, and the next save clears the place.
                 Err(flaw) if is_unfinished && flaw.is_of_content() => {}
                 Err(Flaw::Damaged(reason)) => damaged.push((path, reason)),
                 Err(Flaw::Fatal(error)) => return Err(error),
@@ -167,11 +168,11 @@ impl LedgerFiles {
         Ok(Some(ledger))
     }
 
-    /// Makes the ledger that was read survive a power failure: the worker that wrote it may have been killed before it
-    /// had, and its successors too.
+    /// Makes the ledger that was read survive a power failure. The worker that wrote it may have
+    /// been killed before it did so, and its successors too.
     ///
     /// # Errors
-    /// The system call failed; the files are intact, and the next write does the same.
+    /// The system call failed. The files are intact, and the next write does the same.
     pub(crate) fn secure(&mut self) -> Result<(), LedgerFileError> {
         let secured = match (self.is_unfinished, self.generation) {
             (true, _) => self.resume(),
@@ -188,7 +189,8 @@ impl LedgerFiles {
     /// Writes the ledger atomically as the newest generation, and syncs it to the disk.
     ///
     /// # Errors
-    /// The system call failed; the newest whole ledger is intact, and so is the one before it if there was one.
+    /// The system call failed; the newest whole ledger is intact, and so is the one before it if
+    /// there was one.
     pub(crate) fn write(&mut self, ledger: &Checkpoint) -> Result<(), LedgerFileError> {
         self.replace(ledger).map_err(|source| LedgerFileError::Io {
             path: self.newest.clone(),
@@ -207,15 +209,15 @@ impl LedgerFiles {
         file.write_all(&encode(self.generation + 1, ledger)?)?;
         file.sync_all()?;
         drop(file);
-        // Where the newest is not the first, there is one before it: of a write that failed until here the number is
-        // used again.
+        // If the newest is not the first generation, there is one before it. A write that failed
+        // before this point reuses its number.
         self.generation += 1;
         self.is_unfinished = true;
         self.finish()
     }
 
-    /// Frees the place of the temporary file, which is none of the generations: what a save has left that was cut off is
-    /// removed, and anything else set aside.
+    /// Frees the name of the temporary file, which is none of the generations. Removes the remains
+    /// of a save that was cut off, and sets anything else aside.
     fn clear(&self) -> io::Result<()> {
         let path = self.unfinished();
         if !disk::exists(&path) {
@@ -233,7 +235,8 @@ impl LedgerFiles {
         Ok(())
     }
 
-    /// Finishes the save that was cut off: emptied now, its file would be lost if this save is cut off too.
+    /// Finishes the save that was cut off: emptied now, its file would be lost if this save is cut
+    /// off too.
     fn resume(&mut self) -> io::Result<()> {
         match File::open(self.unfinished()) {
             // Whoever wrote it may have been killed before that.
@@ -282,8 +285,8 @@ fn with(path: &Path, ending: &str) -> PathBuf {
     PathBuf::from(name)
 }
 
-/// Renames a file to the first free name. However many were set aside before, none is overwritten, and the fleet has a
-/// worker: they are less than what it would lose without one.
+/// Renames a file to the first free name. However many were set aside before, none is overwritten,
+/// and the fleet gets its worker: the files cost less than its absence.
 fn set_aside(path: &Path) -> io::Result<PathBuf> {
     let mut number = 1_u64;
     let aside = loop {
@@ -297,13 +300,13 @@ fn set_aside(path: &Path) -> io::Result<PathBuf> {
     Ok(aside)
 }
 
-/// Whether a file is what a save leaves that is cut off: the beginning of a ledger, or, after a power failure, nothing or
-/// zeros.
+/// Whether a file is the remains of a save that was cut off: the beginning of a ledger, or, after a
+/// power failure, nothing or zeros.
 fn is_cut_off(path: &Path) -> io::Result<bool> {
     if !disk::is_file(path) {
         return Ok(false);
     }
-    let bytes = match joulebus_files::read(path, MOST_BYTES) {
+    let bytes = match joulebus_files::read(path, MAX_BYTES) {
         Err(error) if error.kind() == io::ErrorKind::FileTooLarge => return Ok(false),
         read => read?,
     };
@@ -336,7 +339,8 @@ fn encode(generation: u64, ledger: &Checkpoint) -> Result<Vec<u8>, serde_json::E
     })
 }
 
-/// Whether the rest of a file, by its checksum, is of a version that is read here: its version is what is damaged.
+/// Whether the rest of a file, by its checksum, is of a supported version. Its version field is
+/// then damaged.
 fn is_of_known_version(bytes: &[u8]) -> bool {
     let Ok(content) = serde_json::from_slice::<Content<Checkpoint>>(bytes) else {
         return false;
@@ -348,7 +352,7 @@ fn is_of_known_version(bytes: &[u8]) -> bool {
 }
 
 impl Flaw {
-    /// Whether it is in what the file holds, not in reading it.
+    /// Whether the error is in the file's contents, not in reading it.
     fn is_of_content(&self) -> bool {
         match self {
             Self::Damaged(_) => true,
@@ -368,7 +372,7 @@ fn read(path: &Path, fleet: &str) -> Result<Option<(u64, Checkpoint)>, Flaw> {
             source,
         })
     };
-    let bytes = match joulebus_files::read(path, MOST_BYTES) {
+    let bytes = match joulebus_files::read(path, MAX_BYTES) {
         Ok(bytes) => bytes,
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(failed(error)),
@@ -622,7 +626,7 @@ mod tests {
 
     #[test]
     fn of_any_three_files_the_newest_whole_one_is_read_and_the_next_saves_keep_it() {
-        // Nothing, a cut file, and generations 4 to 6.
+        // No file, a cut file, and generations 4 to 6.
         let contents: Vec<Option<Vec<u8>>> = [None, Some(whole(9)[..40].to_vec())]
             .into_iter()
             .chain((4..=6).map(|generation| Some(whole(generation))))
@@ -630,7 +634,7 @@ mod tests {
         let number = |place: usize| (place >= 2).then(|| place as i64 + 2);
         for places in (0..125).map(|code| [code / 25, code / 5 % 5, code % 5]) {
             let [newest, older, new] = places;
-            // Of whole files the older one is older, whoever is cut off at whatever step.
+            // Of two whole files, `older` is the older one, at whatever step a save is cut off.
             let is_older = |one: usize, other: usize| one < 2 || other < 2 || one < other;
             if !is_older(older, newest) || !is_older(newest, new) || !is_older(older, new) {
                 continue;

@@ -5,8 +5,8 @@
 //! [`Worker::run`] then ticks until it is stopped. The tick's output is written directly into
 //! loaned shared memory. The network runs in the tick that [`TickPool`] distributes over threads
 //! (`joulebus-fleet`, `src/tick/infer.rs`). After warm-up the loop allocates nothing of its own
-//! (iceoryx2 0.10 allocates once for each of the four or five frames that a tick sends), takes no lock,
-//! logs nothing and blocks on nothing but samples and its schedule. Logging and the ledger's
+//! (iceoryx2 0.10 allocates once for each of the four or five frames that a tick sends), takes no
+//! lock, logs nothing and blocks on nothing but samples and its schedule. Logging and the ledger's
 //! checkpoints are left to the checkpointer, a thread that reads the worker's frames like any
 //! planner.
 #![forbid(unsafe_code)]

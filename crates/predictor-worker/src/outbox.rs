@@ -7,7 +7,7 @@ use joulebus_wire::{
     FrameHeader as _, PlanStateHeader, PlanStates, SCHEMA_VERSION, WakeEvent,
 };
 
-use crate::standby::watch::Speaking;
+use crate::standby::watch::CurrentPermit;
 use crate::tick_pool::TickPool;
 
 /// The four ports, and the event that wakes planners.
@@ -31,15 +31,15 @@ impl Outbox {
         })
     }
 
-    /// Whether anybody reads what plans start from: only then is it written.
+    /// Whether any planner reads plan states. They are written only then.
     pub(crate) fn plans(&self) -> bool {
         self.plan_states.readers() > 0
     }
 
     /// Ticks the robots of a fleet that has begun a tick, writes the output, and sends it. `header`
-    /// has everything known before; `left_out`: what is not written. Returns the number of frames
-    /// that could not be sent. Nothing is sent after the time for which the worker may speak, which may
-    /// end in the middle of a tick.
+    /// has everything known before, `left_out` the outputs not to write. Returns the number of
+    /// frames that could not be sent. Nothing is sent after the worker's permit has ended, which
+    /// may be in the middle of a tick.
     ///
     /// Forecasts are sent first, and planners are woken for them. In a parallel tick all are
     /// written in one pass, because a second pass over so many robots would cost more memory
@@ -49,7 +49,7 @@ impl Outbox {
         (fleet, pool): (&mut Fleet, &TickPool),
         header: ForecastHeader,
         left_out: LeftOut,
-        speaking: &Speaking,
+        current_permit: &CurrentPermit,
     ) -> u64 {
         let robots = fleet.len();
         let headers = Headers::new(fleet, &header);
@@ -71,15 +71,15 @@ impl Outbox {
                 accounts,
             };
             pool.run(shard, outputs);
-            send_forecasts(forecasts, &self.planners, header, speaking)
+            send_forecasts(forecasts, &self.planners, header, current_permit)
         } else {
             pool.forecast(&mut shard, payload(Some(&mut forecasts)));
-            let unsent = send_forecasts(forecasts, &self.planners, header, speaking);
+            let unsent = send_forecasts(forecasts, &self.planners, header, current_permit);
             pool.account(&mut shard, accounts);
             unsent
         };
         let sent = (clock::monotonic_ns(), clock::unix_ns());
-        if !speaking.holds(clock::boot_ns()) {
+        if !current_permit.holds(clock::boot_ns()) {
             return unsent;
         }
         unsent
@@ -101,7 +101,7 @@ impl Outbox {
 pub(crate) struct LeftOut {
     /// For lack of time.
     pub(crate) diagnostics: bool,
-    /// Because nobody reads them.
+    /// Left out because nobody reads them.
     pub(crate) plan_states: bool,
 }
 
@@ -160,7 +160,7 @@ fn send_forecasts(
     forecasts: Result<Loan<'_, Forecasts>, SendError>,
     planners: &Waker,
     mut header: ForecastHeader,
-    speaking: &Speaking,
+    current_permit: &CurrentPermit,
 ) -> u64 {
     let Ok(mut forecasts) = forecasts else {
         return 1;
@@ -168,7 +168,7 @@ fn send_forecasts(
     header.compute_end_ns = clock::monotonic_ns();
     header.sent_unix_ns = clock::unix_ns();
     header.sent_ns = clock::monotonic_ns();
-    if !speaking.holds(clock::boot_ns()) {
+    if !current_permit.holds(clock::boot_ns()) {
         return 0;
     }
     *forecasts.header_mut() = header;

@@ -32,9 +32,10 @@ pub struct Report {
     pub frames_unsent: u64,
     /// Failures to receive.
     pub receive_errors: u64,
-    /// The ledger could not be saved when it was tried last: at the end, what was metered since the save before is lost.
+    /// The last attempt to save the ledger failed: metering since the previous save is lost at the
+    /// end.
     pub ledger_unsaved: bool,
-    /// From the start of a tick to its last frame sent.
+    /// Time from the start of a tick until its last frame is sent.
     pub tick: Spread,
     /// Mean time of each stage.
     pub parts: Parts,

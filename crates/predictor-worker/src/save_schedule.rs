@@ -10,7 +10,7 @@ pub(crate) struct SaveSchedule {
 }
 
 impl SaveSchedule {
-    /// From `now_ns` on the saved state must not be older than `every_ns`.
+    /// Starts at `now_ns`. The saved state must not become older than `every_ns`.
     pub(crate) const fn new(every_ns: u64, now_ns: u64) -> Self {
         Self {
             every_ns,

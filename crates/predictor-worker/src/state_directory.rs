@@ -1,4 +1,4 @@
-//! Where a fleet's ledger is saved if its config does not say.
+//! The default location of a fleet's ledger.
 
 use std::ffi::OsString;
 use std::path::PathBuf;
@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use joulebus_config::{Checkpoint, Config};
 use joulebus_wire::fnv1a;
 
-/// The file of the fleet's ledger. Warns where batteries will not survive the worker.
+/// The file of the fleet's ledger. Warns if batteries will not survive the worker.
 pub(crate) fn checkpoint_path(config: &Config) -> Option<PathBuf> {
     let batteries = config.settings().has_batteries();
     let path = match config.checkpoint() {
@@ -31,8 +31,8 @@ pub(crate) fn checkpoint_path(config: &Config) -> Option<PathBuf> {
     path
 }
 
-/// systemd's directory for the service, or the user's for programs' state; `None` if the environment names
-/// none. Relative paths are ignored, as the XDG specification demands.
+/// systemd's directory for the service, or the user's for programs' state; `None` if the
+/// environment names none. Relative paths are ignored, as the XDG specification demands.
 fn state_directory(variable: impl Fn(&str) -> Option<OsString>) -> Option<PathBuf> {
     let absolute = |name: &str| {
         let value = variable(name)?;

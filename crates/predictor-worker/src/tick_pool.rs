@@ -13,7 +13,7 @@ use joulebus_wire::Forecast;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
 /// Minimum number of robots per part: two tiles.
-const LEAST: usize = 1024;
+const MIN_ROBOTS: usize = 1024;
 /// Parts per thread, so that a thread that wakes late still finds work.
 const PARTS: usize = 8;
 
@@ -61,9 +61,9 @@ fn pool(threads: usize, scheduling: Scheduling) -> Result<ThreadPool, ThreadPool
 }
 
 impl TickPool {
-    /// A pool of `threads` threads, the calling one included; ticks of `from` robots or more are
-    /// parallel. `scheduling` is applied to the other threads; that of the calling one is left to
-    /// the caller.
+    /// A pool of `threads` threads, the calling one included. Ticks of `from` robots or more are
+    /// parallel. `scheduling` is applied to the other threads. The calling thread's is left to the
+    /// caller.
     ///
     /// # Errors
     /// [`TickPoolError`]: a thread could not be started.
@@ -97,7 +97,7 @@ impl TickPool {
     pub fn run(&self, shard: Shard<'_>, outputs: Outputs<'_>) {
         let robots = shard.len();
         if self.shares(robots) {
-            let part = robots.div_ceil(PARTS * self.scratch.len()).max(LEAST);
+            let part = robots.div_ceil(PARTS * self.scratch.len()).max(MIN_ROBOTS);
             self.divide(shard, outputs, part);
         } else {
             self.run_here(shard, outputs);

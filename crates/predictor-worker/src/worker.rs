@@ -24,13 +24,13 @@ use crate::report::{Parts, Report, by_name};
 use crate::shedding::Shedding;
 use crate::standby::backlog::Held;
 use crate::standby::follow::Following;
-use crate::standby::watch::{self, PermitOver, Speaking};
+use crate::standby::watch::{self, CurrentPermit, PermitOver};
 use crate::tick_pool::{TickPool, TickPoolError};
 use joulebus_latency::{Spread, histogram};
 use joulebus_models::{ModelsError, load_models};
 use joulebus_standby::{Permit, PermitError, Places, SavedState};
 
-/// How often a worker that stands by looks for its permit, ns.
+/// Interval at which a standby worker checks its permit, ns.
 const PERMIT_EVERY_NS: u64 = watch::READ_EVERY.as_nanos() as u64;
 
 /// Samples copied at a time before they are checked, so that they stay in the core's cache.
@@ -62,17 +62,17 @@ pub struct Worker {
     intake_ns: u64,
     turns: Arc<AtomicU64>,
     name: String,
-    speaking: Arc<Speaking>,
-    /// Of a worker that needs a permit.
+    current_permit: Arc<CurrentPermit>,
+    /// Set for a worker that needs a permit.
     standby: Option<Standby>,
 }
 
-/// What a worker has that needs a permit.
+/// State of a worker that needs a permit.
 #[derive(Debug)]
 struct Standby {
     places: Places,
     settings: FleetSettings,
-    /// Keeps `speaking` up to date once there is a permit.
+    /// Keeps `current_permit` up to date once there is a permit.
     renewal: Option<Background>,
 }
 
@@ -122,8 +122,8 @@ pub enum RunError {
     /// Waiting or waking failed.
     #[error(transparent)]
     Wait(#[from] WaitError),
-    /// What it shares with other processes was removed. A new worker makes everything again, by the way
-    /// that is taken after every kill; to rebuild the ports of a running one would be a second way.
+    /// Files that it shares with other processes were removed. A new worker makes them again, as
+    /// after every kill. To rebuild the ports of a running worker would be a second code path.
     #[error(transparent)]
     Removed(#[from] FilesRemoved),
     /// Another host's worker may serve.
@@ -144,15 +144,16 @@ impl Worker {
     /// # Errors
     /// The first error, with its remedy.
     pub fn open(config: &Config) -> Result<Self, OpenError> {
-        Self::open_as(config, Arc::new(Speaking::always()))
+        Self::open_as(config, Arc::new(CurrentPermit::always()))
     }
 
-    /// As [`Worker::open`], of a worker that serves only with a permit: [`Worker::stand_by`] waits for it.
+    /// Same as [`Worker::open`], for a worker that serves only with a permit. [`Worker::stand_by`]
+    /// waits for it.
     ///
     /// # Errors
-    /// As of [`Worker::open`].
+    /// Those of [`Worker::open`].
     pub fn open_standby(config: &Config) -> Result<Self, OpenError> {
-        let mut worker = Self::open_as(config, Arc::new(Speaking::not_yet()))?;
+        let mut worker = Self::open_as(config, Arc::new(CurrentPermit::not_yet()))?;
         worker.standby = Some(Standby {
             places: Places::of(config),
             settings: config.settings().clone(),
@@ -161,7 +162,7 @@ impl Worker {
         Ok(worker)
     }
 
-    fn open_as(config: &Config, speaking: Arc<Speaking>) -> Result<Self, OpenError> {
+    fn open_as(config: &Config, current_permit: Arc<CurrentPermit>) -> Result<Self, OpenError> {
         let models = load_models(config)?;
         let mut fleet = Fleet::new(config.settings().clone(), models)?;
         let domain = config.domain()?;
@@ -187,7 +188,7 @@ impl Worker {
         // Before the other threads are started, whose stacks are not touched.
         touch_own_memory();
         let mut bus = Bus::join(&domain, "worker")?;
-        // After joining, which frees what dead processes held.
+        // After joining, which frees the resources of dead processes.
         check_capacity(
             &limits,
             Ports {
@@ -200,7 +201,7 @@ impl Worker {
         let outbox = Outbox::open(&bus, &limits)?;
         let journal = Journal::open(&bus, &limits)?;
         let failures = Arc::new(Failures::default());
-        let (keyframes, orders) = keyframes(Arc::clone(&speaking));
+        let (keyframes, orders) = keyframes(Arc::clone(&current_permit));
         let checkpointer =
             checkpointer::start(&domain, config, before, Arc::clone(&failures), orders)?;
         // After the threads that must not have it are started, because threads inherit it.
@@ -221,7 +222,7 @@ impl Worker {
             capacity: fleet.capacity(),
             ..ForecastHeader::default()
         };
-        if speaking.holds(clock::boot_ns()) {
+        if current_permit.holds(clock::boot_ns()) {
             keyframes.offer(&fleet, (header.worker_epoch, 0));
         }
         let schedule = Schedule::new(
@@ -251,17 +252,17 @@ impl Worker {
             _lock: lock,
             failures,
             header,
-            speaking,
+            current_permit,
             standby: None,
         })
     }
 
-    /// Waits until this host's worker gets a permit to serve, and then continues where the worker that served before has
-    /// ended: from its newest state that is here, and from the samples that have come since. Returns false if `stop` was
-    /// set first.
+    /// Waits until this host's worker gets a permit, and then continues where the previous leader
+    /// ended: from its newest state on this host, and from the samples since. Returns false if
+    /// `stop` was set first.
     ///
     /// # Errors
-    /// As of [`Worker::run`]; the permit's file is something else.
+    /// Those of [`Worker::run`], or the permit's file is something else.
     pub fn stand_by(&mut self, stop: &AtomicBool) -> Result<bool, RunError> {
         let Some(standby) = &self.standby else {
             return Ok(true);
@@ -318,10 +319,10 @@ impl Worker {
         following.advance(&mut self.fleet, places);
     }
 
-    /// Leaves the last state of a worker that has served with a permit to the next one on this host, which may be itself: as after
-    /// a lease that ran out because the store was away.
+    /// Leaves the last state of a worker that has served with a permit to the next one on this
+    /// host, which may be itself: as after a lease that ran out because the store was away.
     fn leave_state(&self) {
-        let term = self.speaking.term();
+        let term = self.current_permit.term();
         if let Some(standby) = &self.standby
             && term > 0
         {
@@ -342,8 +343,8 @@ impl Worker {
         following: Following,
     ) -> Result<(), RunError> {
         let (restored, replayed) = following.take_over(&mut self.fleet, places, &self.turns);
-        let speaking = Arc::clone(&self.speaking);
-        let renewal = watch::start(places.permit.clone(), speaking, permit);
+        let current_permit = Arc::clone(&self.current_permit);
+        let renewal = watch::start(places.permit.clone(), current_permit, permit);
         if let Some(standby) = &mut self.standby {
             standby.renewal = Some(renewal.map_err(RunError::Renewal)?);
         }
@@ -363,15 +364,15 @@ impl Worker {
         Ok(())
     }
 
-    /// Counts its turns there from now on, at least ten a second: a watchdog in another thread sees whether the worker
-    /// works.
+    /// Counts its turns there from now on, at least ten a second: a watchdog in another thread sees
+    /// whether the worker works.
     pub fn count_turns_in(&mut self, turns: Arc<AtomicU64>) {
         self.turns = turns;
     }
 
-    /// Ticks until `stop` is set, which is noticed within 100 ms, or at once when a signal sets it. Samples that came
-    /// before are taken, and counted in the report.
-    /// The fleet is this process's until [`Worker::finish`].
+    /// Ticks until `stop` is set, which is noticed within 100 ms, or at once when a signal sets it.
+    /// Samples that arrived before are taken, and counted in the report. The fleet belongs to this
+    /// process until [`Worker::finish`].
     ///
     /// # Errors
     /// [`RunError`]: waiting failed.
@@ -381,12 +382,13 @@ impl Worker {
         }
         while !stop.load(Ordering::Relaxed) {
             if let Err(error) = self.turn() {
-                // Planners are told; dropping the rest writes the ledger down.
+                // Notify planners. Dropping the rest saves the ledger.
                 self.outbox.end();
                 return Err(error);
             }
         }
-        // Where this thread gets no processor, the end is asked for before frames that were sent earlier are taken.
+        // If this thread gets no processor, the stop may come before frames that were sent earlier
+        // are taken.
         self.drain();
         Ok(())
     }
@@ -401,8 +403,8 @@ impl Worker {
         self.bus.check()?;
         self.drain();
         let now_ns = clock::monotonic_ns();
-        if !self.speaking.holds(clock::boot_ns()) {
-            return Err(self.speaking.over().into());
+        if !self.current_permit.holds(clock::boot_ns()) {
+            return Err(self.current_permit.over().into());
         }
         let taken_ns = self.fleet.intake().first.map(|(_, _, taken_ns)| taken_ns);
         match self
@@ -490,10 +492,10 @@ impl Worker {
             (&mut self.fleet, &self.pool),
             header,
             left_out,
-            &self.speaking,
+            &self.current_permit,
         );
         self.failures.unsent.fetch_add(unsent, Ordering::Relaxed);
-        if !self.speaking.holds(clock::boot_ns()) {
+        if !self.current_permit.holds(clock::boot_ns()) {
             // The next turn ends it.
             return;
         }

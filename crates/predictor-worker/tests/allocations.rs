@@ -85,7 +85,7 @@ fn feed(domain: &Domain, config: &Config, robots: u32, sent: &AtomicU64, stop: &
     }
 }
 
-/// Reads what plans start from until `stop`, and counts the frames.
+/// Reads plan states until `stop`, and counts the frames.
 fn plan(domain: &Domain, config: &Config, plan_states: &AtomicU64, stop: &AtomicBool) {
     let bus = Bus::join(domain, "planner").unwrap();
     let mut reader = bus.reader::<PlanStates>(&config.limits()).unwrap();
@@ -138,8 +138,8 @@ fn measure(case: Case) {
         let _end = OnDrop(&stop);
         scope.spawn(|| feed(&domain, &config, case.robots, &sent, &stop));
         scope.spawn(|| plan(&domain, &config, &plan_states, &stop));
-        // At least so many ticks, and until the other threads have done their part too: on a busy
-        // machine ticks continue without them.
+        // Waits for at least that many ticks, and until the other threads have done their part: on
+        // a busy machine ticks continue without them.
         let tick = |worker: &mut Worker, ticks: u64, frames: u64, wanted_keyframes: u32| {
             let (begin, mut done) = (Instant::now(), 0);
             while done < ticks

@@ -224,8 +224,8 @@ fn every_tick_can_be_recomputed_from_the_first_and_from_a_later_keyframe() {
         };
         run(150);
         let late = scope.spawn(|| record(&config, &late_ready, &read_late, &stop));
-        // No tick comes between the opening of its ports and its first reading, and none before it has read the first
-        // one: it may get no processor for so long that frames are overwritten.
+        // Tick only after the late reader has opened its ports, and wait for its first frame. It
+        // may get no processor for so long that frames are overwritten.
         eventually(|| late_ready.load(Ordering::Relaxed));
         run(1);
         eventually(|| read_late.load(Ordering::Relaxed) != u64::MAX);

@@ -1,5 +1,5 @@
-//! A worker that stands by: it serves with a permit alone, continues where the one before ended, and is silent when the
-//! permit has run out.
+//! A standby worker serves only with a permit, continues where the previous leader ended, and is
+//! silent once the permit has run out.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
@@ -39,13 +39,13 @@ struct Scene {
     stop: AtomicBool,
     /// Frames that the source has sent.
     sent: AtomicU64,
-    /// It sends none meanwhile.
+    /// It sends no samples in this time.
     is_silent: AtomicBool,
     /// The newest forecasts and budgets, and when the newest forecasts were sent.
     read: Mutex<(Vec<Forecast>, Vec<Budget>)>,
     sent_ns: AtomicU64,
     frames: AtomicU64,
-    /// How often the planner has read all that there was.
+    /// Number of times that the planner has read everything available.
     looks: AtomicU64,
 }
 
@@ -87,7 +87,7 @@ impl Scene {
             source_epoch: clock::monotonic_ns(),
             ..SampleHeader::default()
         };
-        // On the platform's grid, as a controller does, whatever the machine does to this thread.
+        // On the platform's grid, like a controller, however this thread is scheduled.
         let begun_ns = clock::monotonic_ns();
         while !self.stop.load(Ordering::Relaxed) {
             let seq = header.frame_seq + 1;
@@ -161,7 +161,8 @@ impl Scene {
         let _ = self;
     }
 
-    /// Waits until the planner has read all that was sent before: it may get no processor for a while.
+    /// Waits until the planner has read all that was sent before: it may get no processor for a
+    /// while.
     fn read_all(&self) {
         let before = self.looks.load(Ordering::Relaxed);
         // The first one may have begun before.
@@ -230,7 +231,7 @@ fn a_worker_that_waits_longer_than_it_keeps_samples_goes_on_without_a_loss() {
     goes_on_after(500);
 }
 
-/// A worker is killed, and another one serves after so many frames.
+/// A worker is killed, and another one leads after that many frames.
 fn goes_on_after(frames: u64) {
     let _one = ONE_AT_A_TIME
         .lock()
@@ -254,7 +255,8 @@ fn goes_on_after(frames: u64) {
             let saved = SavedState::read(&scene.places.keyframe).unwrap();
             saved.is_some_and(|saved| saved.taken_ns > turns[0].0)
         });
-        // The keyframe crosses to another host, whose clock is the same here, and the worker is killed.
+        // The keyframe crosses to another host, whose clock is the same here, and the worker is
+        // killed.
         let saved = SavedState::read(&scene.places.keyframe).unwrap().unwrap();
         assert_eq!(saved.term, 1);
         let in_it = turns
@@ -298,7 +300,7 @@ fn goes_on_after(frames: u64) {
             !dropped.contains_key("Duplicate"),
             "no sample is taken twice: {dropped:?}"
         );
-        // Unmetered is what came before the second worker's port was open, and that alone.
+        // Only the time before the second worker's port was open is unmetered.
         let lost = dropped
             .get("Overflow")
             .map_or(0, |lost| lost / u64::from(ROBOTS));
@@ -312,7 +314,7 @@ fn goes_on_after(frames: u64) {
             "{gap_ns} ns are unmetered, {lost} frames were lost"
         );
         let _ = worker.finish();
-        // What the next one on this host begins with.
+        // The state with which the next worker on this host begins.
         let last = SavedState::read(&scene.places.keyframe).unwrap().unwrap();
         assert_eq!(last.term, 2);
     });
@@ -339,7 +341,7 @@ fn when_its_permit_has_run_out_it_sends_nothing_more_and_ends_and_a_later_permit
             scene.until(&mut worker, how, |_| {
                 scene.frames.load(Ordering::Relaxed) > before + 3
             });
-            // It goes on where it ended itself, as when the store of leases was away.
+            // It continues where it ended itself, as after an outage of the store of leases.
             scene.until(&mut worker, "budgets", |_| scene.accounts() != accounts);
             let now = scene.accounts();
             assert!(now.0 >= accounts.0, "{accounts:?}, {now:?}");
@@ -347,7 +349,8 @@ fn when_its_permit_has_run_out_it_sends_nothing_more_and_ends_and_a_later_permit
                 now.1 >= accounts.1 && now.2 >= accounts.2,
                 "{accounts:?}, {now:?}"
             );
-            // Long enough for the thread that reads the permit, which was without an end, to get a processor.
+            // Long enough for the thread that reads the permit, which was without an end, to get a
+            // processor.
             let until_ns = clock::boot_ns() + 3_000_000_000;
             match how {
                 "it runs out" => scene.permit(term, Some(until_ns)),
@@ -427,8 +430,8 @@ fn a_state_that_is_damaged_or_of_another_fleet_is_refused_and_the_next_newest_ta
             scene.until(&mut worker, "frames", |_| {
                 scene.frames.load(Ordering::Relaxed) > frames + 5
             });
-            // The accounts go on from the keyframe, which is not refused. The newest budgets may still be those of the
-            // worker before, or of a tick without samples.
+            // The accounts continue from the keyframe, which is not refused. The newest budgets may
+            // still be the previous worker's, or those of a tick without samples.
             let mut after = before;
             scene.until(&mut worker, "budgets", |_| {
                 after = scene.accounts();

@@ -1,4 +1,4 @@
-//! The power of a command, whatever the readings.
+//! The power of a command, independent of the readings.
 
 use serde::{Deserialize, Serialize};
 
@@ -8,11 +8,11 @@ pub const TERMS: usize = 12;
 /// Terms of two quantities or of a change: the last of the [`TERMS`].
 pub const COMBINED_TERMS: usize = 5;
 
-/// The power that a platform draws under a command: a weighted sum of [`TERMS`] terms, none of
-/// which is ever negative.
+/// The power that a platform draws under a command: a weighted sum of [`TERMS`] terms that are
+/// never negative.
 ///
-/// The terms are 1; |v|, v², |v|/(|v| + v₀); |ω|, ω², |ω|/(|ω| + ω₀); |vω|; the products of v and of
-/// ω with their derivatives where positive (power to accelerate); the absolute derivatives.
+/// The terms are 1; |v|, v², |v|/(|v| + v₀); |ω|, ω², |ω|/(|ω| + ω₀); |vω|; the products of v and
+/// of ω with their derivatives where positive (power to accelerate); the absolute derivatives.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CommandModel {
@@ -112,7 +112,7 @@ impl CommandModel {
         ]
     }
 
-    /// The last of these terms, which no weight or constant enters: |vω|; v dv/dt and ω dω/dt where
+    /// The last of these terms, without any weight or constant: |vω|; v dv/dt and ω dω/dt where
     /// positive; |dv/dt|; |dω/dt|.
     #[inline(always)]
     #[must_use]

@@ -47,8 +47,8 @@ impl Commands<'_> {
     }
 }
 
-/// What the command model says of the commands of a plan so far: with it, the energy of a plan and of
-/// each of its beginnings costs one pass over the commands.
+/// Sums of the command model over the commands of a plan so far. With them, the energy of a plan
+/// and of each of its prefixes costs one pass over the commands.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CommandSum {
     period_s: f32,
@@ -68,7 +68,8 @@ impl CommandSum {
         Self::after(state.command(), period_s)
     }
 
-    /// Before the next command after one that is in force, (m/s, rad/s): a part of a plan, whatever the robot.
+    /// The empty sum before the next command while `command` (m/s, rad/s) is in force: a part of a
+    /// plan for any robot.
     #[must_use]
     pub const fn after(command: (f32, f32), period_s: f32) -> Self {
         Self {
@@ -121,7 +122,7 @@ impl CommandSum {
         self.steps
     }
 
-    /// From the first command to the end of the last, s.
+    /// Time from the first command to the end of the last, s.
     #[must_use]
     pub fn duration_s(&self) -> f32 {
         self.steps as f32 * self.period_s
@@ -141,25 +142,26 @@ pub struct EnergyForecast {
     pub energy_j: f32,
     /// Duration of the plan, s.
     pub duration_s: f32,
-    /// Number of commands that lie outside the training data: with any, the interval does not cover
-    /// what it states.
+    /// Number of commands outside the training data. With any, the interval does not have its
+    /// stated coverage.
     pub steps_outside: usize,
     /// Quantiles of measured minus forecast energy, J.
     errors_j: Option<[f32; KNOTS]>,
 }
 
 impl EnergyForecast {
-    /// The energy below which the robot stays with probability `p`, J. `None` unless 0 < p < 1,
-    /// and where errors are unknown: for a model without an energy model, for a plan that the model does
-    /// not [cover](EnergyModel::covers), and for commands that are not finite. For the interval of a
-    /// coverage c ask for (1 − c)/2 and (1 + c)/2.
+    /// The energy below which the robot stays with probability `p`, J.
+    ///
+    /// `None` unless 0 < p < 1, and if errors are unknown: for a model without an energy model, for
+    /// a plan that the model does not [cover](EnergyModel::covers), and for commands that are not
+    /// finite. For an interval of coverage c use (1 − c)/2 and (1 + c)/2.
     #[must_use]
     pub fn quantile_j(&self, p: f32) -> Option<f32> {
         let error_j = quantiles::quantile(self.errors_j.as_ref()?, p)?;
         Some(self.energy_j + error_j)
     }
 
-    /// Probability that the energy is below `energy_j`, 0 to 1. `None` where
+    /// Probability that the energy is below `energy_j`, 0 to 1. `None` if
     /// [`EnergyForecast::quantile_j`] is, and for a NaN.
     #[must_use]
     pub fn probability_below(&self, energy_j: f32) -> Option<f32> {
@@ -233,7 +235,7 @@ impl EnergyModel {
         for (step, motion) in plan.motions(state.command()).enumerate() {
             let [v, omega, dv, domega] = self.command.slopes(&motion);
             let changed = |slope: f32| slope / plan.period_s;
-            // A command is also what the next one changes from.
+            // The next command changes from this one.
             if let Some(before) = step.checked_sub(1).filter(|before| *before < steps) {
                 by_v[before] -= scale * changed(dv);
                 by_omega[before] -= scale * changed(domega);
@@ -252,12 +254,14 @@ impl EnergyModel {
         state.level(self, plan.duration_s())
     }
 
-    /// Whether the training data has no such motion: a velocity or a change of one beyond its. Their product is not compared:
-    /// both are in their ranges, and every robot that turns while it drives would be outside of recordings that drive and turn in turn.
+    /// Whether the training data has no such motion: a velocity, or a change of one, beyond its
+    /// range. Their product is not compared. Both factors are within their ranges, and recordings
+    /// that drive and turn alternately would otherwise exclude every robot that turns while it
+    /// drives.
     #[inline(always)]
     fn is_outside(&self, motion: &Motion) -> bool {
-        /// Plans have other time steps than recordings, by which changes are divided: the Robotarium's
-        /// are 33 ms, those of a platform at 30 Hz a hundredth longer.
+        /// Tolerance for the time step, by which changes are divided: plans have other time steps
+        /// than recordings. The Robotarium's are 33 ms, those of a platform at 30 Hz 1 % longer.
         const REACH: f32 = 1.05;
         let within = |[lowest, highest]: [f32; 2], value: f32| lowest <= value && value <= highest;
         let mut inside =

@@ -6,7 +6,7 @@ pub const LEVELS: usize = 4;
 /// Time constants of the levels, s, ascending.
 pub const LEVELS_S: [f32; LEVELS] = [0.5, 2.0, 12.0, 600.0];
 
-/// A plan's power follows from that of its commands by a factor and an addition.
+/// A factor and an addend that turn the power of commands into a plan's power.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Level {
     pub factor: f32,
@@ -14,7 +14,7 @@ pub(crate) struct Level {
 }
 
 impl Level {
-    /// Energy of a plan, J, of which the command model says `command_j`.
+    /// Energy of a plan, J, given the command model's energy `command_j`.
     pub(crate) fn energy_j(&self, command_j: f32, duration_s: f32) -> f32 {
         self.factor * command_j + self.added_w * duration_s
     }

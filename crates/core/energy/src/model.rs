@@ -1,4 +1,4 @@
-//! What is known of a platform.
+//! The energy model of a platform.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -19,28 +19,29 @@ pub const HORIZONS_S: [f32; HORIZONS] = [1.0, 3.0, 10.0, 30.0, 100.0, 300.0];
 pub struct EnergyModel {
     /// Power of a command.
     pub command: CommandModel,
-    /// Seconds of readings that weigh as much as the platform's own level, for each level, 0 or more.
+    /// Seconds of readings that weigh as much as the platform's own level, for each level, 0 or
+    /// more.
     pub prior_s: [f32; LEVELS],
-    /// Share by which a level that differs from the platform's is a constant additional power at each
-    /// horizon, 0 to 1; the rest is a factor of the command's power.
+    /// Share by which a level that differs from the platform's is a constant additional power at
+    /// each horizon, 0 to 1. The rest is a factor of the command's power.
     pub added_shares: [f32; HORIZONS],
     /// Weights of the levels ([`crate::LEVELS_S`]) at each horizon, not negative, 1 in all.
     pub weights: [[f32; LEVELS]; HORIZONS],
     /// Number of horizons, from the shortest, whose errors are known; 0 for a model without.
     pub calibrated: usize,
-    /// Quantiles ([`crate::QUANTILES`]) of the error at each horizon: measured minus forecast energy, relative to
-    /// the scale of the forecast. Ascending.
+    /// Quantiles ([`crate::QUANTILES`]) of the error at each horizon: measured minus forecast
+    /// energy, relative to the scale of the forecast. Ascending.
     pub errors: [[f32; KNOTS]; HORIZONS],
-    /// Share by which the scale of an error is the platform's mean power, 0 to 1; the rest is the
+    /// Share by which the scale of an error is the platform's mean power, 0 to 1. The rest is the
     /// forecast's.
     pub mean_share: f32,
     /// Lowest and highest velocity in the training data, m/s.
     pub v_mps: [f32; 2],
     /// Lowest and highest angular velocity in the training data, rad/s.
     pub omega_radps: [f32; 2],
-    /// What the [combined terms](CommandModel::combined_terms) reached in at least two recordings of the
-    /// training data; the first, |vω|, is not compared with plans. `None` in files of before it was stored: of every
-    /// step that changes a command it is then assumed that the training data has none.
+    /// Maxima of the [combined terms](CommandModel::combined_terms) reached in at least two
+    /// recordings of the training data. The first, |vω|, is not compared with plans. `None` in
+    /// older files: every step that changes a command then counts as outside the training data.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub combined: Option<[f32; COMBINED_TERMS]>,
 }
@@ -62,16 +63,16 @@ pub enum EnergyModelError {
     Value {
         /// The value.
         what: &'static str,
-        /// What was found.
+        /// The found value.
         found: f32,
-        /// What is allowed.
+        /// The allowed values.
         allowed: &'static str,
     },
 }
 
 impl EnergyModel {
-    /// For a model file without an energy model: the mean of the last seconds, whatever the
-    /// commands, beginning with `mean_w` (W, above 0). Its forecasts have no intervals.
+    /// The model for a file without an energy model: the mean of the last seconds, independent of
+    /// the commands, starting at `mean_w` (W, above 0). Its forecasts have no intervals.
     #[must_use]
     pub fn untrained(mean_w: f32) -> Self {
         // Neighbouring means; the longer, the longer the horizon.
@@ -228,14 +229,15 @@ impl EnergyModel {
         }
     }
 
-    /// Whether the errors of a plan of this duration are known. A plan may be a hundredth longer than
+    /// Whether the errors of a plan of this duration are known. A plan may be a hundredth longer
+    /// than
     /// [`EnergyModel::longest_s`]: its steps seldom add up to exactly that.
     #[must_use]
     pub fn covers(&self, duration_s: f32) -> bool {
         duration_s <= 1.01 * self.longest_s()
     }
 
-    /// What errors are relative to, J.
+    /// The scale of relative errors, J.
     #[inline(always)]
     pub(crate) fn scale_j(&self, energy_j: f32, duration_s: f32) -> f32 {
         let mean_j = self.command.mean_w * duration_s;
@@ -249,12 +251,12 @@ impl EnergyModel {
         (between(&self.weights, horizon_s), added_share)
     }
 
-    /// Standard deviation of the relative error at a horizon, above 0: that of a normal distribution
+    /// Standard deviation of the relative error at a horizon, above 0, of the normal distribution
     /// with the same 90 % interval.
     pub(crate) fn spread_at(&self, horizon_s: f32) -> f32 {
-        const LEAST: f32 = 1e-3;
+        const MIN: f32 = 1e-3;
         let errors = self.errors_at(horizon_s);
-        ((errors[7] - errors[1]) / 3.29).max(LEAST)
+        ((errors[7] - errors[1]) / 3.29).max(MIN)
     }
 
     /// Quantiles of the error at a horizon, linear between the known ones.

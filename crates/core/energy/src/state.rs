@@ -1,4 +1,4 @@
-//! What is known of a robot.
+//! The energy state of a robot.
 
 // Several arrays are indexed alike, level by level.
 #![allow(clippy::needless_range_loop)]
@@ -15,7 +15,7 @@ pub const SHADOWS: usize = 3;
 /// Horizons at which a robot's own errors are watched, s, ascending.
 pub const SHADOWS_S: [f32; SHADOWS] = [1.0, 10.0, 100.0];
 
-/// Time before the first shadow forecast, s: a first reading says little.
+/// Time before the first shadow forecast, s, because the first readings are not representative.
 const SETTLE_S: f32 = 1.0;
 /// A shadow forecast with a negative time waits to be made, and is due from here on.
 const DUE_S: f32 = -1.0;
@@ -38,14 +38,14 @@ pub struct EnergySample {
     pub omega_radps: f32,
 }
 
-/// What is known of a robot: plain numbers without padding, so that it can be kept in columns, in
-/// files and in shared memory.
+/// The energy state of a robot: plain numbers without padding, so that it can be kept in columns,
+/// in files and in shared memory.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[repr(C)]
 pub struct EnergyState {
-    /// What changes with every sample.
+    /// The part that changes with every sample.
     pub metered: Metered,
-    /// What changes when a shadow forecast has ended.
+    /// The part that changes when a shadow forecast has ended.
     pub learned: Learned,
 }
 
@@ -57,7 +57,7 @@ pub struct EnergyState {
 pub struct Metered {
     /// Discounted energy of each level, J.
     pub energy_j: [f32; LEVELS],
-    /// What the command model says of the same time, J.
+    /// Energy by the command model for the same time, J.
     pub command_j: [f32; LEVELS],
     /// Discounted time, s.
     pub time_s: [f32; LEVELS],
@@ -69,15 +69,15 @@ pub struct Metered {
     pub command_w: f32,
     /// Energy measured since each shadow forecast was made, J.
     pub shadow_energy_j: [f32; SHADOWS],
-    /// What the command model says of the commands since then, J.
+    /// Energy by the command model for the commands since then, J.
     pub shadow_command_j: [f32; SHADOWS],
     /// Time since then, s; negative while the next one waits to be made.
     pub shadow_s: [f32; SHADOWS],
 }
 
-/// What the robot's *shadow forecasts* have shown: one at a time for each of [`SHADOWS_S`], made as if
-/// for a planner that knew the commands in advance, and compared with the measured energy when
-/// their time is over.
+/// Results of the robot's *shadow forecasts*: one at a time for each of [`SHADOWS_S`]. Each is made
+/// as if for a planner that knew the commands in advance, and is compared with the measured energy
+/// when its time is over.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[repr(C)]
 pub struct Learned {
@@ -85,16 +85,15 @@ pub struct Learned {
     pub shadow_factor: [f32; SHADOWS],
     /// Added power in each shadow forecast, W.
     pub shadow_added_w: [f32; SHADOWS],
-    /// Power that each shadow forecast would expect whatever the commands, W.
+    /// Power that each shadow forecast would expect for any commands, W.
     pub shadow_mean_w: [f32; SHADOWS],
     /// Factor of the errors at these horizons.
     pub error_factor: [f32; SHADOWS],
     /// How far the commands explain this robot's power: 1 as far as the platform's, 0 not at all.
     pub command_trust: f32,
-    /// Discounted products of what the commands explained of the energy, and what there was to
-    /// explain.
+    /// Discounted products of the energy explained by the commands and the energy to be explained.
     pub trust_product: f32,
-    /// Discounted squares of what the commands explained.
+    /// Discounted squares of the energy explained by the commands.
     pub trust_square: f32,
 }
 
@@ -149,7 +148,7 @@ impl Metered {
         (self.v_mps, self.omega_radps) = command;
     }
 
-    /// Whether a shadow forecast has ended, or the first is to be made.
+    /// Whether a shadow forecast has ended, or the first is due.
     #[inline(always)]
     #[must_use]
     pub fn has_ended(&self) -> bool {
@@ -189,7 +188,7 @@ impl Metered {
         numbers
     }
 
-    /// From [`Metered::to_array`].
+    /// Creates it from [`Metered::to_array`].
     #[inline(always)]
     #[must_use]
     pub fn from_array(numbers: &[f32; Self::FLOATS]) -> Self {
@@ -238,8 +237,8 @@ impl Learned {
         }
     }
 
-    /// Adapts the trust in commands to what they have explained of `measured_j`: the share with the
-    /// least squared error between the forecast with commands and the one without.
+    /// Adapts the trust in commands to the part of `measured_j` that they explained: the share with
+    /// the least squared error between the forecasts with and without commands.
     fn trust(
         &mut self,
         parts: &Parts,
@@ -248,18 +247,18 @@ impl Learned {
         measured_j: f32,
         mean_j: f32,
     ) {
-        /// What is kept of the sums.
+        /// The discount factor of the sums.
         const KEEPS: f32 = 0.97;
         /// Weight of full trust, in the unit of the sums.
         const PRIOR: f32 = 0.2;
         /// Errors below this share of the platform's mean do not weigh more.
-        const LEAST: f32 = 0.02;
+        const MIN: f32 = 0.02;
         let without_j = parts.mean_w * duration_s;
         let with_j = parts.factor * command_j + parts.added_w * duration_s;
         let explained = (with_j - without_j) / mean_j;
         let wanted = (measured_j - without_j) / mean_j;
         // Large errors weigh by their size instead of its square.
-        let weight = 1.0 / (wanted.abs() + explained.abs()).max(LEAST);
+        let weight = 1.0 / (wanted.abs() + explained.abs()).max(MIN);
         let product = KEEPS * self.trust_product + weight * explained * wanted;
         let square = KEEPS * self.trust_square + weight * explained * explained;
         if product.is_finite() && square.is_finite() {
@@ -286,7 +285,7 @@ impl Learned {
         numbers
     }
 
-    /// From [`Learned::to_array`].
+    /// Creates it from [`Learned::to_array`].
     #[inline(always)]
     #[must_use]
     pub fn from_array(numbers: &[f32; Self::FLOATS]) -> Self {
@@ -345,8 +344,8 @@ impl EnergyState {
         }
     }
 
-    /// Compares the shadow forecasts that have ended with the measured energy, and makes the next:
-    /// follows [`Metered::advance`] where one [has ended](Metered::has_ended).
+    /// Compares the shadow forecasts that have ended with the measured energy, and makes the next
+    /// ones. It follows [`Metered::advance`] if one [has ended](Metered::has_ended).
     pub fn compare(&mut self, model: &EnergyModel) {
         for shadow in 0..SHADOWS {
             if !self.metered.is_over(shadow) {
@@ -436,12 +435,12 @@ impl EnergyState {
     }
 }
 
-/// Share of a level that is believed after `time_s` of readings, the rest being the platform's: what
-/// little has been read says little. `deviation`: the level's distance from the platform's, in
-/// deviations of the forecast errors. One too far away for a robot of this platform, as on another
-/// floor, is held to the platform's for a shorter time.
+/// Weight of a level after `time_s` of readings. The rest is the platform's level, because few
+/// readings are not representative. `deviation` is the level's distance from the platform's, in
+/// deviations of the forecast errors. A level that is too far away for a robot of this platform,
+/// for instance on another floor, is drawn to the platform's for a shorter time.
 fn shrunk(time_s: f32, prior_s: f32, deviation: f32) -> f32 {
-    /// Time after which most of a deviation is not that of the first readings, s.
+    /// Time after which most of a deviation is not due to the first readings, s.
     const START_S: f32 = 3.0;
     let is_level = time_s / (time_s + START_S);
     let square = deviation * deviation * time_s / (time_s + prior_s);

@@ -99,7 +99,7 @@ impl Reference<'_> {
         self.command_w(command(sample), before, sample.elapsed_s.into())
     }
 
-    /// Discounted energy, that of the commands, and time.
+    /// Discounted energy, energy of the commands, and time.
     fn sums(&self, level_s: f64) -> [f64; 3] {
         let mut sums = [0.0; 3];
         for place in 0..self.samples.len() {
@@ -277,8 +277,8 @@ proptest! {
         prop_assert!((found_j - expected_j).abs() <= 2e-4 * expected_j.abs().max(1.0), "{found_j} {expected_j}");
     }
 
-    /// A step is outside if a velocity or a change is beyond the training data's:
-    /// each step alone, whatever its sums are added in parts.
+    /// A step is outside if a velocity or a change is beyond the training data's. Each step counts
+    /// alone, however its sums are added in parts.
     #[test]
     fn steps_outside_the_training_data_are_counted_as_the_slow_reference_does(
         samples in samples(), plan in plan(), period_s in 0.02f32..0.5, cut in 0usize..60,
@@ -315,7 +315,7 @@ proptest! {
         prop_assert!((sum_j - energy_j).abs() <= 1e-5 * energy_j.abs().max(1.0));
     }
 
-    /// The gradient is that of differences, away from the corners at rest and at equal commands.
+    /// The gradient equals finite differences, away from the corners at rest and at equal commands.
     #[test]
     fn the_gradient_is_that_of_differences(
         samples in samples(),
@@ -476,7 +476,7 @@ fn what_is_not_known_has_no_interval() {
     };
     let forecast = trained.forecast(&state, unknown);
     assert!(forecast.energy_j.is_nan() && forecast.quantile_j(0.5).is_none());
-    // Probabilities that are none.
+    // Values that are no probabilities.
     for p in [0.0, 1.0, -1.0, f32::NAN] {
         assert_eq!(trained.forecast(&state, plan(1.0)).quantile_j(p), None);
     }
@@ -548,7 +548,7 @@ fn commands_that_change_faster_than_any_in_training_are_named() {
     assert_eq!(outside(&model, &[0.1, 0.5, 0.9], &[0.0; 3]), 1);
     // Each velocity is within: their product is not compared.
     assert_eq!(outside(&model, &[0.9; 3], &[1.5; 3]), 0);
-    // A file of an older version says nothing of changes: none is then within.
+    // A file of an older version has no maxima of changes, so no change is inside.
     let older = EnergyModel {
         combined: None,
         ..model.clone()
@@ -558,7 +558,7 @@ fn commands_that_change_faster_than_any_in_training_are_named() {
     assert_eq!(outside(&older, &[0.1; 3], &[0.1; 3]), 0);
     assert!(!older.to_text().contains("combined"), "the same bytes");
     assert_eq!(EnergyModel::from_text(&older.to_text()), Ok(older));
-    // Where commands make no difference, their changes do not either.
+    // If commands have no effect, their changes have none either.
     let constant = EnergyModel {
         combined: None,
         ..EnergyModel::untrained(3.0)
@@ -685,7 +685,7 @@ fn commands_are_trusted_as_far_as_they_explain_the_robots_power() {
     assert!(follows.learned.command_trust > 0.95, "{follows:?}");
     let rest_j = at_rest_j(&model, &follows);
     assert!((10.0..40.0).contains(&rest_j), "20 J are right: {rest_j}");
-    // Wheels that spin, or a robot that is pushed: its power says nothing of its commands.
+    // Wheels that spin, or a robot that is pushed: its power does not depend on its commands.
     let ignores = driven(&model, 60.0, |_| 7.0);
     assert!(ignores.learned.command_trust < 0.1, "{ignores:?}");
     let rest_j = at_rest_j(&model, &ignores);
@@ -712,8 +712,8 @@ fn trust_in_commands_returns() {
     assert!(later.learned.command_trust > 0.95, "{later:?}");
 }
 
-/// A robot of another kind than the platform's is not held to the platform's level; one that is only
-/// a little different is.
+/// A robot of another kind than the platform's is not held to the platform's level; one that is
+/// only a little different is.
 #[test]
 fn a_level_far_from_the_platforms_is_believed_sooner() {
     let mut model = model(&[0.0; TERMS], 0.0);

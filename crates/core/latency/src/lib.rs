@@ -37,7 +37,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// From a histogram of ns.
+    /// Summarises a histogram of ns.
     #[must_use]
     pub fn of(histogram: &Histogram<u64>) -> Self {
         let us = |quantile| histogram.value_at_quantile(quantile) as f64 * 1e-3;

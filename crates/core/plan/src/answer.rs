@@ -1,4 +1,4 @@
-//! What a planner gets.
+//! Answers to a planner's question.
 
 use std::fmt;
 
@@ -28,23 +28,23 @@ pub struct Left {
 /// The answer to one candidate, path or time at rest.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Answer {
-    /// From the first command to the end of the last, s.
+    /// Time from the first command to the end of the last, s.
     pub duration_s: f32,
-    /// Energy of the plan; `None` where the robot's state is unknown.
+    /// Energy of the plan. `None` if the robot's state is unknown.
     pub energy: Option<Range>,
-    /// Energy left at the end, reserve included; `None` where energy or battery are unknown.
+    /// Energy left at the end, reserve included. `None` if energy or battery is unknown.
     pub left: Option<Left>,
-    /// Probability of finishing above the reserve, with the battery at its lower bound; `None` where
+    /// Probability of finishing above the reserve, with the battery at its lower bound. `None` if
     /// the model states no distribution of its errors for this plan.
     pub probability: Option<f32>,
-    /// What the battery can spare at least, less the upper end of the energy, J: negative if that
-    /// is missing.
+    /// Lower bound of the spare energy in the battery, less the upper bound of the energy, J.
+    /// Negative if energy is missing.
     pub margin_j: Option<f32>,
     /// Whether the robot makes it.
     pub verdict: Verdict,
     /// The first leg at whose end [`Verdict::Yes`] does not hold; `None` with `Yes` and `Unknown`.
     pub limiting_leg: Option<usize>,
-    /// What weakens the answer.
+    /// Reasons that weaken the answer.
     pub caveats: Caveats,
 }
 
@@ -53,14 +53,14 @@ pub struct Answer {
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Verdict {
-    /// The upper end of the energy fits into the lower bound of what the battery can spare, at the
-    /// end of every leg, and no caveat weakens that.
+    /// The upper bound of the energy fits into the lower bound of the spare energy, at the end of
+    /// every leg, and no caveat weakens that.
     Yes,
     /// The expected energy fits into the best estimate, but not so surely.
     Tight,
     /// The expected energy does not fit.
     No,
-    /// It cannot be said.
+    /// The answer is unknown.
     Unknown(Unknown),
 }
 
@@ -91,10 +91,11 @@ pub enum Unknown {
     NoLevel,
     /// The platform's config describes no battery.
     NoBattery,
-    /// The energy in the battery is unknown, or a measured state of charge says that less is left than was counted.
+    /// The energy in the battery is unknown, or a measured state of charge is below the counted
+    /// one.
     BatteryUnknown,
-    /// No budget of the robot from the tick of its state, or a later one of the same run, that is at most two
-    /// ticks old.
+    /// No budget of the robot from the tick of its state, or a later one of the same run, that is
+    /// at most two ticks old.
     NoBudget,
 }
 
@@ -102,8 +103,9 @@ fn name<S: serde::Serializer>(reason: &InvalidReason, to: S) -> Result<S::Ok, S:
     to.serialize_str(reason.name())
 }
 
-/// What weakens an answer: it then is [`Verdict::Tight`] at best. For steps outside the training data and
-/// beyond the longest horizon the interval includes what the platform can draw at most and at least.
+/// Reasons that weaken an answer. It is then [`Verdict::Tight`] at best. For steps outside the
+/// training data and beyond the longest horizon the interval includes the platform's minimum and
+/// maximum power.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Caveats {
     /// Steps whose commands lie outside the training data.

@@ -3,7 +3,7 @@
 use joulebus_energy::Commands;
 
 use crate::error::AskError;
-use crate::limits::{LONGEST_PERIOD_S, MAX_STEPS};
+use crate::limits::{MAX_PERIOD_S, MAX_STEPS};
 
 /// Candidate command sequences, all of one length, one after the other.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -51,10 +51,10 @@ impl<'a> Candidates<'a> {
                 allowed: MAX_STEPS,
             });
         }
-        if !(period_s > 0.0 && period_s <= LONGEST_PERIOD_S) {
+        if !(period_s > 0.0 && period_s <= MAX_PERIOD_S) {
             return Err(AskError::Period {
                 found: period_s,
-                allowed: LONGEST_PERIOD_S,
+                allowed: MAX_PERIOD_S,
             });
         }
         Ok(Self {

@@ -106,7 +106,7 @@ pub enum QuestionError {
         /// Its id.
         robot: u32,
     },
-    /// What is asked of a robot.
+    /// The question about a robot is wrong.
     #[error(transparent)]
     Ask(#[from] AskError),
 }
@@ -117,7 +117,7 @@ pub enum QuestionError {
 pub struct Refused {
     /// The reason.
     pub reason: QueryRefusal,
-    /// What was found, what is allowed, what to do.
+    /// The found value, the allowed one, and the remedy.
     pub text: String,
 }
 
@@ -223,7 +223,7 @@ pub enum Differs {
          {expected:016x}: use the worker's file and models, or restart the worker"
     )]
     Model {
-        /// The platform, or how many where only a hash of all is known.
+        /// The platform, or the number of platforms if only a hash of all is known.
         platform: String,
         /// Hash of the worker's model.
         found: u64,

@@ -5,18 +5,19 @@ use joulebus_energy::{CommandSum, Commands, EnergyForecast, EnergyModel, EnergyS
 use crate::answer::{Caveats, Range};
 use crate::candidates::part;
 
-/// A plan as far as it has been followed: its energy so far follows without reading its commands again.
+/// A plan as far as it has been followed: its energy so far follows without reading its commands
+/// again.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Progress {
     sum: CommandSum,
-    /// Of its first steps, as far as the longest horizon whose errors are known.
+    /// Sum of its first steps, up to the longest horizon with known errors.
     covered: CommandSum,
     /// Steps up to that horizon.
     most_covered: usize,
 }
 
 impl Progress {
-    /// Before the first command, each of which is in force for `period_s`.
+    /// The progress before the first command. Each command is in force for `period_s`.
     pub(crate) fn new(model: &EnergyModel, state: &EnergyState, period_s: f32) -> Self {
         let sum = CommandSum::new(state, period_s);
         Self {
@@ -50,7 +51,7 @@ impl Progress {
         self.sum.join(&rest.whole);
     }
 
-    /// The energy so far, widened to what the platform can draw at least and at most (W) where the
+    /// The energy so far. It is widened to the platform's minimum and maximum power (W) where the
     /// model's errors do not cover it.
     pub(crate) fn estimate(
         &self,
@@ -86,7 +87,8 @@ impl Progress {
         Estimate {
             known,
             mean_j: whole.energy_j,
-            // Both widen it downwards, and together beyond what is possible. Not `max`, which would hide a NaN.
+            // Both widen it downwards, together beyond the possible. Not `max`, which would hide a
+            // NaN.
             lo_j: if lo_j < least_j { least_j } else { lo_j },
             hi_j: whole.energy_j + offset_j(1.0 - tail) + widened_s * up_w,
             widened_j: (whole.energy_j - known_j) + widened_s * up_w,
@@ -99,16 +101,17 @@ impl Progress {
     }
 }
 
-/// What the command model says of the commands of a way after its first one: the same for every robot of a platform.
+/// Sums of the command model over the commands of a path after its first one. They are the same for
+/// every robot of a platform.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Rest {
     whole: CommandSum,
-    /// As far as the longest horizon whose errors are known.
+    /// Sum up to the longest horizon with known errors.
     covered: CommandSum,
 }
 
 impl Rest {
-    /// Of a way that is followed after the first `begins` steps of a plan.
+    /// Sums over a path that follows the first `begins` steps of a plan.
     pub(crate) fn new(model: &EnergyModel, way: Commands<'_>, begins: usize) -> Self {
         let first = (way.v_mps[0], way.omega_radps[0]);
         let mut sum = CommandSum::after(first, way.period_s);
@@ -126,7 +129,7 @@ impl Rest {
 
 /// The energy of a plan.
 pub(crate) struct Estimate {
-    /// Of the part whose errors are known.
+    /// Forecast of the part with known errors.
     known: Option<EnergyForecast>,
     mean_j: f32,
     lo_j: f32,

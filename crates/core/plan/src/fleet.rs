@@ -16,7 +16,8 @@ pub struct Fleet {
 }
 
 impl Fleet {
-    /// Of platforms with energy models of any origin; `settings_hash`: [`FleetSettings::fingerprint`].
+    /// A fleet of platforms with energy models of any origin. `settings_hash` is
+    /// [`FleetSettings::fingerprint`].
     #[must_use]
     pub const fn of(platforms: Vec<Platform>, settings_hash: u64) -> Self {
         Self {
@@ -45,7 +46,7 @@ impl Fleet {
     /// Checks that the worker which sent a frame runs with these settings and models.
     ///
     /// # Errors
-    /// [`Differs`] names what does not agree.
+    /// [`Differs`] names the difference.
     pub fn check(&self, header: &PlanStateHeader) -> Result<(), Differs> {
         if header.settings_hash != self.settings_hash {
             return Err(Differs::Settings {
@@ -74,13 +75,14 @@ impl Fleet {
         Ok(())
     }
 
-    /// As the worker's ([`joulebus_wire::ForecastHeader::model_hash`]).
+    /// The hash of the models, computed like the worker's
+    /// ([`joulebus_wire::ForecastHeader::model_hash`]).
     fn model_hash(&self) -> u64 {
         combine_hashes(self.platforms.iter().map(|platform| platform.model_hash))
     }
 
-    /// A robot, from a copy of its rows. `None` if its platform is none of this fleet's, which the
-    /// rows of a worker that passes [`Fleet::check`] never show.
+    /// A robot, from a copy of its rows. `None` if this fleet does not have its platform, which
+    /// never happens for the rows of a worker that passes [`Fleet::check`].
     #[must_use]
     pub fn robot(&self, frames: &Frames<'_>) -> Option<Robot<'_>> {
         let platform = self.platforms.get(usize::from(frames.state.platform))?;

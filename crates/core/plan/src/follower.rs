@@ -1,7 +1,7 @@
 //! Paths, and the unicycle follower that turns them into commands.
 //!
 //! With d the distance to the next point, e the angle from the heading to its direction, and s the
-//! speed asked for, at most the platform's,
+//! requested speed, at most the platform's,
 //!
 //! ```text
 //! u = min(s, 0.8/s · d)
@@ -9,9 +9,10 @@
 //! ω = 2/s · e
 //! ```
 //!
-//! each within the platform's limits. A point is reached within 5 cm; the next is then followed. So the
-//! robot slows down before each point, turns while it drives, and drives backwards where the point lies
-//! behind it. The gains are those of the Robotarium simulator's position controllers.
+//! each within the platform's limits. A point is reached within 5 cm. The next one is then
+//! followed. The robot therefore slows down before each point, turns while it drives, and drives
+//! backwards if the point is behind it. The gains are those of the Robotarium simulator's position
+//! controllers.
 
 use std::f64::consts::PI;
 
@@ -42,17 +43,17 @@ pub struct Point {
 }
 
 impl Point {
-    /// From its coordinates, m.
+    /// Creates it from its coordinates, m.
     #[must_use]
     pub const fn new(x_m: f64, y_m: f64) -> Self {
         Self { x_m, y_m }
     }
 }
 
-/// Where a robot is, and where it looks.
+/// A robot's position and heading.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Pose {
-    /// Where it is.
+    /// Position.
     pub at: Point,
     /// Heading, rad, counter-clockwise from east.
     pub heading_rad: f64,
@@ -63,8 +64,8 @@ pub struct Pose {
 pub struct Path {
     /// The points; the robot is at the first.
     pub points: Vec<Point>,
-    /// Speed towards each point, m/s; that of the first is not used. Limited by the platform's, so
-    /// that infinity means as fast as it can.
+    /// Speed towards each point, m/s. The first one is not used. Limited by the platform's, so
+    /// infinity means as fast as possible.
     pub speed_mps: Vec<f64>,
     /// Heading at the first point, rad; `None`: towards the second.
     pub heading_rad: Option<f64>,
@@ -137,6 +138,7 @@ impl Path {
 
 /// Commands of a path.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Followed {
     /// Time that each command is in force, s.
     pub period_s: f32,
@@ -161,7 +163,7 @@ pub struct Follower {
 }
 
 impl Follower {
-    /// For a platform.
+    /// A follower for a platform.
     ///
     /// # Errors
     /// [`PathError::Immobile`]: it cannot be commanded to drive and to turn.
@@ -217,7 +219,7 @@ impl Follower {
             self.leg(&mut followed, path, point)?;
             followed.leg_ends.push(followed.v_mps.len());
         }
-        // The robot stops, so that a path to where it already is has a step.
+        // The robot stops, so that a path to its own position has a step.
         let last = followed.poses[followed.poses.len() - 1];
         self.push(&mut followed, last, (0.0, 0.0));
         if let Some(end) = followed.leg_ends.last_mut() {

@@ -1,24 +1,24 @@
-//! What a plan costs, whether the robot makes it, which robot does it for the least, when it must
-//! turn back. Pure: a [`Fleet`] with models and settings, and a [`Robot`] made from rows of any
-//! origin. `joulebus-planner` reads the rows of a running fleet.
+//! Energy of plans: the cost of a plan, whether the robot completes it, which robot does it at the
+//! least cost, and when it must turn back. Pure: a [`Fleet`] with models and settings, and a
+//! [`Robot`] made from rows of any origin. `joulebus-planner` reads the rows of a running fleet.
 //!
-//! **Where it is computed.** In the planner's process, from what the worker writes into shared memory
-//! for each robot and tick ([`joulebus_wire::PlanState`]), with the models that the fleet's
-//! config names: no request, no queue, no load on the worker beyond writing. A [`Robot`] is a checked
-//! copy; it is `Send` and `Sync`, so that a planner can ask in as many threads as it likes. The same
+//! **Computed in the planner's process**, from the rows that the worker writes into shared memory
+//! for each robot and tick ([`joulebus_wire::PlanState`]), with the models that the fleet's config
+//! names: no request, no queue, no load on the worker beyond writing. A [`Robot`] is a checked
+//! copy. It is `Send` and `Sync`, so that a planner can ask in any number of threads. The same
 //! frame and the same question give the same bits in every thread and process.
 //!
-//! **Fail closed.** A verdict is [`Verdict::Yes`] only if the energy's upper end at the asked coverage
-//! fits into the lower bound of what the battery can spare, at the end of every leg, and nothing weakens that
-//! statement. Commands outside the training data and plans longer than the longest calibrated horizon widen
-//! the interval to what the platform can draw at most and at least; these, a robot without readings and one
-//! outside the training data ([`Caveats`]) allow [`Verdict::Tight`] at best. What is stale, invalid or unknown gives [`Verdict::Unknown`] with
-//! its reason.
+//! **Fail closed.** A verdict is [`Verdict::Yes`] only if the energy's upper bound at the requested
+//! coverage fits into the lower bound of the spare energy, at the end of every leg, and nothing
+//! weakens that statement. Commands outside the training data and plans longer than the longest
+//! calibrated horizon widen the interval to the platform's minimum and maximum power. These, a
+//! robot without readings and one outside the training data ([`Caveats`]) allow [`Verdict::Tight`]
+//! at best. Stale, invalid or unknown values give [`Verdict::Unknown`] with the reason.
 //!
 //! **Units**: W, J, s, m, rad.
 //!
-//! A process that cannot compute asks a thread of the worker instead. A [`Question`] is the same value for
-//! both.
+//! A process that cannot compute asks a thread of the worker instead. A [`Question`] is the same
+//! value for both.
 #![forbid(unsafe_code)]
 
 mod answer;
@@ -31,7 +31,7 @@ mod limits;
 mod payload;
 mod platform;
 mod question;
-mod report;
+pub mod report;
 mod robot;
 mod route;
 mod trip;
@@ -40,10 +40,21 @@ pub use answer::{Answer, Caveats, Left, Range, Unknown, Verdict};
 pub use candidates::Candidates;
 pub use error::{AskError, Differs, PathError, QuestionError, Refused};
 pub use fleet::Fleet;
-pub use follower::{Followed, Follower, Path, Point, Pose};
+pub use follower::{Path, Point};
 pub use limits::MAX_STEPS;
 pub use platform::{Frames, Platform, RobotRows};
-pub use question::{Plan, Question, Reply, Row, Work};
-pub use report::{AnswerReport, AnswersReport};
+pub use question::{Plan, Question, Reply, Row};
 pub use robot::Robot;
 pub use trip::{Ranked, Trip, rank, rank_each};
+
+/// Answering in short steps, for programs that answer others meanwhile or can be interrupted: the
+/// worker's thread, `joulebus serve`, Python and C. [`Question::answer`] does all at once.
+pub mod answering {
+    pub use crate::question::Work;
+}
+
+/// The commands of a path, as a robot that follows it gets them: for programs that drive, such as
+/// simulated missions.
+pub mod follow {
+    pub use crate::follower::{Followed, Follower, Pose};
+}

@@ -15,7 +15,8 @@ use crate::question::{Plan, Question, Reply, Row};
 const POINT_VALUES: usize = 3;
 
 impl Question {
-    /// As a header and values, for the fleet whose name has this hash ([`joulebus_wire::fnv1a`]).
+    /// Encodes it as a header and values, for the fleet whose name has this hash
+    /// ([`joulebus_wire::fnv1a`]).
     ///
     /// # Errors
     /// More robots, candidates or values than a message holds.
@@ -65,7 +66,7 @@ impl Question {
         Ok((header, values))
     }
 
-    /// From a header and values, of which nothing is believed.
+    /// Decodes an untrusted header and values.
     ///
     /// # Errors
     /// [`Refused`], with the reason. Values that the robots' platforms do not allow are found when
@@ -205,8 +206,8 @@ fn count(found: usize) -> u32 {
 }
 
 impl Reply {
-    /// Appends the rows and powers to the words of an answer, and sets their counts. Powers that do not fit
-    /// are left out.
+    /// Appends the rows and powers to the words of an answer, and sets their counts. Powers that do
+    /// not fit are left out.
     pub fn encode(&self, header: &mut AnswerHeader, words: &mut Vec<u64>) {
         let rows: Vec<AnswerRow> = self.rows.iter().map(Row::encode).collect();
         header.rows = count(rows.len());
@@ -221,7 +222,7 @@ impl Reply {
         }
     }
 
-    /// From an answer.
+    /// Decodes an answer.
     ///
     /// # Errors
     /// [`Refused`]: the worker did not answer, or the answer is of a newer version.
@@ -278,7 +279,7 @@ impl From<&QuestionError> for Refused {
 }
 
 impl Row {
-    /// As it lies in an answer's words, and in memory of other languages.
+    /// The row in an answer's words, and in the memory of other languages.
     #[must_use]
     pub fn encode(&self) -> AnswerRow {
         let Answer {

@@ -9,7 +9,7 @@ use joulebus_wire::{AnswerHeader, Budget, BudgetHeader, PlanState, PlanStateHead
 pub struct Platform {
     /// Its settings.
     pub settings: PlatformSettings,
-    /// What is known of the energy of its commands.
+    /// Model of the energy of its commands.
     pub energy: EnergyModel,
     pub(crate) model_hash: u64,
 }
@@ -29,7 +29,7 @@ impl Platform {
 /// The rows of one robot, with the headers of the frames that they are from, and the time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Frames<'a> {
-    /// Of the frame of plan states.
+    /// Header of the frame of plan states.
     pub header: &'a PlanStateHeader,
     /// The robot's row.
     pub state: &'a PlanState,
@@ -42,7 +42,7 @@ pub struct Frames<'a> {
 /// A copy of the rows of one robot, with the headers of their frames and the time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RobotRows {
-    /// Of the frame of plan states.
+    /// Header of the frame of plan states.
     pub header: PlanStateHeader,
     /// The robot's row.
     pub state: PlanState,
@@ -53,7 +53,7 @@ pub struct RobotRows {
 }
 
 impl RobotRows {
-    /// As recorded with an answer: what a robot's answer depends on beside its rows.
+    /// The inputs of a robot's answer beside its rows, as recorded with the answer.
     #[must_use]
     pub fn recorded(answer: &AnswerHeader, state: PlanState, budget: Option<Budget>) -> Self {
         let header = PlanStateHeader {
@@ -77,7 +77,7 @@ impl RobotRows {
         }
     }
 
-    /// As frames.
+    /// The rows as frames.
     #[must_use]
     pub fn frames(&self) -> Frames<'_> {
         Frames {

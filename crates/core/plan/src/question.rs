@@ -12,16 +12,18 @@ use crate::route::{Route, Ways};
 /// A question about one robot or several.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Question {
-    /// What the robots would do.
+    /// The plan of the robots.
     pub plan: Plan,
     /// Coverage of the intervals, 0.5 to 0.999.
     pub coverage: f32,
-    /// Whether the power of every step is wanted: of candidates, or of one robot that follows a path.
+    /// Whether the power of every step is wanted: of candidates, or of one robot that follows a
+    /// path.
     pub power: bool,
 }
 
-/// What robots would do.
+/// A plan for robots.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub enum Plan {
     /// One robot: each of several sequences of commands ([`Candidates`]).
     WhatIf {
@@ -43,13 +45,14 @@ pub enum Plan {
         /// For this time, s.
         duration_s: f32,
     },
-    /// Follow a path, and return. Several robots are answered the best first, as by [`crate::rank`].
+    /// Follow a path, and return. Several robots are answered the best first, as by
+    /// [`crate::rank`].
     Follow {
         /// Ids of the robots.
         robots: Vec<u32>,
         /// The path.
         path: Path,
-        /// Where to return to.
+        /// The point to return to.
         back_to: Option<Point>,
     },
 }
@@ -82,9 +85,10 @@ impl Plan {
 /// The answer to a [`Question`].
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Reply {
-    /// Of each candidate, or of each robot.
+    /// Rows of each candidate, or of each robot.
     pub rows: Vec<Row>,
-    /// Power of every step, W, candidate by candidate, if asked for; NaN where the robot's state is unknown.
+    /// Power of every step, W, candidate by candidate, if requested. NaN if the robot's state is
+    /// unknown.
     pub power_w: Vec<f32>,
 }
 
@@ -95,13 +99,13 @@ pub struct Row {
     pub robot: u32,
     /// The answer.
     pub answer: Answer,
-    /// As in [`crate::Trip::turn_back_s`].
+    /// Same as [`crate::Trip::turn_back_s`].
     pub turn_back_s: Option<f32>,
 }
 
 impl Question {
-    /// The answer; `find` gives the robots' rows. Each path has at most `most_steps` steps, the way back
-    /// included: [`crate::MAX_STEPS`] unless time is short.
+    /// The answer. `find` gives the robots' rows. Each path has at most `most_steps` steps, the
+    /// path back included: [`crate::MAX_STEPS`] unless time is short.
     ///
     /// # Errors
     /// [`QuestionError`].
@@ -117,10 +121,11 @@ impl Question {
     }
 }
 
-/// The answering of a question in short steps, so that it can be interrupted.
+/// Answers a question in short steps, so that it can be interrupted.
 ///
-/// What is slow does not depend on the robots' rows: following a path and the ways back from it, once for each
-/// platform. So rows that have become stale meanwhile are [renewed](Work::renew), and the energies computed again.
+/// The slow part does not depend on the robots' rows: following a path and the paths back from it,
+/// once for each platform. Rows that have become stale meanwhile are therefore
+/// [renewed](Work::renew), and only the energies computed again.
 #[derive(Debug, Clone, Default)]
 pub struct Work {
     question: Question,
@@ -155,7 +160,7 @@ impl Work {
         })
     }
 
-    /// Begins again with the robots as they are now; what was followed is kept.
+    /// Restarts with the robots' present rows, and keeps the followed paths.
     ///
     /// # Errors
     /// [`QuestionError::UnknownRobot`].
@@ -177,7 +182,8 @@ impl Work {
         robots.any(|rows| stale(&rows.header, now_ns).is_some())
     }
 
-    /// Follows a path or a way back, or answers about the next robot; returns whether all are answered.
+    /// Follows a path or a way back, or answers about the next robot; returns whether all are
+    /// answered.
     ///
     /// # Errors
     /// [`QuestionError`].
@@ -186,8 +192,8 @@ impl Work {
         Ok(self.done >= self.robots.len())
     }
 
-    /// Answers about all robots that are left, or until one more way has been followed; returns whether all are
-    /// answered. Without ways to follow this is short, some microseconds a robot.
+    /// Answers for all remaining robots, or until one more path has been followed. Returns whether
+    /// all are answered. Without paths to follow this takes some microseconds a robot.
     ///
     /// # Errors
     /// [`QuestionError`].
@@ -196,7 +202,8 @@ impl Work {
         Ok(self.done >= self.robots.len())
     }
 
-    /// Answers about the next robot, unless a way has to be followed first; returns whether there was one to answer.
+    /// Answers about the next robot, unless a way has to be followed first; returns whether there
+    /// was one to answer.
     fn advance(&mut self, fleet: &Fleet) -> Result<bool, QuestionError> {
         let Some(rows) = self.robots.get(self.done) else {
             return Ok(false);
@@ -219,8 +226,9 @@ impl Work {
         reply
     }
 
-    /// As [`Work::finish`], for a reply that is sent at a time, monotonic ns: where a robot's state is stale by
-    /// then, [`Verdict::Yes`] is [`Unknown::Stale`](crate::Unknown::Stale) instead, and there is no time to turn back.
+    /// Same as [`Work::finish`], for a reply that is sent at a time, monotonic ns. If a robot's
+    /// state is stale by then, [`Verdict::Yes`] becomes [`Unknown::Stale`](crate::Unknown::Stale),
+    /// and there is no time to turn back.
     #[must_use]
     pub fn finish_at(mut self, sent_ns: u64) -> Reply {
         for row in &mut self.reply.rows {
@@ -305,7 +313,7 @@ fn powers(robot: &Robot<'_>, plans: &Candidates<'_>) -> Result<Vec<f32>, Questio
     Ok(power_w)
 }
 
-/// By verdict (yes, tight, no, unknown), then by the expected energy, then by id.
+/// Orders by verdict (yes, tight, no, unknown), then by the expected energy, then by id.
 pub(crate) fn best_first(one: &Row, other: &Row) -> std::cmp::Ordering {
     let class = |row: &Row| match row.answer.verdict {
         Verdict::Yes => 0,

@@ -35,12 +35,12 @@ pub struct AnswerReport {
     energy: Option<Range>,
     /// At the end, reserve included.
     left: Option<Left>,
-    /// Of finishing above the reserve.
+    /// Probability of finishing above the reserve.
     probability: Option<f32>,
     margin_j: Option<f32>,
-    /// From 0.
+    /// Index from 0.
     limiting_leg: Option<usize>,
-    /// Until when it can turn back; null where it was not asked, or cannot be said.
+    /// Latest time to turn back. Null if it was not requested, or is unknown.
     turn_back_s: Option<f32>,
     /// Whether `turn_back_s` was asked for.
     #[serde(skip)]

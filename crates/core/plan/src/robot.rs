@@ -15,24 +15,24 @@ use crate::platform::{Frames, Platform};
 /// Ticks after which a frame is stale.
 const STALE_TICKS: u64 = 2;
 
-/// A robot as of one frame: a checked copy of its rows, for questions in any thread.
+/// A robot in one frame: a checked copy of its rows, for questions in any thread.
 ///
-/// It answers as of the time of its view, however long it is kept: a [`Verdict::Yes`] says nothing of what
-/// happened since. Take a new view (`joulebus_planner::Planner::view`) before the next questions, and after questions that
-/// took long.
+/// It answers for the time of its view, however long it is kept. A [`Verdict::Yes`] does not cover
+/// events since then. Take a new view (`joulebus_planner::Planner::view`) before the next
+/// questions, and after long questions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Robot<'a> {
     platform: &'a Platform,
     id: u32,
     energy: EnergyState,
-    /// Why nothing can be said of its energy, if so.
+    /// Why its energy is unknown, if it is.
     unknown: Option<Unknown>,
     no_reading: bool,
     outside_training: bool,
     battery: Result<Battery, Unknown>,
 }
 
-/// What the battery holds, J.
+/// The contents of a battery, J.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Battery {
     left_j: f32,
@@ -70,13 +70,13 @@ impl<'a> Robot<'a> {
         self.platform
     }
 
-    /// Why nothing can be said of its energy, if so.
+    /// Why its energy is unknown, if it is.
     #[must_use]
     pub const fn unknown(&self) -> Option<Unknown> {
         self.unknown
     }
 
-    /// What its energy is forecast from.
+    /// The state on which its energy forecasts are based.
     #[must_use]
     pub const fn energy_state(&self) -> &EnergyState {
         &self.energy
@@ -97,10 +97,10 @@ impl<'a> Robot<'a> {
         Ok(candidates.iter().map(answer).collect())
     }
 
-    /// As [`Robot::what_if`], into memory of the caller. Allocates nothing.
+    /// Same as [`Robot::what_if`], into memory of the caller. Allocates nothing.
     ///
     /// # Errors
-    /// As there, or `answers` has another length than there are candidates.
+    /// Those of [`Robot::what_if`], or `answers` has another length than there are candidates.
     pub fn what_if_into(
         &self,
         candidates: &Candidates<'_>,
@@ -115,12 +115,12 @@ impl<'a> Robot<'a> {
         Ok(())
     }
 
-    /// The power of every step, W, candidate by candidate: `power_w` has `count * steps` places.
-    /// Its sum times the period is the energy's mean, up to rounding. NaN where the robot's state
-    /// is unknown.
+    /// The power of every step, W, candidate by candidate: `power_w` has `count * steps` elements.
+    /// Its sum times the period is the energy's mean, up to rounding. NaN if the robot's state is
+    /// unknown.
     ///
     /// # Errors
-    /// As [`Robot::what_if`], or `power_w` has another length.
+    /// Those of [`Robot::what_if`], or `power_w` has another length.
     pub fn power_w(
         &self,
         candidates: &Candidates<'_>,
@@ -140,10 +140,10 @@ impl<'a> Robot<'a> {
     }
 
     /// Derivatives of each candidate's energy with respect to its commands: J per m/s and J per
-    /// rad/s, in the order of the commands. NaN where the robot's state is unknown.
+    /// rad/s, in the order of the commands. NaN if the robot's state is unknown.
     ///
     /// # Errors
-    /// As [`Robot::power_w`].
+    /// Those of [`Robot::power_w`].
     pub fn gradient(
         &self,
         candidates: &Candidates<'_>,
@@ -276,7 +276,7 @@ impl<'a> Robot<'a> {
         progress.add(self.model(), next);
     }
 
-    /// What is known of a way after the first `begins` steps of a plan, whatever the robot of its platform.
+    /// Sums over a path after the first `begins` steps of a plan, for any robot of the platform.
     pub(crate) fn rest(&self, way: Commands<'_>, begins: usize) -> Rest {
         Rest::new(self.model(), way, begins)
     }
@@ -313,7 +313,7 @@ impl<'a> Robot<'a> {
         limiting_leg
     }
 
-    /// The energy of what has been followed, widened where the model's errors do not cover it.
+    /// The energy of the followed part, widened where the model's errors do not cover it.
     fn estimate(&self, progress: &Progress, coverage: f32) -> Estimate {
         let settings = &self.platform.settings;
         let possible_w = [settings.power_min_w, settings.power_max_w];
@@ -326,7 +326,7 @@ impl<'a> Robot<'a> {
         estimate
     }
 
-    /// What weakens its answers to every plan.
+    /// The caveats of its answers to every plan.
     fn caveats(&self) -> Caveats {
         Caveats {
             no_reading: self.no_reading,
@@ -392,7 +392,7 @@ pub(crate) fn stale(header: &PlanStateHeader, now_ns: u64) -> Option<Unknown> {
     (age_ns > header.period_ns.saturating_mul(STALE_TICKS)).then_some(Unknown::Stale { age_ns })
 }
 
-/// Why nothing can be said of a robot's energy, if so.
+/// Why a robot's energy is unknown, if it is.
 fn unknown(
     header: &PlanStateHeader,
     state: &PlanState,
@@ -406,7 +406,7 @@ fn unknown(
         Quality::Invalid(reason) => return Some(Unknown::Invalid { reason }),
         Quality::Warmup { have } => return Some(Unknown::Warmup { have }),
         Quality::Fresh | Quality::Held | Quality::OpenLoop { .. } => {}
-        Quality::Unknown => return Some(Unknown::Unreadable),
+        _ => return Some(Unknown::Unreadable),
     }
     let has_sample = state.flags & plan_state_flag::SAMPLE != 0;
     let finite = |values: &[f32]| values.iter().all(|value| value.is_finite());
@@ -421,7 +421,7 @@ fn unknown(
     (!known).then_some(Unknown::NoLevel)
 }
 
-/// What the battery holds by a budget that is as new as the robot's state.
+/// The contents of the battery by a budget that is as new as the robot's state.
 fn battery(platform: &Platform, frames: &Frames<'_>) -> Result<Battery, Unknown> {
     let Some(settings) = &platform.settings.battery else {
         return Err(Unknown::NoBattery);
@@ -435,7 +435,7 @@ fn battery(platform: &Platform, frames: &Frames<'_>) -> Result<Battery, Unknown>
     if age_ns > header.period_ns.saturating_mul(STALE_TICKS) {
         return Err(Unknown::NoBudget);
     }
-    // A battery of which less is measured than counted may be another one.
+    // A battery with a measured charge below the counted one may be another battery.
     let is_known =
         budget.flags & (budget_flag::BATTERY | budget_flag::CONTRADICTED) == budget_flag::BATTERY;
     let battery = Battery {
@@ -457,8 +457,8 @@ fn battery(platform: &Platform, frames: &Frames<'_>) -> Result<Battery, Unknown>
     }
 }
 
-/// Whether a budget is of the robot, and of the run of the worker that the state is of, and not of an
-/// earlier tick: one from before the robot left and came back is of its previous stay.
+/// Whether a budget is of the robot, and of the run of the worker that the state is of, and not of
+/// an earlier tick: one from before the robot left and came back is of its previous stay.
 fn is_current(
     header: &PlanStateHeader,
     state: &PlanState,

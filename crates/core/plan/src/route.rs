@@ -1,4 +1,4 @@
-//! What a path and the ways back from it take of a platform, whatever the robot.
+//! The robot-independent part of a path and the paths back from it, for a platform.
 
 use crate::error::{AskError, PathError};
 use crate::estimate::Rest;
@@ -8,22 +8,24 @@ use crate::robot::Robot;
 /// Times at which turning back is tried, at most.
 const TURNS: usize = 64;
 
-/// A path as a platform follows it, the way back from its end, and the ways back from where turning back is tried.
+/// A path as a platform follows it, the path back from its end, and the paths back from the points
+/// where turning back is tried.
 ///
-/// Following costs some hundred times as much as the energy of what has been followed, and is the same for all
-/// robots of a platform: it is done once, and the energies are computed last, from rows that are still young.
+/// Following costs some hundred times as much as computing the energy of the followed steps, and is
+/// the same for all robots of a platform. It is done once, and the energies are computed last, from
+/// rows that are still young.
 #[derive(Debug, Clone)]
 pub(crate) struct Route {
     follower: Follower,
     back: Option<Back>,
     there: Followed,
-    /// With the way back from the end as one more leg.
+    /// The path, with the path back from the end as one more leg.
     whole: Followed,
     /// The ways back, as far as they were followed, in the order of [`Route::turns`].
     homes: Vec<Option<Home>>,
 }
 
-/// Where to return to.
+/// The point to return to.
 #[derive(Debug, Clone, Copy)]
 struct Back {
     dock: Point,
@@ -33,13 +35,14 @@ struct Back {
 /// A way back from within the path.
 #[derive(Debug, Clone)]
 pub(crate) struct Home {
-    /// Its first command, m/s and rad/s: what it changes from is in force before it.
+    /// Its first command, m/s and rad/s. The command before it is in force until then.
     pub(crate) v_mps: f32,
     pub(crate) omega_radps: f32,
     pub(crate) rest: Rest,
 }
 
-/// How many ways back may be followed for the first time before others have their turn.
+/// Remaining number of paths back that may be followed for the first time before other questions
+/// get their turn.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Ways(pub(crate) usize);
 
@@ -48,8 +51,8 @@ pub(crate) struct Ways(pub(crate) usize);
 pub(crate) struct Later;
 
 impl Route {
-    /// Follows the path of a robot's platform, and the way back at the speed of its last leg; together they have at
-    /// most `most_steps` steps.
+    /// Follows the path of a robot's platform, and the path back at the speed of its last leg.
+    /// Together they have at most `most_steps` steps.
     pub(crate) fn new(
         robot: &Robot<'_>,
         path: &Path,
@@ -81,7 +84,7 @@ impl Route {
         &self.whole
     }
 
-    /// As [`Route::whole`], without what else is known of it.
+    /// The path of [`Route::whole`], without the other parts.
     pub(crate) fn into_whole(self) -> Followed {
         self.whole
     }
@@ -102,8 +105,8 @@ impl Route {
         (0..steps).step_by(steps.div_ceil(TURNS).max(1))
     }
 
-    /// The way back from a turn, by its place among [`Route::turns`], which are taken in order; `None` if the robot
-    /// cannot turn back there.
+    /// The path back from a turn, by its index in [`Route::turns`], which are taken in order.
+    /// `None` if the robot cannot turn back there.
     pub(crate) fn home(
         &mut self,
         robot: &Robot<'_>,
@@ -141,7 +144,8 @@ impl Route {
 }
 
 impl Back {
-    /// The way back after the first steps of a path, which may have as many steps as the path leaves.
+    /// The way back after the first steps of a path, which may have as many steps as the path
+    /// leaves.
     fn home(
         &self,
         follower: &Follower,
@@ -164,7 +168,7 @@ impl Back {
     }
 }
 
-/// A path, and the way back from its end as one more leg.
+/// A path, and the path back from its end as one more leg.
 fn append(there: &Followed, home: &Followed) -> Followed {
     let steps = there.v_mps.len();
     let mut leg_ends = there.leg_ends.clone();

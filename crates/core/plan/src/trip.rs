@@ -1,4 +1,4 @@
-//! Paths: what they cost, until when the robot must turn back, which robot does them for the least.
+//! Trips along paths: their energy, the latest time to turn back, and the choice of a robot.
 
 use joulebus_energy::Commands;
 
@@ -14,13 +14,16 @@ use crate::route::{Home, Later, Route, Ways};
 
 /// The answer to a path, and back if asked.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Trip {
-    /// The answer for all legs; the way back is the last one.
+    /// The answer for all legs. The path back is the last one.
     pub answer: Answer,
-    /// With a way back: the time until which the robot can follow the path and still return with
-    /// [`crate::Verdict::Yes`], s. The path's duration if it can follow all of it; `None` if it cannot say
-    /// so even now, and without a way back. Tried at up to 64 times, evenly spaced: the last before the first that
-    /// fails, or from which the way back is not reached or has too many steps.
+    /// With a path back: the time until which the robot can follow the path and still return with
+    /// [`crate::Verdict::Yes`], s. It is the path's duration if the robot can follow all of it.
+    /// `None` if it cannot even turn back now, and without a path back.
+    ///
+    /// Up to 64 evenly spaced times are tried. The result is the last one before the first that
+    /// fails, or from which the path back is not reached or has too many steps.
     pub turn_back_s: Option<f32>,
     /// The commands of the whole trip.
     pub commands: Followed,
@@ -28,6 +31,7 @@ pub struct Trip {
 
 /// A robot's answer to a task.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Ranked {
     /// The robot.
     pub robot: u32,
@@ -36,7 +40,8 @@ pub struct Ranked {
 }
 
 impl Robot<'_> {
-    /// Whether the robot can follow a path and then return to a point, at the speed of the last leg.
+    /// Whether the robot can follow a path and then return to a point, at the speed of the last
+    /// leg.
     ///
     /// # Errors
     /// A path that the platform cannot follow, or a coverage that is not allowed.
@@ -49,11 +54,11 @@ impl Robot<'_> {
         self.can_finish_within(path, back_to, coverage, MAX_STEPS)
     }
 
-    /// As [`Robot::can_finish`], where path and way back have at most `most_steps` steps in all: what bounds
-    /// the time that it takes.
+    /// Same as [`Robot::can_finish`], for a path and path back of at most `most_steps` steps in
+    /// all, which bounds the time of the computation.
     ///
     /// # Errors
-    /// As there, or more steps.
+    /// Those of [`Robot::can_finish`], or more steps.
     pub fn can_finish_within(
         &self,
         path: &Path,
@@ -73,11 +78,11 @@ impl Robot<'_> {
         })
     }
 
-    /// As [`Robot::can_finish`], without the time to turn back, whose search costs up to 64 times as
-    /// much as the answer: for choosing among many plans.
+    /// Same as [`Robot::can_finish`], without the time to turn back, whose search costs up to 64
+    /// times as much as the answer: for choosing among many plans.
     ///
     /// # Errors
-    /// As there.
+    /// Those of [`Robot::can_finish`].
     pub fn finish(
         &self,
         path: &Path,
@@ -101,7 +106,7 @@ impl Robot<'_> {
         Ok(self.answer(whole.commands(), &whole.leg_ends, coverage))
     }
 
-    /// Until when the robot can turn back on a route; `whole`: its answer to all of it.
+    /// Latest time at which the robot can turn back on a route. `whole` is its answer to all of it.
     pub(crate) fn turn_back_s(
         &self,
         route: &mut Route,
@@ -142,7 +147,7 @@ impl Robot<'_> {
         Ok(Ok(last_s))
     }
 
-    /// A plan that goes on with a way back.
+    /// A plan that continues with a path back.
     fn turned(&self, mut progress: Progress, home: &Home) -> Progress {
         let first = Commands {
             period_s: progress.period_s(),
@@ -156,7 +161,7 @@ impl Robot<'_> {
 }
 
 impl Followed {
-    /// As commands of a plan.
+    /// The followed steps as commands of a plan.
     #[must_use]
     pub fn commands(&self) -> Commands<'_> {
         Commands {
@@ -190,11 +195,11 @@ pub fn rank(
     Ok(ranked)
 }
 
-/// As [`rank`], each robot by a path of its own, which begins where the robot is; without times to turn
-/// back ([`Robot::finish`]).
+/// Same as [`rank`], with a path of its own for each robot, which begins at the robot. Without
+/// times to turn back ([`Robot::finish`]).
 ///
 /// # Errors
-/// As [`Robot::can_finish`].
+/// Those of [`Robot::can_finish`].
 pub fn rank_each(
     robots: &[(Robot<'_>, Path)],
     back_to: Option<Point>,

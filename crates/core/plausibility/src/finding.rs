@@ -117,6 +117,8 @@ pub(crate) enum Remedy {
     Name,
     /// Look at the sensor.
     Sensor,
+    /// Correct the values, or their limits.
+    Limits,
 }
 
 /// A finding about one robot.
@@ -188,6 +190,10 @@ impl Finding {
                 "correct its topic or `at` in the bridge's file".to_owned()
             }
             (Remedy::Name, Source::Program) => format!("publish {quantity}"),
+            (Remedy::Limits, Source::Recording | Source::Bag) => {
+                "correct the values, or state another platform's limits".to_owned()
+            }
+            (Remedy::Limits, _) => "correct the values or the platform's limits".to_owned(),
             (Remedy::Sensor, _) => "check the sensor and its driver".to_owned(),
         };
         match source {

@@ -354,7 +354,7 @@ impl Judge {
                 number(least),
                 quantity.shown(greatest)
             ),
-            remedy: Remedy::Sensor,
+            remedy: Remedy::Limits,
         })
     }
 

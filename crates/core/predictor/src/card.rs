@@ -21,7 +21,7 @@ impl ResidualStats {
     /// Refuses values that are not finite or inconsistent.
     ///
     /// # Errors
-    /// [`ModelError::Field`] states the value, what was found and what is allowed.
+    /// [`ModelError::Field`] with the value, the found and the allowed one.
     pub fn check(&self) -> Result<(), ModelError> {
         let std_fine = self.std_w >= 0.0 && self.std_w.is_finite();
         if !std_fine {
@@ -56,9 +56,9 @@ pub struct TrainingRange {
 }
 
 impl TrainingRange {
-    /// What a rollout feeds back of a forecast, W: the nearest power that the training data had as
-    /// newest reading. A network knows nothing of others, and its errors there would feed
-    /// themselves. NaN stays NaN.
+    /// The value that a rollout feeds back for a forecast, W: the nearest power that the training
+    /// data had as newest reading. The network is not trained on others, and its errors there would
+    /// amplify. NaN stays NaN.
     #[inline(always)]
     #[must_use]
     pub fn fed_back_w(&self, forecast_w: f32) -> f32 {
@@ -91,7 +91,7 @@ impl TrainingRange {
         range
     }
 
-    /// Index of the first feature read that lies outside the range, or is NaN; `None` if all lie
+    /// Index of the first feature read that is outside the range, or is NaN. `None` if all are
     /// inside. `margin` widens each side by that share of the range's width.
     pub fn outside(&self, row: &Features, margin: f32) -> Option<usize> {
         self.feature_set.range().find(|&index| {
@@ -118,7 +118,7 @@ pub struct Scores {
     pub persistence_mae_w: f32,
 }
 
-/// What identifies the rows that a network was trained on: hashes of blocks of consecutive readings,
+/// Identifies the rows that a network was trained on: hashes of blocks of consecutive readings,
 /// computed and compared by `joulebus_dataset::trained_rows`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct TrainedRows {

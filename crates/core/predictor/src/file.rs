@@ -24,7 +24,7 @@ const CONVENTION: &str = "command in force and the readings up to now, newest fi
 const FRESHNESS_CONVENTION: &str = "; reading_age_steps: samples since the newest reading was measured, \
                                     up to 30; reading_due: 1 if a new one is due with the next \
                                     sample by the interval learned from the stream, else 0";
-/// Most bytes of a model file.
+/// Maximum size of a model file, bytes.
 pub const MAX_MODEL_BYTES: usize = 1 << 20;
 
 type Fields = BTreeMap<&'static str, String>;
@@ -37,7 +37,7 @@ pub(crate) fn bias_name(layer: usize) -> String {
     format!("layers.{layer}.bias")
 }
 
-/// The feature definitions of a set; that of the paper's set never changes.
+/// The feature definitions of a set. Those of the paper's set never change.
 fn convention(set: FeatureSet) -> String {
     let more = match set.needs_freshness() {
         true => FRESHNESS_CONVENTION,

@@ -1,11 +1,13 @@
 //! The activations, with the arithmetic shared by all kernels.
 //!
 //! GELU(x) = relu(x) − p(|x|) in both forms, where p is smooth, at most 0.17 and tends to 0. p is a
-//! polynomial of degree five in each of eight segments; a table that fits into registers holds −p,
-//! and *the table alone* decides the form: of zeros, it is relu itself. (Every table gives a function
-//! f with f(x) − f(−x) in proportion to x, so none gives tanh.) The layers before and after carry scale factors, so that
-//! finding the segment and adding relu are additions, which do not compete with the multiply-adds.
-//! `tools/fit_gelu.py` computes the tables and documents them.
+//! polynomial of degree five in each of eight segments. A table that fits into registers holds −p.
+//! *The table alone* decides the form: a table of zeros gives relu. (Every table gives a function f
+//! with f(x) − f(−x) in proportion to x, so none gives tanh.)
+//!
+//! The layers before and after carry scale factors, so that finding the segment and adding relu are
+//! additions, which do not compete with the multiply-adds. `tools/fit_gelu.py` computes the tables
+//! and documents them.
 
 /// The activation of the hidden layers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -14,7 +16,7 @@ pub enum Activation {
     GeluErf,
     /// x·(1 + tanh(√(2/π)·(x + 0.044715·x³)))/2: the approximation of older models.
     GeluTanh,
-    /// x where it is positive, else 0.
+    /// x if it is positive, else 0.
     Relu,
 }
 
@@ -63,12 +65,13 @@ impl Activation {
         }
     }
 
-    /// 2·SCALE·f(y / SCALE) of the activation f: the definition of the bits that every kernel computes. In units of
-    /// GELU the absolute error is at most 5e-7 plus half a unit in the last place of the argument.
+    /// 2·SCALE·f(y / SCALE) of the activation f: the definition of the bits that every kernel
+    /// computes. In units of GELU the absolute error is at most 5e-7 plus half a unit in the last
+    /// place of the argument.
     ///
-    /// NaN and −∞ give NaN; +∞ and values that overflow when doubled give +∞. So an invalid input
-    /// never gives a plausible number. That is why relu is computed as (y + |y|)/2: `max` would
-    /// drop a NaN or an −∞.
+    /// NaN and −∞ give NaN. +∞ and values that overflow when doubled give +∞. An invalid input
+    /// therefore never gives a plausible number. That is why relu is computed as (y + |y|)/2: `max`
+    /// would drop a NaN or an −∞.
     pub(crate) fn scaled_value(self, y: f32) -> f32 {
         let magnitude = y.abs();
         let clamped = if magnitude < LIMIT { magnitude } else { LIMIT };
@@ -223,7 +226,7 @@ static TANH: [[f32; 8]; 6] = [
 mod tests {
     use super::*;
 
-    /// Every 20,000th f32 below 16 in magnitude and a fine grid where GELU is curved.
+    /// Every 20,000th f32 below 16 in magnitude, and a fine grid where GELU is curved.
     fn arguments() -> impl Iterator<Item = f32> {
         let grid = (-800_000..=800_000).map(|step| step as f32 * 1e-5);
         let all = (0..16.0f32.to_bits()).step_by(20_000).map(f32::from_bits);

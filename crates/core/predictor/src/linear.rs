@@ -5,14 +5,14 @@ use crate::features::{FeatureSet, Features, INPUTS};
 use crate::nan::canonical;
 
 /// A forecast that is linear in the features: the last five readings (an autoregression, AR(5))
-/// and, in older model files, the velocities. The trainer fits the autoregression by least squares on the
-/// network's training rows; the model file includes it for forecasts that learn online.
+/// and, in older model files, the velocities. The trainer fits the autoregression by least squares
+/// on the network's training rows; the model file includes it for forecasts that learn online.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Linear {
     /// The features read, [`FeatureSet::Full`] or [`FeatureSet::PowerOnly`]; the weights of the
     /// others are 0.
     pub feature_set: FeatureSet,
-    /// Forecast where all features are 0, W.
+    /// Forecast with all features 0, W.
     pub bias_w: f32,
     /// Weight of each feature, W per unit of the feature.
     pub weights: Features,
@@ -21,8 +21,8 @@ pub struct Linear {
 }
 
 impl Linear {
-    /// The largest feature set of the baseline of a network that reads `network`: the same without the
-    /// reading age, whose effect is not linear.
+    /// The largest feature set of the baseline of a network that reads `network`: the same without
+    /// the reading age, whose effect is not linear.
     pub const fn feature_set_beside(network: FeatureSet) -> FeatureSet {
         if network.needs_command() {
             FeatureSet::Full
@@ -34,7 +34,7 @@ impl Linear {
     /// Refuses numbers that are not finite, and weights of features that are not read.
     ///
     /// # Errors
-    /// [`ModelError`] states the field, what was found and what is allowed.
+    /// [`ModelError`] with the field, the found and the allowed value.
     pub fn check(&self) -> Result<(), ModelError> {
         for (field, value) in [("linear_bias_w", self.bias_w), ("linear_r2", self.r2)] {
             if !value.is_finite() {
@@ -52,15 +52,15 @@ impl Linear {
     }
 
     /// The forecast of the next reading for one row, W: the bias, then each weight times its
-    /// feature, added in order. Not finite where one of them is not.
+    /// feature, added in order. Not finite if one of them is not.
     pub fn predict(&self, row: &Features) -> f32 {
         let read = self.feature_set.range();
         canonical(read.fold(self.bias_w, |sum, at| sum + self.weights[at] * row[at]))
     }
 
-    /// As [`Linear::predict`], with one column for each feature: `features[f][i]` is feature `f` of
-    /// row `i`. The same bits. Columns of features that are not read may be empty; rows beyond the
-    /// shortest of the slices used are left unchanged.
+    /// Same as [`Linear::predict`], with one column for each feature: `features[f][i]` is feature
+    /// `f` of row `i`. The same bits. Columns of features that are not read may be empty. Rows
+    /// beyond the shortest of the slices used are left unchanged.
     pub fn predict_columns(&self, features: [&[f32]; INPUTS], forecasts_w: &mut [f32]) {
         forecasts_w.fill(self.bias_w);
         for feature in self.feature_set.range() {

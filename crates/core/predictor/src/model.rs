@@ -5,7 +5,7 @@ use std::ops::Range;
 use joulebus_energy::EnergyModel;
 
 use crate::card::{ResidualStats, TrainingRange};
-use crate::error::RolloutError;
+use crate::error::{LengthError, RolloutError};
 use crate::features::{FEATURE_NAMES, FeatureSet, Features, INPUTS};
 use crate::kernel::SimdLevel;
 use crate::linear::Linear;
@@ -59,31 +59,39 @@ impl Model {
         }
     }
 
-    /// As [`Model::predict`], with one column for each feature, in the order of [`Features`]:
+    /// Same as [`Model::predict`], with one column for each feature, in the order of [`Features`]:
     /// `features[f][i]` is feature `f` of row `i`. The same bits.
     ///
     /// Columns of features that the model does not read ([`Model::feature_set`]) may be empty.
     ///
-    /// # Panics
-    /// If a column that is read, or is not empty, has another length than `forecasts_w`.
-    pub fn predict_columns(&self, features: [&[f32]; INPUTS], forecasts_w: &mut [f32]) {
+    /// # Errors
+    /// [`LengthError`] where a column that is read, or is not empty, has another length than
+    /// `forecasts_w`. Nothing is written then.
+    pub fn predict_columns(
+        &self,
+        features: [&[f32]; INPUTS],
+        forecasts_w: &mut [f32],
+    ) -> Result<(), LengthError> {
         let count = forecasts_w.len();
         let read = self.feature_set().range();
         for (feature, column) in features.iter().enumerate() {
-            assert!(
-                column.len() == count || (column.is_empty() && !read.contains(&feature)),
-                "column {} has {} values, allowed: {count}, as many as forecasts_w",
-                FEATURE_NAMES[feature],
-                column.len(),
-            );
+            let is_unread = column.is_empty() && !read.contains(&feature);
+            if column.len() != count && !is_unread {
+                return Err(LengthError {
+                    column: FEATURE_NAMES[feature],
+                    found: column.len(),
+                    allowed: count,
+                });
+            }
         }
         match self {
             Model::Network(network) => network.predict_columns(&features, forecasts_w),
             Model::Persistence(_) => forecasts_w.copy_from_slice(features[read.start]),
         }
+        Ok(())
     }
 
-    /// The instruction set for other loops: that of a network's kernel.
+    /// The instruction set for other loops, which is the network kernel's.
     pub fn simd_level(&self) -> SimdLevel {
         match self {
             Model::Network(network) => network.simd_level(),
@@ -131,8 +139,8 @@ impl Model {
         }
     }
 
-    /// The energy of longer plans; `None` for a model without training, an imported one, and a file of
-    /// an older version.
+    /// The energy of longer plans; `None` for a model without training, an imported one, and a file
+    /// of an older version.
     pub fn energy(&self) -> Option<&EnergyModel> {
         match self {
             Model::Network(network) => network.card().energy.as_ref(),
@@ -140,8 +148,9 @@ impl Model {
         }
     }
 
-    /// [`Model::energy`], and without one the mean of the last seconds without intervals; a robot that has not been
-    /// read is then assumed to draw `power_max_w`, the most that its platform can, W.
+    /// [`Model::energy`], and without one the mean of the last seconds without intervals; a robot
+    /// that has not been read is then assumed to draw `power_max_w`, the most that its platform
+    /// can, W.
     pub fn energy_or_untrained(&self, power_max_w: f32) -> EnergyModel {
         let untrained = || EnergyModel::untrained(power_max_w.max(f32::MIN_POSITIVE));
         self.energy().cloned().unwrap_or_else(untrained)
@@ -151,11 +160,12 @@ impl Model {
     /// its forecast of every step in watt (step by step: `power_w[t * lanes.len() + l]`).
     ///
     /// At each step the features are the command of that step, the derivatives over `step_s`, and
-    /// as lag window the model's own forecasts as [fed back](TrainingRange::fed_back_w), preceded by the
-    /// robot's readings. The bits are those of [`Model::predict`] called step by step with rows of
-    /// [`features`](crate::features()); the energy is `step_s` times the sum of the forecasts in
-    /// step order, both in double precision, rounded once. A lane with a command or reading that is
-    /// not finite gives results that are not finite from that step on, and changes no other lane.
+    /// as lag window the model's own forecasts as [fed back](TrainingRange::fed_back_w), preceded
+    /// by the robot's readings. The bits are those of [`Model::predict`] called step by step with
+    /// rows of [`features`](crate::features()); the energy is `step_s` times the sum of the
+    /// forecasts in step order, both in double precision, rounded once. A lane with a command or
+    /// reading that is not finite gives results that are not finite from that step on, and changes
+    /// no other lane.
     ///
     /// `lanes` is a part of `0..rollouts.lanes()`, so that threads can share the work: the outputs
     /// are those of the part only. Allocates nothing.

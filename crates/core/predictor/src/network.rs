@@ -44,8 +44,8 @@ impl Network {
     /// Reads a model file.
     ///
     /// # Errors
-    /// [`ModelError`] states the part of the file with what was found and what is allowed; a file
-    /// that was modified or truncated anywhere is refused.
+    /// [`ModelError`] with the part of the file, the found and the allowed value. A file that was
+    /// modified or truncated anywhere is refused.
     pub fn from_safetensors(bytes: &[u8]) -> Result<Network, ModelError> {
         let (parameters, card) = file::read(bytes)?;
         Network::new(parameters, card)
@@ -54,7 +54,7 @@ impl Network {
     /// The model file: the same bytes for the same network on every machine.
     ///
     /// # Errors
-    /// [`ModelError::TooLarge`] where names and descriptions on the card exceed the size limit of a
+    /// [`ModelError::TooLarge`] if names and descriptions on the card exceed the size limit of a
     /// model file.
     pub fn to_safetensors(&self) -> Result<Vec<u8>, ModelError> {
         file::write(&self.parameters, &self.card)
@@ -101,7 +101,7 @@ impl Network {
         self.hash
     }
 
-    /// As [`Model::predict`](crate::Model::predict).
+    /// Same as [`Model::predict`](crate::Model::predict).
     pub fn predict(&self, inputs: &[Features], out_w: &mut [f32]) {
         self.engine.rows(&self.packed, self.tiling, inputs, out_w);
     }

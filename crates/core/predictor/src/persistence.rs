@@ -18,7 +18,7 @@ impl Persistence {
     /// intervals.
     ///
     /// # Errors
-    /// [`ModelError::Field`] where residuals are not finite or inconsistent.
+    /// [`ModelError::Field`] if residuals are not finite or inconsistent.
     pub fn new(residual: ResidualStats) -> Result<Persistence, ModelError> {
         residual.check()?;
         let mut digest = Sha256::new();

@@ -38,13 +38,13 @@ impl ReadingAge {
         interval_steps: 0,
     };
 
-    /// As bytes, for storage in columns.
+    /// Converts it to bytes, for storage in columns.
     #[inline(always)]
     pub const fn to_bytes(self) -> [u8; 2] {
         [self.age_steps, self.interval_steps]
     }
 
-    /// From [`ReadingAge::to_bytes`]; any two bytes are valid.
+    /// Creates it from [`ReadingAge::to_bytes`]. Any two bytes are valid.
     #[inline(always)]
     pub const fn from_bytes([age_steps, interval_steps]: [u8; 2]) -> ReadingAge {
         ReadingAge {
@@ -69,8 +69,8 @@ impl ReadingAge {
         self.age_steps = if new { 0 } else { older };
     }
 
-    /// Advances by sample periods without a reading: where a measurement was due, it is assumed to
-    /// have been made, as in open loop.
+    /// Advances by sample periods without a reading. A measurement that was due is assumed to have
+    /// been made, as in open loop.
     pub fn pass(&mut self, steps: u64) {
         let (age, interval) = (u64::from(self.age_steps), u64::from(self.interval_steps));
         if interval == 0 {

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::error::RolloutError;
+use crate::error::{LengthError, RolloutError};
 use crate::features::LAGS;
 use crate::reading_age::ReadingAge;
 
@@ -41,7 +41,7 @@ pub struct Rollouts<'a> {
 }
 
 impl Rollouts<'_> {
-    /// Robots times candidates. Saturates; such a number fits no slice and is refused later.
+    /// Robots times candidates. Saturates: such a number fits no slice and is refused later.
     pub fn lanes(&self) -> usize {
         self.starts.len().saturating_mul(self.candidates)
     }
@@ -71,11 +71,11 @@ impl Rollouts<'_> {
             ("power_w", power_w.unwrap_or(trace), trace),
         ] {
             if found != allowed {
-                return Err(RolloutError::Length {
+                return Err(RolloutError::Length(LengthError {
                     column,
                     found,
                     allowed,
-                });
+                }));
             }
         }
         Ok(())

@@ -1,8 +1,9 @@
-//! The ROS 2 messages with power and motion data, decoded from CDR, and what is told, encoded.
+//! The ROS 2 messages with power and motion data, decoded from CDR, and the published messages,
+//! encoded.
 //!
-//! The bytes are read by the `cdr-encoding` crate, which RustDDS and ros2-client use. The
-//! definition of a type in a file is compared with the built-in one: a message with other fields
-//! is refused instead of misread.
+//! The `cdr-encoding` crate, which RustDDS and ros2-client use, reads the bytes. The definition of
+//! a type in a file is compared with the built-in one: a message with other fields is refused
+//! instead of misread.
 #![forbid(unsafe_code)]
 
 mod told;

@@ -19,7 +19,7 @@ pub struct DiagnosticArray {
 pub struct DiagnosticStatus {
     /// 0 ok, 1 warn, 2 error, 3 stale.
     pub level: u8,
-    /// What it is the state of.
+    /// The component whose state it is.
     pub name: String,
     /// The state in words.
     pub message: String,
@@ -44,10 +44,11 @@ pub struct Float64 {
     pub data: f64,
 }
 
-/// The fields of a message as little-endian CDR, without the encapsulation header, which is `00 01 00 00`.
+/// The fields of a message as little-endian CDR, without the encapsulation header, which is
+/// `00 01 00 00`.
 ///
 /// # Errors
-/// [`RosError::Bytes`] for what has no CDR, such as a text beyond 4 GiB.
+/// [`RosError::Bytes`] for a message without CDR, such as a text beyond 4 GiB.
 pub fn encode(message: &impl Serialize) -> Result<Vec<u8>, RosError> {
     cdr_encoding::to_vec::<_, LittleEndian>(message)
         .map_err(|error| RosError::Bytes(error.to_string()))

@@ -33,7 +33,7 @@ pub const CUSUM_SLACK: RangeInclusive<f64> = 0.0..=5.0;
 pub const CUSUM_LIMIT: RangeInclusive<f64> = 1.0..=1000.0;
 /// Noise ratio at which an alarm is raised.
 pub const NOISE_LIMIT: RangeInclusive<f64> = 1.5..=100.0;
-/// Squared error over that of persistence at which an alarm is raised.
+/// Ratio of the squared error to persistence's at which an alarm is raised.
 pub const MISMATCH_LIMIT: RangeInclusive<f64> = 1.0..=100.0;
 /// Residuals of a robot before an alarm on them.
 pub const SETTLE_SAMPLES: RangeInclusive<u32> = 1..=1_000_000;

@@ -13,7 +13,7 @@ pub enum SettingsError {
         found: f64,
         /// Lower bound.
         min: f64,
-        /// Upper bound; infinite where there is none.
+        /// Upper bound. Infinite if there is none.
         max: f64,
     },
     /// The number of models differs from the number of platforms.

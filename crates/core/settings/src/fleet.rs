@@ -60,9 +60,9 @@ pub struct AlarmSettings {
     pub noise_weight: f32,
     /// Noise ratio at which `NoiseHigh` is raised; cleared below half.
     pub noise_limit: f32,
-    /// Squared error of the model over that of persistence, or over three times its own in training if that is
-    /// more, at which `ModelMismatch` is raised; cleared below
-    /// nine tenths of it.
+    /// Ratio of the model's squared error at which `ModelMismatch` is raised. The reference is
+    /// persistence's error, or three times the model's own in training if that is more. The alarm
+    /// is cleared below nine tenths of it.
     pub mismatch_limit: f32,
     /// Residuals before any alarm on them is raised.
     pub settle_samples: u32,
@@ -188,8 +188,8 @@ impl FleetSettings {
         self.check_robots_apart()
     }
 
-    /// FNV-1a over every value, bit for bit: differs where the settings differ, and is the same on
-    /// every machine.
+    /// FNV-1a hash over every value, bit for bit. It differs if the settings differ, and is the
+    /// same on every machine.
     #[must_use]
     pub fn fingerprint(&self) -> u64 {
         // Serialisation into a growing vector of known lengths cannot fail.
@@ -341,10 +341,10 @@ mod tests {
                 "robot 9 belongs to platform one and to platform two: take it out of one of them",
             ),
         ];
-        for (change, says) in cases {
+        for (change, expected) in cases {
             let mut changed = settings();
             change(&mut changed);
-            assert_eq!(changed.check().unwrap_err().to_string(), *says);
+            assert_eq!(changed.check().unwrap_err().to_string(), *expected);
         }
     }
 

@@ -23,7 +23,7 @@ pub struct Platform {
     pub hold_max_ns: u64,
     /// Time after which identical new measurements raise `StuckSensor`, ns.
     pub stuck_after_ns: u64,
-    /// Lower power limit, W. Negative where the platform regenerates.
+    /// Lower power limit, W. Negative if the platform regenerates.
     pub power_min_w: f32,
     /// Upper power limit, W.
     pub power_max_w: f32,
@@ -38,11 +38,12 @@ pub struct Platform {
     /// Limits of its residual alarms, in place of the fleet's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub alarms: Option<AlarmLimits>,
-    /// Whether forecasts combine persistence, the model's autoregression and its network with weights that each
-    /// robot's own readings teach; otherwise they are the network's. Without a network nothing is learned.
+    /// Whether forecasts combine persistence, the model's autoregression and its network with
+    /// weights learned from each robot's own readings. Otherwise they are the network's. Without a
+    /// network nothing is learned.
     pub online: bool,
-    /// Whether the energy of plans adapts to what each robot's own forecasts of energy were off; otherwise it is as
-    /// trained, from the robot's own level.
+    /// Whether the energy of plans adapts to the errors of each robot's own energy forecasts.
+    /// Otherwise it is as trained, from the robot's own level.
     pub energy_online: bool,
 }
 
@@ -68,18 +69,18 @@ pub struct Battery {
     pub initial_soc: f64,
     /// Lower bound of it, two standard deviations below; at most `initial_soc`.
     pub initial_soc_lo: f64,
-    /// Standard deviation of the energy counted, as a share of it: error of the power monitor and of
-    /// the capacity.
+    /// Standard deviation of the energy counted, as a share of it: error of the power monitor and
+    /// of the capacity.
     pub counting_sd: f64,
-    /// What readings mean on the charger.
+    /// Meaning of readings on the charger.
     pub charge_reading: ChargeReading,
     /// Share of the charged energy that is stored.
     pub charge_efficiency: f64,
     /// Greatest power that is stored while the charge is not metered, W; `None`: any.
     pub charge_power_w: Option<f64>,
-    /// State of charge when the charger says that the battery is full.
+    /// State of charge when the charger reports a full battery.
     pub on_full_soc: f64,
-    /// Standard deviation of a measured state of charge. It is taken for an error that lasts for
+    /// Standard deviation of a measured state of charge. It is treated as an error that lasts for
     /// about an hour.
     pub sensor_sd: f64,
     /// Resolution of a measured state of charge.
@@ -92,48 +93,50 @@ pub struct Battery {
     pub critical: f64,
     /// A level is cleared this far above the state of charge at which it is raised.
     pub level_band: f64,
-    /// Energy that a robot needs to return from anywhere, J, where its samples do not say. `None`:
-    /// `CannotReturn` is raised for robots whose samples say it alone.
+    /// Energy that a robot needs to return from anywhere, J, if its samples do not state it.
+    /// `None`: `CannotReturn` is raised only for robots whose samples state it.
     pub return_j: Option<f64>,
 }
 
-/// What a power reading means while the robot is on its charger.
+/// The meaning of a power reading while the robot is on its charger.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub enum ChargeReading {
     /// Power out of the battery: negative while it is charged.
     Battery,
     /// Power into the battery: positive while it is charged.
     Charger,
-    /// What the robot consumes: the power that charges the battery is not metered.
+    /// The robot's consumption. The power that charges the battery is not metered.
     Load,
 }
 
-/// Open-circuit voltages of a battery at equal distances of the state of charge, from empty to full.
+/// Open-circuit voltages of a battery at equal distances of the state of charge, from empty to
+/// full.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct OpenCircuit {
-    voltages_v: [f64; Self::MOST],
+    voltages_v: [f64; Self::MAX_POINTS],
     points: usize,
-    /// Internal resistance, Ohm: what the load takes off the voltage.
+    /// Internal resistance, Ohm, which lowers the voltage under load.
     pub resistance_ohm: f64,
     /// Standard deviation of a state of charge that a voltage gives.
     pub sd: f64,
 }
 
 impl OpenCircuit {
-    /// Most points of a table.
-    pub const MOST: usize = 21;
-    /// A voltage may lie outside the table by this share of its span; further ones tell nothing.
+    /// Maximum number of points of a table.
+    pub const MAX_POINTS: usize = 21;
+    /// Share of the table's span by which a voltage may be outside. Voltages farther outside give
+    /// no state of charge.
     const MARGIN: f64 = 0.1;
 
-    /// A table of 2 to [`OpenCircuit::MOST`] rising voltages; `None` for any other.
+    /// A table of 2 to [`OpenCircuit::MAX_POINTS`] rising voltages; `None` for any other.
     #[must_use]
     pub fn new(voltages_v: &[f64], resistance_ohm: f64, sd: f64) -> Option<Self> {
         let rising = voltages_v.windows(2).all(|pair| pair[0] < pair[1]);
-        if !rising || !(2..=Self::MOST).contains(&voltages_v.len()) {
+        if !rising || !(2..=Self::MAX_POINTS).contains(&voltages_v.len()) {
             return None;
         }
         let mut table = Self {
-            voltages_v: [0.0; Self::MOST],
+            voltages_v: [0.0; Self::MAX_POINTS],
             points: voltages_v.len(),
             resistance_ohm,
             sd,
@@ -148,8 +151,8 @@ impl OpenCircuit {
         &self.voltages_v[..self.points]
     }
 
-    /// State of charge at a terminal voltage, V, while a current, A, is drawn; `None` where the voltage lies
-    /// outside the table.
+    /// State of charge at a terminal voltage, V, while a current, A, is drawn. `None` if the
+    /// voltage is outside the table.
     #[must_use]
     pub fn soc(&self, voltage_v: f64, current_a: f64) -> Option<f64> {
         let table = self.voltages_v();
@@ -298,8 +301,8 @@ impl Battery {
         Ok(())
     }
 
-    /// A battery of `capacity_j` with `reserve`, that is full and charged without being metered, with the
-    /// defaults of the config file otherwise.
+    /// A battery of `capacity_j` with `reserve`, that is full and charged without being metered,
+    /// with the defaults of the config file otherwise.
     #[must_use]
     pub const fn new(capacity_j: f64, reserve: f64) -> Self {
         Self {

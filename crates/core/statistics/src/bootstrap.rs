@@ -1,12 +1,12 @@
 //! Confidence intervals of scores by block bootstrap.
 //!
-//! Neighbouring rows are correlated, so single rows are never resampled: whole blocks are drawn
+//! Neighbouring rows are correlated, so single rows are never resampled. Whole blocks are drawn
 //! with replacement, as many as there are, and the score is recomputed from each draw. The interval
 //! spans the middle share of these scores (Carlstein, "The use of subseries values for estimating
 //! the variance", 1986; Efron's percentile interval). Scores that are compared use the same draws,
 //! so that their common variance cancels.
 //!
-//! The intervals say nothing about robots or surfaces of which there is no block.
+//! The intervals do not cover robots or surfaces without a block.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -15,7 +15,7 @@ use crate::metrics::{quantile, sorted};
 use crate::noise::Noise;
 
 /// Minimum number of blocks for an interval: with fewer, the draws repeat each other.
-pub const LEAST_BLOCKS: usize = 8;
+pub const MIN_BLOCKS: usize = 8;
 
 /// Configuration of the bootstrap.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -26,7 +26,7 @@ pub struct Bootstrap {
     pub confidence: f64,
     /// Seed of the draws.
     pub seed: u64,
-    /// Rows per block where blocks are not whole trials; at least 1.
+    /// Rows per block if blocks are not whole trials, at least 1.
     pub block_rows: usize,
     /// Minimum number of trials at which a block is a whole trial.
     pub trials_from: usize,
@@ -67,13 +67,13 @@ impl Estimate {
         }
     }
 
-    /// Whether the whole interval lies above `bound`.
+    /// Whether the whole interval is above `bound`.
     #[must_use]
     pub fn is_above(&self, bound: f64) -> bool {
         self.lo > bound
     }
 
-    /// Whether the whole interval lies below `bound`.
+    /// Whether the whole interval is below `bound`.
     #[must_use]
     pub fn is_below(&self, bound: f64) -> bool {
         self.hi < bound
@@ -92,7 +92,7 @@ impl Bootstrap {
         let each_once: Vec<usize> = (0..count).collect();
         let values = statistics(&each_once).into_iter().map(Estimate::alone);
         let mut estimates: Vec<Estimate> = values.collect();
-        if count < LEAST_BLOCKS || self.resamples == 0 {
+        if count < MIN_BLOCKS || self.resamples == 0 {
             return estimates;
         }
         let drawn: Vec<Vec<f64>> = (0..self.resamples)

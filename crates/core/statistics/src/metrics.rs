@@ -40,7 +40,7 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// Adds a pair. `step_s` is the duration of the reading, for the energy; NaN or 0 where energy
+    /// Adds a pair. `step_s` is the duration of the reading, for the energy. NaN or 0 if the energy
     /// is undefined.
     pub fn add(&mut self, reading_w: f64, forecast_w: f64, step_s: f64) {
         let residual_w = reading_w - forecast_w;
@@ -84,8 +84,8 @@ impl Tally {
         self.forecast_j += other.forecast_j;
     }
 
-    /// Plain sums from which the scores follow: for draws of many tallies, where [`Tally::merge`]
-    /// would cost a division each. `centre_w` is a value near the readings.
+    /// Plain sums that give the scores, for draws of many tallies, where [`Tally::merge`] would
+    /// cost a division each. `centre_w` is a value near the readings.
     pub fn additive(&self, centre_w: f64) -> Additive {
         let count = self.count as f64;
         let apart_w = self.reading_mean_w - centre_w;
@@ -160,8 +160,8 @@ impl Tally {
     }
 
     /// Coefficient of determination: 1 − Σ residual² / Σ (reading − mean reading)². At most 1, and
-    /// below 0 where the mean of the readings would have been the better forecast. NaN without a
-    /// pair or where all readings are equal.
+    /// negative if the mean of the readings would have been the better forecast. NaN without a pair
+    /// or if all readings are equal.
     #[must_use]
     pub fn r2(&self) -> f64 {
         one_minus(self.sum_sq_w2, self.reading_scatter_w2)
@@ -190,7 +190,7 @@ impl Tally {
         self.sum_relative / self.relative_count as f64
     }
 
-    /// Mean residual, W: above 0 where the forecasts are too low. NaN without a pair.
+    /// Mean residual, W, positive if the forecasts are too low. NaN without a pair.
     #[must_use]
     pub fn bias_w(&self) -> f64 {
         self.sum_w / self.count as f64
@@ -222,8 +222,8 @@ impl Tally {
     }
 
     /// Cumulative energy error as a share of the measured energy: (forecast − measured) /
-    /// |measured|, each Σ power · step over the scored pairs. Positive where the forecasts are too
-    /// high. NaN without a pair, with a step that is NaN, and where no energy was measured.
+    /// |measured|, each Σ power · step over the scored pairs. Positive if the forecasts are too
+    /// high. NaN without a pair, with a step that is NaN, and if no energy was measured.
     #[must_use]
     pub fn energy_error(&self) -> f64 {
         let measured_j = self.reading_j.abs();
@@ -234,9 +234,9 @@ impl Tally {
         }
     }
 
-    /// Skill against a baseline: 1 − mean squared error over that of the baseline. Above 0 is
-    /// better than the baseline, 1 is perfect. NaN where the baseline has no error, and where the
-    /// two were scored on different numbers of pairs: their errors are not comparable.
+    /// Skill against a baseline: 1 − ratio of the mean squared errors. Positive is better than the
+    /// baseline, 1 is perfect. NaN if the baseline has no error, or if the two were scored on
+    /// different numbers of pairs and are not comparable.
     #[must_use]
     pub fn skill(&self, baseline: &Self) -> f64 {
         if self.count == baseline.count {
@@ -287,7 +287,7 @@ pub struct Accuracy {
     pub mae_w: f64,
     /// Mean absolute relative residual, share; readings of exactly 0 excluded.
     pub mape: f64,
-    /// Mean residual, W: above 0 where forecasts are too low.
+    /// Mean residual, W, positive if forecasts are too low.
     pub bias_w: f64,
     /// (Forecast energy − measured energy) / measured energy, share.
     pub energy_error: f64,
@@ -476,22 +476,22 @@ pub struct ResidualQuantiles {
 }
 
 impl ResidualQuantiles {
-    /// From residuals in any order, W; those that are not finite are ignored.
+    /// Quantiles of residuals in any order, W. Those that are not finite are ignored.
     #[must_use]
     pub fn of(residuals_w: impl IntoIterator<Item = f64>) -> Self {
         Self::of_sorted(&sorted(residuals_w))
     }
 
-    /// From ascending, finite residuals, W.
+    /// Quantiles of ascending, finite residuals, W.
     #[must_use]
     pub fn of_sorted(ascending: &[f64]) -> Self {
         Self::at_shares(Self::SHARES.map(|share| quantile(ascending, share)))
     }
 
-    /// Where the quantiles lie, ascending.
+    /// The probabilities of the quantiles, ascending.
     pub(crate) const SHARES: [f64; 7] = [0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0];
 
-    /// From the quantiles at [`ResidualQuantiles::SHARES`].
+    /// Creates it from the quantiles at [`ResidualQuantiles::SHARES`].
     pub(crate) const fn at_shares(at: [f64; 7]) -> Self {
         let [min_w, q05_w, q25_w, q50_w, q75_w, q95_w, max_w] = at;
         Self {

@@ -1,15 +1,16 @@
 //! Exact quantiles of numbers that are read twice instead of kept.
 //!
-//! A first pass counts the numbers by the upper half of their bits, in the order of [`f32::total_cmp`]; a second one counts
-//! those that share the upper half of a wanted number by the lower half. That is as exact as sorting, in fixed memory.
+//! A first pass counts the numbers by the upper half of their bits, in the order of
+//! [`f32::total_cmp`]. A second pass takes those that share the upper half of a wanted number, and
+//! counts them by the lower half. That is as exact as sorting, in fixed memory.
 
 use crate::metrics::ResidualQuantiles;
 
 /// Values of half an f32.
 const HALVES: usize = 1 << 16;
 
-/// Quantiles of residuals, W: as [`ResidualQuantiles::of`] of all that `each` gives, to the bit. `each` is called twice and
-/// gives the same finite numbers both times, in any order.
+/// Quantiles of residuals, W, equal to [`ResidualQuantiles::of`] of all numbers that `each` gives,
+/// to the bit. `each` is called twice and gives the same finite numbers both times, in any order.
 ///
 /// # Errors
 /// Those of `each`.
@@ -54,7 +55,7 @@ pub fn residual_quantiles<E>(
     })))
 }
 
-/// Where a quantile lies: between two ranks, as in [`quantile`](crate::metrics::quantile).
+/// The position of a quantile between two ranks, as in [`quantile`](crate::metrics::quantile).
 #[derive(Clone, Copy)]
 struct Place {
     below: u64,
@@ -77,7 +78,7 @@ impl Place {
 /// Numbers with the same upper half.
 struct Bucket {
     half: u16,
-    /// How many have each lower half.
+    /// Counts by lower half.
     lower: Vec<u64>,
 }
 

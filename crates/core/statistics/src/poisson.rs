@@ -1,8 +1,7 @@
-//! What a count says of the rate that it is a draw of.
+//! Bounds of a rate from a count.
 
-/// The greatest mean of a Poisson distribution under which a count of at most `count` is not rarer
-/// than 1 − `confidence` (0 to 1, exclusive): the exact one-sided bound (Garwood 1936). For no event
-/// at 95 % it is 3.0.
+/// Upper bound of a Poisson distribution's mean, given a count of at most `count`, at `confidence`
+/// (0 to 1, exclusive): the exact one-sided bound (Garwood 1936). For no event at 95 % it is 3.0.
 #[must_use]
 pub fn upper_mean(count: u64, confidence: f64) -> f64 {
     let rarest = 1.0 - confidence;
@@ -11,7 +10,7 @@ pub fn upper_mean(count: u64, confidence: f64) -> f64 {
     bisect(0.0, above, |mean| at_most(count, mean) > rarest)
 }
 
-/// Probability of at most `count` events where `mean` are expected.
+/// Probability of at most `count` events if `mean` are expected.
 #[must_use]
 pub fn at_most(count: u64, mean: f64) -> f64 {
     // In logarithms, so that large means do not underflow term by term.
@@ -55,8 +54,8 @@ pub fn upper_rate(counts: &[u64], exposures: &[f64], confidence: f64) -> f64 {
     each * upper_mean(independent, confidence) / exposed
 }
 
-/// Greatest chance of going on, each time anew, under which as few steps as `steps` in all, taken in
-/// `runs` runs up to their first stop, are not rarer than 1 − `confidence`: the exact upper bound of a
+/// Upper bound of the probability to continue after each step. `steps` is the total number of steps
+/// in `runs` runs up to their first stop. It is the exact upper bound at `confidence` of a
 /// geometric distribution's parameter. 1 without runs.
 #[must_use]
 pub fn upper_decay(steps: u64, runs: u64, confidence: f64) -> f64 {
@@ -67,7 +66,8 @@ pub fn upper_decay(steps: u64, runs: u64, confidence: f64) -> f64 {
     bisect(0.0, 1.0, |goes_on| few_steps(steps, runs, goes_on) > rarest)
 }
 
-/// Probability of at most `steps` before the stop number `runs`: of the negative binomial distribution.
+/// Probability of at most `steps` before the stop number `runs`: of the negative binomial
+/// distribution.
 fn few_steps(steps: u64, runs: u64, goes_on: f64) -> f64 {
     let mut log_term = runs as f64 * libm::log1p(-goes_on);
     let mut sum = libm::exp(log_term);
@@ -79,7 +79,7 @@ fn few_steps(steps: u64, runs: u64, goes_on: f64) -> f64 {
     sum.min(1.0)
 }
 
-/// Where `holds`, true below and false above, ends.
+/// The point where `holds`, true below and false above, changes.
 fn bisect(mut low: f64, mut high: f64, holds: impl Fn(f64) -> bool) -> f64 {
     for _ in 0..200 {
         let middle = 0.5 * (low + high);
@@ -110,7 +110,7 @@ mod tests {
         ] {
             let found = upper_mean(count, confidence);
             assert!((found - bound).abs() < 1e-3 * bound, "{count}: {found}");
-            // The count is as rare there as the bound says.
+            // The count is as rare at the bound as stated.
             assert!((at_most(count, found) - (1.0 - confidence)).abs() < 1e-9);
         }
         // No step in ten runs: (1 − q)¹⁰ = 5 %.
@@ -120,7 +120,8 @@ mod tests {
         assert_eq!(upper_rate(&[], &[], 0.95), f64::INFINITY);
     }
 
-    /// Alarms of `units` robots in 0.5 to 1.5 h each: `rate` draws a robot's rate, each event is `group`.
+    /// Alarms of `units` robots in 0.5 to 1.5 h each: `rate` draws a robot's rate, each event is
+    /// `group`.
     fn draw(
         noise: &mut Noise,
         units: usize,
@@ -139,8 +140,8 @@ mod tests {
         (0..units).map(|_| one(noise)).unzip()
     }
 
-    /// Share of 4,000 draws in which the bound is at least the true rate, and in which the bound for
-    /// independent events would be.
+    /// Share of 4,000 draws in which the bound is at least the true rate, and in which the bound
+    /// for independent events would be.
     fn covered(units: usize, rate: fn(&mut Noise) -> f64, group: u64, mean: f64) -> (f64, f64) {
         let mut noise = Noise::new(11, 0);
         let (mut bounds, mut plain) = (0.0, 0.0);
@@ -158,8 +159,8 @@ mod tests {
     fn the_stated_bound_holds_in_at_least_its_share_of_draws() {
         let (bound, _) = covered(30, |_| 0.3, 1, 0.3);
         assert!(bound >= 0.95, "{bound}");
-        // Robots that differ (rates exponentially distributed), and alarms that come in threes: a bound
-        // for independent events does not hold.
+        // Robots that differ (rates exponentially distributed), and alarms that come in threes: a
+        // bound for independent events does not hold.
         let (bound, plain) = covered(60, |noise| noise.waiting_s(1.0), 1, 1.0);
         assert!(bound >= 0.94 && plain < 0.90, "{bound} {plain}");
         let (bound, plain) = covered(60, |_| 0.3, 3, 0.9);

@@ -3,7 +3,7 @@
 use joulebus_consumer::FleetAlarm;
 use serde::Serialize;
 
-/// One change: what `joulebus alarms --format json` prints, and what webhooks get.
+/// An alarm change, as `joulebus alarms --format json` and webhooks report it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct AlarmRecord {
     /// Name of the fleet.
@@ -18,12 +18,12 @@ pub struct AlarmRecord {
     pub level: &'static str,
     /// raised, cleared, or left: the robot is not in the fleet any more.
     pub change: &'static str,
-    /// From the raise to the end, s; null for a raise.
+    /// Time from the raise to the clearance, s. Null for a raise.
     pub lasted_s: Option<f64>,
 }
 
 impl AlarmRecord {
-    /// That of a change in `fleet`, at `stamp_ns` (Unix time).
+    /// The record of a change in `fleet` at `stamp_ns` (Unix time).
     #[must_use]
     pub fn new(fleet: &str, change: &FleetAlarm, stamp_ns: u64) -> Self {
         Self {

@@ -1,4 +1,4 @@
-//! What a planner knows of a fleet: the newest data of every robot, and the runs of workers.
+//! A planner's view of a fleet: the newest data of every robot, and the runs of workers.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -12,11 +12,11 @@ use crate::stages::Stages;
 
 /// Length of a robot's track and of the latency history, ticks: eight seconds at 30 Hz.
 const TRACK_TICKS: usize = 240;
-/// Robots with a track; more could not be viewed anyway.
+/// Maximum number of robots with a track. More could not be viewed anyway.
 const TRACKED_ROBOTS: usize = 512;
 /// Capacity of the event log.
 const NOTES: usize = 200;
-/// Runs of workers and of sources kept apart; beyond it the two oldest are merged.
+/// Maximum number of separate runs of workers and of sources. Beyond it the two oldest are merged.
 const RUNS: usize = 1_024;
 /// Departed robots whose alarms are kept.
 const RAISED_ROBOTS: usize = 16_384;
@@ -55,7 +55,7 @@ impl Link {
 pub struct WorkerRun {
     /// The newest header.
     pub header: ForecastHeader,
-    /// Run of the source of its first samples; none before the first sample.
+    /// Run of the source of its first samples. `None` before the first sample.
     pub first_source_epoch: Option<u64>,
 }
 
@@ -87,11 +87,11 @@ impl WorkerRun {
 /// A reading and the forecast made for it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Point {
-    /// The reading, W; NaN if there was none.
+    /// The reading, W. NaN if there was none.
     pub reading_w: f32,
-    /// The forecast for it, W; NaN if there was none.
+    /// The forecast of the reading, W. NaN if there was none.
     pub forecast_w: f32,
-    /// The interval of that forecast, W; NaN if there was none.
+    /// The interval of the forecast, W. NaN if there was none.
     pub interval_w: (f32, f32),
 }
 
@@ -115,7 +115,7 @@ pub struct Newest {
     pub budget: Option<Budget>,
 }
 
-/// What is known of one robot.
+/// The state of one robot.
 #[derive(Debug, Clone)]
 pub struct Row {
     /// The newest forecast.
@@ -126,7 +126,7 @@ pub struct Row {
     pub budget: Option<Budget>,
     /// The newest reading and the forecast made for it.
     pub point: Option<Point>,
-    /// Such points of the last eight seconds, oldest first; empty in large fleets.
+    /// Points of the last eight seconds, oldest first. Empty in large fleets.
     pub track: VecDeque<Point>,
     /// The newest reading minus the forecast published for it, W.
     pub residual_w: Option<f64>,
@@ -152,13 +152,13 @@ pub struct Board {
     pub stages: Stages,
     /// Latencies of the newest frames, µs, oldest first.
     pub recent_us: VecDeque<u64>,
-    /// Samples that each run of a source has sent, by its epoch; empty without a tap.
+    /// Samples that each run of a source has sent, by its epoch. Empty without a tap.
     pub sent: BTreeMap<u64, u64>,
     /// Frames seen.
     pub frames: u64,
     /// Frames overwritten before this planner read them.
     pub frames_missed: u64,
-    /// Questions about plans, if the worker says.
+    /// Number of questions about plans, if the worker reports it.
     pub queries: Option<QueryCounts>,
     /// Event log: time since the start, s, and text; oldest first.
     pub notes: VecDeque<(f64, String)>,
@@ -216,7 +216,7 @@ impl Board {
         }
     }
 
-    /// Sets the state of the worker; a change is logged.
+    /// Sets the state of the worker, and logs a change.
     pub fn set_link(&mut self, link: Link, now_ns: u64) {
         if self.link == link {
             return;
@@ -260,7 +260,7 @@ impl Board {
         }
     }
 
-    /// Processes the header; true if the previous frame was of the same run.
+    /// Processes a header. Returns whether the previous frame was of the same run.
     fn run(&mut self, header: &ForecastHeader, now_ns: u64) -> bool {
         let before = self.header().copied();
         let before = before.filter(|before| before.worker_epoch == header.worker_epoch);
@@ -299,7 +299,7 @@ impl Board {
         if forecast.sample_seq != before.sample_seq || !in_a_row {
             let point = Point {
                 reading_w: forecast.reading_w,
-                forecast_w: before.power_w().filter(|_| in_a_row).unwrap_or(f32::NAN),
+                forecast_w: before.expected_w().filter(|_| in_a_row).unwrap_or(f32::NAN),
                 interval_w: if in_a_row {
                     (lo_w, hi_w)
                 } else {
@@ -454,7 +454,7 @@ impl Board {
 }
 
 impl Newest {
-    /// The level; stale for a robot without diagnostics.
+    /// The level. A robot without diagnostics is stale.
     #[must_use]
     pub fn level(&self) -> Level {
         self.diagnostic
@@ -494,7 +494,7 @@ impl Row {
         }
     }
 
-    /// The level; stale for a robot without diagnostics.
+    /// The level. A robot without diagnostics is stale.
     #[must_use]
     pub fn level(&self) -> Level {
         self.newest().level()

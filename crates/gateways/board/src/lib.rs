@@ -1,7 +1,7 @@
-//! What a planner has read of a fleet, joined by robot: the source of every view.
+//! A planner's data of a fleet, joined by robot: the source of every view.
 //!
-//! [`Reading`] is a planner like any other: it adds what it reads to a [`Board`]. [`Feed`] does so in a thread.
-//! [`FrameRecord`] and [`RobotRecord`] are a board as JSON.
+//! [`Reading`] is a planner like any other: it adds its frames to a [`Board`]. [`Feed`] does so in
+//! a thread. [`FrameRecord`] and [`RobotRecord`] are a board as JSON.
 #![forbid(unsafe_code)]
 
 mod alarm;
@@ -15,7 +15,7 @@ mod stages;
 
 pub use alarm::AlarmRecord;
 pub use board::{Board, Link, Newest, Point, Raised, Row, WorkerRun};
-pub use feed::{Feed, FeedError, OpenError, Reading};
+pub use feed::{Feed, FeedError, Reading};
 pub use record::{FrameRecord, LearnedRecord, RobotRecord, quality_name};
 pub use scores::Scores;
 pub use search::{Platforms, Search};

@@ -25,7 +25,7 @@ pub struct FrameRecord {
     ticks_late: u64,
     samples_accepted: u64,
     samples_dropped: BTreeMap<&'static str, u64>,
-    /// Questions about plans that the worker answered; null if it has not said so.
+    /// Number of questions about plans that the worker answered. Null if it has not reported it.
     questions_answered: Option<u64>,
     questions_refused: BTreeMap<&'static str, u64>,
     /// Frames overwritten before this planner read them, since its start.
@@ -83,7 +83,8 @@ pub struct RobotRecord {
     time_to_empty_hi_s: Option<f64>,
 }
 
-/// What the robot's readings have taught; weights are of last reading, network and stack, gains within the stack.
+/// Results of learning from the robot's readings: the weights of last reading, network and stack,
+/// and the gains within the stack.
 #[derive(Debug, Serialize)]
 pub struct LearnedRecord {
     weight_last: f64,
@@ -175,7 +176,7 @@ impl RobotRecord {
             target_ns: heard.then_some(forecast.target_ns),
             reading_w: read.then(|| forecast.reading_w.into()),
             reading_age_ns: read.then_some(forecast.reading_age_ns),
-            power_w: forecast.power_w().map(f64::from),
+            power_w: forecast.expected_w().map(f64::from),
             lo_w: interval_w.map(|(lo_w, _)| lo_w.into()),
             hi_w: interval_w.map(|(_, hi_w)| hi_w.into()),
             residual_w: residual.and_then(|d| known(d.residual_w.into())),
@@ -226,7 +227,7 @@ pub const fn quality_name(quality: Quality) -> &'static str {
         Quality::Warmup { .. } => "Warmup",
         Quality::OpenLoop { .. } => "OpenLoop",
         Quality::Invalid(_) => "Invalid",
-        Quality::Unknown => "Unknown",
+        _ => "Unknown",
     }
 }
 
@@ -235,7 +236,7 @@ fn quality_detail(quality: Quality) -> Option<String> {
         Quality::Warmup { have } => Some(have.to_string()),
         Quality::OpenLoop { steps } => Some(steps.to_string()),
         Quality::Invalid(reason) => Some(reason.name().to_owned()),
-        Quality::Fresh | Quality::Held | Quality::Unknown => None,
+        _ => None,
     }
 }
 

@@ -14,8 +14,9 @@ pub(crate) struct Pooled {
 }
 
 impl Pooled {
-    /// Adds two successive outputs of one robot; counts them if the later one's reading is that of
-    /// the sample directly after the one that the earlier one answers. Returns the reading minus its forecast, W.
+    /// Adds two successive outputs of one robot. They count if the later output's reading is that
+    /// of the sample directly after the one that the earlier output answers. Returns the reading
+    /// minus its forecast, W.
     pub(crate) fn observe(&mut self, before: &Forecast, after: &Forecast) -> Option<f64> {
         let (residual_w, step_w) = residual(before, after)?;
         let reading_w = f64::from(after.reading_w);
@@ -37,7 +38,7 @@ fn residual(before: &Forecast, after: &Forecast) -> Option<(f64, f64)> {
         && before.source_epoch == after.source_epoch
         && before.generation == after.generation
         && before.sample_seq.checked_add(1) == Some(after.sample_seq);
-    let forecast_w = before.power_w().filter(|_| follows)?;
+    let forecast_w = before.expected_w().filter(|_| follows)?;
     let reading_w = f64::from(after.reading_w);
     Some((
         reading_w - f64::from(forecast_w),
@@ -45,32 +46,32 @@ fn residual(before: &Forecast, after: &Forecast) -> Option<(f64, f64)> {
     ))
 }
 
-/// Scores of a fleet; unknown values are none.
+/// Scores of a fleet. Unknown values are `None`.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Scores {
     /// Readings scored by the worker, all robots.
     pub scored: u64,
     /// Root mean squared error of the forecasts over all readings received by this planner, W.
     pub rmse_w: Option<f64>,
-    /// That of persistence (forecast = last reading), W.
+    /// RMSE of persistence (forecast = last reading), W.
     pub persistence_rmse_w: Option<f64>,
     /// Mean absolute error of the forecasts over all readings, W.
     pub mae_w: Option<f64>,
-    /// That of persistence, W.
+    /// MAE of persistence, W.
     pub persistence_mae_w: Option<f64>,
     /// Fraction of the robots whose squared error is below that of persistence.
     pub better_than_persistence: Option<f64>,
     /// Coefficient of determination over all readings received by this planner.
     pub r2: Option<f64>,
-    /// That of persistence.
+    /// R² of persistence.
     pub persistence_r2: Option<f64>,
     /// Median over the robots of their mean absolute errors, W.
     pub median_mae_w: Option<f64>,
-    /// That of persistence, W.
+    /// Median MAE of persistence, W.
     pub median_persistence_mae_w: Option<f64>,
     /// Median over the robots of their coefficients of determination.
     pub median_r2: Option<f64>,
-    /// That of persistence.
+    /// Median R² of persistence.
     pub median_persistence_r2: Option<f64>,
     /// Fraction of readings inside the interval of their forecast.
     pub coverage: Option<f64>,

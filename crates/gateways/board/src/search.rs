@@ -8,7 +8,7 @@ use joulebus_wire::{Alarm, AlarmSet, Level};
 use crate::board::Newest;
 use crate::record::quality_name;
 
-/// Names of platforms, and whose they are.
+/// Names of platforms, with their robots.
 #[derive(Debug, Clone, Default)]
 pub struct Platforms {
     names: Vec<String>,
@@ -16,7 +16,7 @@ pub struct Platforms {
 }
 
 impl Platforms {
-    /// Those of a fleet.
+    /// The platforms of a fleet.
     #[must_use]
     pub fn of(settings: &FleetSettings) -> Self {
         let mut platforms = Self::default();
@@ -34,7 +34,7 @@ impl Platforms {
         &self.names
     }
 
-    /// Place of a robot's platform; none if the fleet's settings do not have the robot.
+    /// Index of a robot's platform. `None` if the fleet's settings do not have the robot.
     #[must_use]
     pub fn of_robot(&self, robot: u32) -> Option<usize> {
         let found = self.robots.iter().find(|(ids, _)| ids.contains(&robot));
@@ -42,8 +42,10 @@ impl Platforms {
     }
 }
 
-/// What a search finds, prepared once for all robots: parts of ids, and of the names of platforms, alarms, levels and
-/// qualities, in any case; or, as `<30` or `<30%`, batteries below 30 %. An empty one finds all.
+/// A search text, prepared once for all robots.
+///
+/// It finds parts of ids and of the names of platforms, alarms, levels and qualities, in any case.
+/// As `<30` or `<30%` it finds batteries below 30 %. An empty one finds all robots.
 #[derive(Debug, Clone)]
 pub struct Search {
     /// Lower case.
@@ -74,7 +76,7 @@ impl Search {
         }
     }
 
-    /// Whether it finds a robot; `platform` is the place of its platform.
+    /// Whether the search finds a robot. `platform` is the index of its platform.
     #[must_use]
     pub fn finds(&self, robot: u32, platform: Option<usize>, newest: &Newest) -> bool {
         if self.text.is_empty() {

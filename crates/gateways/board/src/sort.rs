@@ -6,7 +6,7 @@ use joulebus_wire::{Level, budget_flag, forecast_flag};
 
 use crate::board::Newest;
 
-/// What robots are sorted by.
+/// Sort order of robots.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Sort {
     /// Level (error, stale, warn, ok), then time to empty.
@@ -23,7 +23,7 @@ pub enum Sort {
     Level,
 }
 
-/// Where a robot stands in an order.
+/// A robot's key in every order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SortKey {
     rank: u16,
@@ -40,7 +40,7 @@ impl SortKey {
 }
 
 impl Sort {
-    /// All with their names, in the order of their discriminants.
+    /// All orders with their names, in the order of their discriminants.
     pub const ALL: [(Self, &'static str); 6] = [
         (Self::Urgency, "urgency"),
         (Self::Robot, "robot"),
@@ -87,7 +87,8 @@ impl Sort {
         }
     }
 
-    /// Orders two robots; unknown values are last in either direction, and equal ones are in the order of ids.
+    /// Compares two robots. Unknown values are last in either direction, and equal ones are ordered
+    /// by id.
     #[must_use]
     pub fn compare(self, descending: bool, a: &SortKey, b: &SortKey) -> Ordering {
         let turned = |order: Ordering| if descending { order.reverse() } else { order };

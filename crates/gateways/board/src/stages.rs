@@ -7,7 +7,7 @@ use joulebus_latency::{Spread, histogram};
 use joulebus_wire::ForecastHeader;
 use serde::{Deserialize, Serialize};
 
-/// Upper bounds of [`Counted::counts`], s; the last count is of longer times.
+/// Upper bounds of [`Counted::counts`], s. The last count is of longer times.
 pub const UPPER_S: [f64; 16] = [
     0.000_025, 0.000_05, 0.000_1, 0.000_2, 0.000_5, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1,
     0.2, 0.5, 1.0, 10.0,
@@ -16,7 +16,8 @@ pub const UPPER_S: [f64; 16] = [
 /// Times in few classes, which may be added up over runs and hosts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Counted {
-    /// Number of times up to each of [`UPPER_S`] and above the one before it, and of those above all.
+    /// Number of times up to each of [`UPPER_S`] and above the previous bound, and of times above
+    /// all.
     pub counts: [u64; UPPER_S.len() + 1],
     /// Their sum, ns.
     pub sum_ns: u64,
@@ -35,7 +36,7 @@ impl Counted {
 pub struct Stages {
     total: Histogram<u64>,
     parts: [Histogram<u64>; 5],
-    /// From a sample sent to its forecast readable.
+    /// Time from sending a sample until its forecast is readable.
     pub total_counted: Counted,
     /// Computation of the tick.
     pub compute_counted: Counted,
@@ -61,7 +62,7 @@ impl Stages {
     }
 
     /// Adds a frame that became readable at `readable_ns` (monotonic). Returns the total latency
-    /// from the first sample sent, ns; none if the frame answers no sample.
+    /// from the first sample sent, ns, or `None` if the frame answers no sample.
     pub fn observe(&mut self, header: &ForecastHeader, readable_ns: u64) -> Option<u64> {
         if header.first_sent_ns == 0 {
             return None;

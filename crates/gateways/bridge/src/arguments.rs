@@ -1,10 +1,11 @@
-//! `joulebus bridge`.
+//! Command-line options of `joulebus bridge`.
 
 use std::path::PathBuf;
 
 use joulebus_program::config_file::ConfigFile;
 
-/// Bring robots that speak MQTT or ROS 2 into a fleet, and tell others its forecasts, budgets and alarms
+/// Bring robots that speak MQTT or ROS 2 into a fleet, and tell others its forecasts, budgets and
+/// alarms
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus bridge configs/bridges/json.toml             power and commands as JSON, forecasts and budgets out\n  \

@@ -1,4 +1,4 @@
-//! `joulebus bridge`: the threads of a bridge, and its report.
+//! `joulebus bridge`: starts the threads of a bridge, waits for the stop, and reports.
 
 use std::fmt;
 use std::sync::Arc;
@@ -23,41 +23,41 @@ use crate::mapping::judgement::Implausible;
 use crate::mapping::outgoing::What;
 use crate::mapping::ros::incoming::RosRoute;
 use crate::mapping::ros::names::ros_type;
-use crate::mqtt::{MOST_WAITING, Mqtt, MqttTelling, Outlet, Start, read_alarms};
+use crate::mqtt::{MAX_WAITING, Mqtt, MqttSink, Outlet, Start, read_alarms};
+use crate::outbound::{self, Sink};
 use crate::publishing::{self, PublishedRecord};
 use crate::ros2::{Counts, Ros2};
 use crate::shared::Shared;
-use crate::telling::{self, Tell};
 
-/// Interval of checking whether to stop.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
-/// Nice value of the threads that talk to others: the worker and its sources run first.
+/// Interval between checks for a stop.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
+/// Nice value of the threads that serve connections, so that the worker and its sources run first.
 const NICE: u8 = 5;
 
-/// What was bridged.
+/// The report of a bridge that has ended.
 #[derive(Debug, Serialize)]
 struct BridgeReport {
     fleet: String,
     bridge: String,
     robots: usize,
-    /// Messages that came.
+    /// Messages received.
     messages: u64,
-    /// Of which the mapping made this much.
+    /// Observations that the mapping made of them.
     observations: u64,
     published: PublishedRecord,
     /// Messages written.
     written: u64,
-    /// Messages and changes of alarms that could not be written.
+    /// Messages and alarm changes that could not be written.
     not_written: u64,
-    /// What could not be mapped.
+    /// Messages and values that could not be mapped.
     unmapped: Vec<UnmappedRecord>,
     /// What robots report that is implausible.
     implausible: Vec<Implausible>,
 }
 
 impl BridgeReport {
-    /// Whether all arrived that came and was to be told; `unmapped`: messages that could not be mapped, though they
-    /// should.
+    /// The exit code: whether everything that was received or due was passed on. `unmapped` is the
+    /// number of messages that should have been mapped but could not be.
     fn outcome(&self, unmapped: u64) -> Outcome {
         Outcome::unless_lost(
             self.not_written > 0 || self.published.frames_failed > 0 || unmapped > 0,
@@ -65,7 +65,7 @@ impl BridgeReport {
     }
 }
 
-/// What `--check` says.
+/// The report of `--check`.
 #[derive(Debug, Serialize)]
 struct CheckReport {
     fleet: String,
@@ -74,12 +74,12 @@ struct CheckReport {
     broker: Option<String>,
     /// Topics that are read from the broker.
     reads: Vec<String>,
-    /// Topics that are written to it.
+    /// Number of topics that are written to the broker.
     writes: usize,
     ros2: Option<RosCheckReport>,
 }
 
-/// What `--check` says of ROS 2; topics with their types.
+/// The part of the `--check` report about ROS 2. Topics are shown with their types.
 #[derive(Debug, Serialize)]
 struct RosCheckReport {
     domain_id: u16,
@@ -98,7 +98,7 @@ pub(crate) fn run(args: &BridgeArguments, output: Output) -> anyhow::Result<Outc
     }
     let mut bridge = Bridge::start(&config, &settings)?;
     while !stop.is_asked() && !bridge.is_over() {
-        thread::sleep(LOOK_EVERY);
+        thread::sleep(POLL_INTERVAL);
     }
     let report = bridge.finish(&config, &settings)?;
     output.report(&report)?;
@@ -135,7 +135,7 @@ type Thread<T> = JoinHandle<anyhow::Result<T>>;
 /// The running threads.
 struct Bridge {
     shared: Arc<Shared>,
-    /// Changes of alarms that were lost.
+    /// Number of lost alarm changes.
     lost: Arc<AtomicU64>,
     publishing: Option<Thread<PublishedRecord>>,
     others: Vec<Thread<()>>,
@@ -156,16 +156,16 @@ impl Bridge {
             ros2: Arc::default(),
         };
         bridge.start_publishing(config, settings)?;
-        let mut sides: Vec<Box<dyn Tell>> = Vec::new();
+        let mut sides: Vec<Box<dyn Sink>> = Vec::new();
         if let Some(ros2) = &settings.ros2 {
             bridge.start_ros2(config, settings, ros2, &mut sides)?;
         }
         let mqtt = settings.mqtt.as_ref();
         let connection = mqtt.map(|mqtt| bridge.prepare_mqtt(config, settings, mqtt));
         if let (Some(mqtt), Some(connection)) = (mqtt, &connection) {
-            bridge.tell_mqtt(config, settings, (mqtt, connection), &mut sides)?;
+            bridge.start_mqtt_sink(config, settings, (mqtt, connection), &mut sides)?;
         }
-        bridge.start_telling(config, settings, sides)?;
+        bridge.start_outbound(config, settings, sides)?;
         if let Some(connection) = connection {
             let thread = spawn("joulebus-mqtt", move || {
                 yield_to_the_worker(NICE);
@@ -187,7 +187,7 @@ impl Bridge {
         let (name, robots) = (settings.name.clone(), settings.robots.clone());
         let thread = spawn("joulebus-publish", move || {
             publishing::run(&config, &name, &robots, &shared, || {
-                // The caller waits for it.
+                // The caller waits for this.
                 let _ = ready.send(());
             })
         })?;
@@ -204,7 +204,7 @@ impl Bridge {
         config: &Config,
         settings: &Settings,
         ros2: &Ros2Settings,
-        sides: &mut Vec<Box<dyn Tell>>,
+        sides: &mut Vec<Box<dyn Sink>>,
     ) -> anyhow::Result<()> {
         let (ready, opened) = sync_channel(1);
         let (fleet, name) = (config.fleet().to_owned(), settings.name.clone());
@@ -213,17 +213,17 @@ impl Bridge {
         let thread = spawn("joulebus-ros2", move || {
             yield_to_the_worker(NICE);
             let of = (fleet.as_str(), name.as_str());
-            let (connection, telling) = Ros2::open(&ros2, of, &robots, &shared, &counts)?;
-            // The caller waits for it.
-            let _ = ready.send(telling);
+            let (connection, sink) = Ros2::open(&ros2, of, &robots, &shared, &counts)?;
+            // The caller waits for this.
+            let _ = ready.send(sink);
             connection.run().map_err(Into::into)
         })?;
-        let Ok(telling) = opened.recv() else {
+        let Ok(sink) = opened.recv() else {
             return join(thread);
         };
         self.connections.push(thread);
-        if telling.tells() {
-            sides.push(Box::new(telling));
+        if sink.has_topics() {
+            sides.push(Box::new(sink));
         }
         Ok(())
     }
@@ -236,18 +236,18 @@ impl Bridge {
         connection
     }
 
-    fn tell_mqtt(
+    fn start_mqtt_sink(
         &mut self,
         config: &Config,
         settings: &Settings,
         (mqtt, connection): (&MqttSettings, &Mqtt),
-        sides: &mut Vec<Box<dyn Tell>>,
+        sides: &mut Vec<Box<dyn Sink>>,
     ) -> anyhow::Result<()> {
         if mqtt.writes.is_empty() {
             return Ok(());
         }
-        let (changes, changed) = sync_channel(MOST_WAITING);
-        sides.push(Box::new(MqttTelling::new(Start {
+        let (changes, changed) = sync_channel(MAX_WAITING);
+        sides.push(Box::new(MqttSink::new(Start {
             fleet: config.fleet().to_owned(),
             name: settings.name.clone(),
             robots: settings.robots.clone(),
@@ -256,7 +256,7 @@ impl Bridge {
             changes: changed,
             shared: Arc::clone(&self.shared),
             lost: Arc::clone(&self.lost),
-            // A broker that does not answer is noticed by the second ping.
+            // The second ping notices a broker that does not answer.
             arrives_within_ns: u64::try_from(3 * mqtt.keep_alive.as_nanos()).unwrap_or(u64::MAX),
         })));
         let mut whats = mqtt.writes.iter().map(|write| write.what);
@@ -272,21 +272,21 @@ impl Bridge {
         Ok(())
     }
 
-    fn start_telling(
+    fn start_outbound(
         &mut self,
         config: &Config,
         settings: &Settings,
-        mut sides: Vec<Box<dyn Tell>>,
+        mut sides: Vec<Box<dyn Sink>>,
     ) -> anyhow::Result<()> {
         if sides.is_empty() {
             return Ok(());
         }
         let (config, name) = (config.clone(), settings.name.clone());
         let shared = Arc::clone(&self.shared);
-        let every = settings.tells_every();
+        let every = settings.publish_interval();
         self.start_joining("joulebus-tell", move |ready| {
-            telling::run(&config, (&name, every), &shared, &mut sides, || {
-                // The caller waits for it.
+            outbound::run(&config, (&name, every), &shared, &mut sides, || {
+                // The caller waits for this.
                 let _ = ready.send(());
             })
         })
@@ -317,7 +317,8 @@ impl Bridge {
         publishing.is_some_and(JoinHandle::is_finished) || others.any(JoinHandle::is_finished)
     }
 
-    /// Ends all threads: the connections last, after what the others have told.
+    /// Ends all threads. The connections end last, after the messages that the other threads have
+    /// handed to them.
     fn finish(&mut self, config: &Config, settings: &Settings) -> anyhow::Result<BridgeReport> {
         self.shared.stop();
         let published = self.publishing.take().map(join);

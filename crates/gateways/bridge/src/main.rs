@@ -1,4 +1,5 @@
-//! `joulebus bridge` as a separate program: a source of samples, and a planner that tells other systems.
+//! The program of `joulebus bridge`: a source of samples for a fleet, and a planner that passes its
+//! frames to other systems.
 #![forbid(unsafe_code)]
 
 mod arguments;
@@ -6,10 +7,10 @@ mod bridge;
 mod config;
 mod mapping;
 mod mqtt;
+mod outbound;
 mod publishing;
 mod ros2;
 mod shared;
-mod telling;
 
 use std::process::ExitCode;
 

@@ -1,4 +1,5 @@
-//! The thread that publishes: at each platform's rate, whatever the rate of the messages.
+//! The thread that publishes samples at each platform's rate, independent of the rate of the
+//! messages.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -13,30 +14,30 @@ use serde::Serialize;
 use crate::mapping::robots::Robots;
 use crate::shared::Shared;
 
-/// Longest sleep: how late a stop may be noticed.
-const LOOK_EVERY_NS: u64 = 50_000_000;
+/// Maximum sleep: the delay until a stop is noticed.
+const POLL_INTERVAL_NS: u64 = 50_000_000;
 
-/// Interval at which what is implausible is said.
-const SAY_EVERY_NS: u64 = 1_000_000_000;
+/// Interval of logging what is implausible.
+const LOG_EVERY_NS: u64 = 1_000_000_000;
 
-/// What was published.
+/// Totals of the published frames.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
 pub(crate) struct PublishedRecord {
     pub(crate) frames: u64,
     pub(crate) samples: u64,
-    /// Frames that no worker read.
+    /// Frames without a reading worker.
     pub(crate) frames_unheard: u64,
     /// Frames that could not be sent.
     pub(crate) frames_failed: u64,
 }
 
-/// Robots of one rate.
+/// Robots with the same rate.
 struct Group {
     grid: Grid,
     robots: Vec<u32>,
 }
 
-/// Publishes until the bridge stops. Tells `ready` when the fleet is joined.
+/// Publishes until the bridge stops. Calls `ready` when the fleet is joined.
 ///
 /// # Errors
 /// The fleet cannot be joined, or its files were removed.
@@ -55,9 +56,9 @@ pub(crate) fn run(
     while !shared.is_stopped() {
         let now_ns = clock::monotonic_ns();
         let due_ns = groups.iter().map(|group| group.grid.due_ns()).min();
-        let wait_ns = due_ns.map_or(LOOK_EVERY_NS, |due_ns| due_ns.saturating_sub(now_ns));
+        let wait_ns = due_ns.map_or(POLL_INTERVAL_NS, |due_ns| due_ns.saturating_sub(now_ns));
         if wait_ns > 0 {
-            thread::sleep(Duration::from_nanos(wait_ns.min(LOOK_EVERY_NS)));
+            thread::sleep(Duration::from_nanos(wait_ns.min(POLL_INTERVAL_NS)));
             continue;
         }
         states.clear();
@@ -75,8 +76,8 @@ pub(crate) fn run(
             }
         }
         if now_ns >= news_ns {
-            news_ns = now_ns + SAY_EVERY_NS;
-            shared.say_news();
+            news_ns = now_ns + LOG_EVERY_NS;
+            shared.log_news();
         }
         if !states.is_empty() {
             count(
@@ -88,14 +89,14 @@ pub(crate) fn run(
     Ok(record)
 }
 
-/// The robots, by the rate of their platforms.
+/// The robots, grouped by the rate of their platforms.
 fn groups(config: &Config, robots: &Robots, now_ns: u64) -> Vec<Group> {
     let platforms = &config.settings().platforms;
     let mut by_period: BTreeMap<u64, Vec<u32>> = BTreeMap::new();
     for (robot, _) in robots.iter() {
         let is_its = |ids: &std::ops::RangeInclusive<u32>| ids.contains(&robot);
         let platform = platforms.iter().find(|it| it.robots.iter().any(is_its));
-        // A bridge's file names only robots that have one.
+        // The check of the bridge's file refuses robots without a platform.
         if let Some(platform) = platform {
             by_period.entry(platform.period_ns).or_default().push(robot);
         }
@@ -107,7 +108,7 @@ fn groups(config: &Config, robots: &Robots, now_ns: u64) -> Vec<Group> {
     by_period.into_iter().map(group).collect()
 }
 
-/// A frame that the bus refuses does not end the bridge.
+/// Counts the result of a frame. A frame that the bus refuses does not end the bridge.
 fn count(
     sent: Result<joulebus_publisher::Sent, PublishError>,
     record: &mut PublishedRecord,
@@ -117,6 +118,9 @@ fn count(
             record.frames += 1;
             record.samples += sent.samples as u64;
             record.frames_unheard += u64::from(sent.readers == 0);
+            if let Some(error) = sent.not_woken {
+                tracing::warn!(%error, "the worker was not woken");
+            }
         }
         Err(PublishError::Send(error)) if !error.is_final() => {
             record.frames_failed += 1;

@@ -1,4 +1,4 @@
-//! What the threads of a bridge share.
+//! State shared by the threads of a bridge.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -8,7 +8,7 @@ use joulebus_program::output::say;
 use crate::mapping::account::Account;
 use crate::mapping::intake::Intake;
 
-/// What was heard, and what was not mapped.
+/// The newest observations, the account of unmapped messages, and the stop flags.
 #[derive(Debug)]
 pub(crate) struct Shared {
     intake: Mutex<Intake>,
@@ -37,8 +37,8 @@ impl Shared {
         lock(&self.account)
     }
 
-    /// Says what was not mapped, or is implausible, for the first time.
-    pub(crate) fn say_news(&self) {
+    /// Logs each unmapped message of a new reason or name, and each new implausible value.
+    pub(crate) fn log_news(&self) {
         let news = self.account().take_news();
         for line in news {
             say(&format!("not mapped: {line}"));
@@ -49,17 +49,17 @@ impl Shared {
         }
     }
 
-    /// Counts a message that came.
+    /// Counts a received message.
     pub(crate) fn count_message(&self) {
         self.messages.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Messages that came.
+    /// Number of messages received.
     pub(crate) fn messages(&self) -> u64 {
         self.messages.load(Ordering::Relaxed)
     }
 
-    /// Lets the threads end that read and write shared memory.
+    /// Tells the threads that use shared memory to end.
     pub(crate) fn stop(&self) {
         self.stop.store(true, Ordering::Relaxed);
     }
@@ -68,7 +68,7 @@ impl Shared {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// Lets connections end, after they have sent what they were handed.
+    /// Tells the connections to end after they have sent their queues.
     pub(crate) fn close(&self) {
         self.close.store(true, Ordering::Relaxed);
     }
@@ -78,7 +78,7 @@ impl Shared {
     }
 }
 
-/// What the lock guards is whole whenever a thread panics.
+/// Ignores poisoning: no panic leaves the guarded data inconsistent.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,4 +1,4 @@
-//! `joulebus link`.
+//! Command-line options of `joulebus link`.
 
 use std::path::PathBuf;
 
@@ -26,7 +26,8 @@ pub(crate) struct LinkArguments {
     /// Only check FILE, and say what it does
     #[arg(long)]
     pub(crate) check: bool,
-    /// Have the worker of this host serve its shard, in place of another host's: of those that FILE's shards name, one does
+    /// Have the worker of this host serve its shard, in place of another host's: of those that
+    /// FILE's shards name, one does
     #[arg(long, conflicts_with = "check")]
     pub(crate) take_over: bool,
     /// The fleet's config.

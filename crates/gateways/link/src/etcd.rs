@@ -1,6 +1,7 @@
-//! etcd by its HTTP and JSON gateway (`/v3/…`, etcd 3.4 and later), for [`crate::protocol::lease`].
+//! A client of etcd's HTTP and JSON gateway (`/v3/…`, etcd 3.4 and later), for
+//! [`crate::protocol::lease`].
 //!
-//! The gateway leaves out what is false, 0 or empty, and writes numbers of 64 bits as texts.
+//! The gateway omits fields that are false, 0 or empty, and writes 64-bit integers as strings.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -15,47 +16,47 @@ use ureq::Agent;
 use ureq::tls::{Certificate, ClientCert, PemItem, PrivateKey, RootCerts, TlsConfig, parse_pem};
 
 use crate::config::LeaseSettings;
-use crate::protocol::lease::{Call, Holder, Reply, Seen};
+use crate::protocol::lease::{Call, Holder, Reply, StoreView};
 
-/// All members of the store together may take this share of a lease's time for one call.
+/// A call may take this share of the lease's time to live, divided among all members.
 const CALL_DIVISOR: u32 = 3;
-/// Least time for a member to answer.
-const LEAST_TIME: Duration = Duration::from_millis(100);
-/// Least time between two failures that are said.
-const TOLD_EVERY: Duration = Duration::from_secs(10);
-/// Longest answer, bytes.
-const MOST_BYTES: u64 = 64 << 10;
-const MOST_CERTIFICATE_BYTES: u64 = 1 << 20;
-const MOST_SECRET_BYTES: u64 = 4_096;
+/// Minimum time for a member to answer.
+const MIN_CALL_TIMEOUT: Duration = Duration::from_millis(100);
+/// Minimum time between two logged failures.
+const LOG_INTERVAL: Duration = Duration::from_secs(10);
+/// Maximum size of an answer, bytes.
+const MAX_BYTES: u64 = 64 << 10;
+const MAX_CERTIFICATE_BYTES: u64 = 1 << 20;
+const MAX_SECRET_BYTES: u64 = 4_096;
 const NANOSECONDS: u64 = 1_000_000_000;
 
-/// The store of one shard, as one candidate uses it.
+/// The etcd client of one candidate for one shard.
 pub(crate) struct Etcd {
     agent: Agent,
     endpoints: Vec<String>,
-    /// The one that answered last.
+    /// Index of the member that answered last.
     at: usize,
     ttl_s: u32,
     limit: Duration,
-    /// Encoded names of the three keys.
+    /// Base64 names of the three keys.
     holder: String,
     term: String,
-    wish: String,
+    requested: String,
     own: String,
     user: Option<(String, String)>,
     token: Option<String>,
-    /// What failed last and was said, and when.
-    told: Option<(String, Instant)>,
+    /// The failure that was logged last, and when.
+    last_failure: Option<(String, Instant)>,
 }
 
-/// What the holder's key contains.
+/// The value of the holder's key.
 #[derive(Debug, Serialize, Deserialize)]
 struct HolderValue {
     name: String,
     term: u64,
 }
 
-/// A number that is a text, or left out.
+/// A number that JSON has as a string, as a number, or not at all.
 #[derive(Debug, Clone, Copy, Default)]
 struct Number(u64);
 
@@ -92,7 +93,7 @@ struct Renewed {
 
 #[derive(Debug, Deserialize)]
 struct RenewedResult {
-    /// Left out where the lease is gone.
+    /// Absent if the lease is gone.
     #[serde(rename = "TTL", default)]
     ttl_s: Number,
 }
@@ -135,7 +136,7 @@ impl KeyValue {
 }
 
 impl Etcd {
-    /// `own`: the name of this candidate.
+    /// Prepares a client. `own` is the name of this candidate.
     ///
     /// # Errors
     /// A file of the settings cannot be read.
@@ -145,7 +146,7 @@ impl Etcd {
     ) -> anyhow::Result<Self> {
         let key = |name: &str| BASE64.encode(format!("{}{fleet}/{shard}/{name}", settings.prefix));
         let user = settings.user.as_ref().map(|(user, path)| {
-            let password = joulebus_files::read_secret(path, MOST_SECRET_BYTES)?;
+            let password = joulebus_files::read_secret(path, MAX_SECRET_BYTES)?;
             let password = password.lines().next().unwrap_or_default().to_owned();
             Ok::<_, std::io::Error>((user.clone(), password))
         });
@@ -156,42 +157,46 @@ impl Etcd {
             endpoints: settings.endpoints.clone(),
             at: 0,
             ttl_s: settings.ttl_s,
-            limit: (ttl / CALL_DIVISOR / members).max(LEAST_TIME),
+            limit: (ttl / CALL_DIVISOR / members).max(MIN_CALL_TIMEOUT),
             holder: key("holder"),
             term: key("term"),
-            wish: key("wish"),
+            requested: key("wish"),
             own: own.to_owned(),
             user: user.transpose().context("the password of etcd's user")?,
             token: None,
-            told: None,
+            last_failure: None,
         })
     }
 
-    /// Calls the store. What fails is said once, until it answers again; members may fail for different reasons in turn, of which
-    /// another one is said now and then.
+    /// Calls the store.
+    ///
+    /// Logs the first failure, then at most one different failure per interval, until a call
+    /// succeeds: members may fail for different reasons in alternation.
     pub(crate) fn call(&mut self, call: &Call) -> Reply {
         match self.try_call(call) {
             Ok(reply) => {
-                if self.told.take().is_some() {
+                if self.last_failure.take().is_some() {
                     tracing::info!("etcd answers again");
                 }
                 reply
             }
             Err(error) => {
-                self.tell(format!("{error:#}"));
+                self.log_failure(format!("{error:#}"));
                 Reply::Failed
             }
         }
     }
 
-    fn tell(&mut self, error: String) {
-        let is_told = self
-            .told
+    fn log_failure(&mut self, error: String) {
+        let is_logged = self
+            .last_failure
             .as_ref()
-            .is_some_and(|(told, at)| *told == error || at.elapsed() < TOLD_EVERY);
-        if !is_told {
+            .is_some_and(|(last_failure, at)| {
+                *last_failure == error || at.elapsed() < LOG_INTERVAL
+            });
+        if !is_logged {
             tracing::warn!("etcd does not answer: {error}");
-            self.told = Some((error, Instant::now()));
+            self.last_failure = Some((error, Instant::now()));
         }
     }
 
@@ -211,7 +216,7 @@ impl Etcd {
                 let ttl_ns = renewed.result.ttl_s.0.saturating_mul(NANOSECONDS);
                 Ok(Reply::Renewed { ttl_ns })
             }
-            Call::Look => self.look().map(Reply::Seen),
+            Call::Look => self.look().map(Reply::StoreView),
             Call::Acquire {
                 lease,
                 term,
@@ -224,10 +229,10 @@ impl Etcd {
         }
     }
 
-    /// All three keys at one instant, from a quorum.
-    fn look(&mut self) -> anyhow::Result<Seen> {
+    /// Reads all three keys in one transaction, so from a quorum and at one revision.
+    fn look(&mut self) -> anyhow::Result<StoreView> {
         let range = |key: &str| json!({"requestRange": {"key": key}});
-        let all = [&self.holder, &self.term, &self.wish].map(|key| range(key));
+        let all = [&self.holder, &self.term, &self.requested].map(|key| range(key));
         let done: Done = self.post("kv/txn", &json!({"success": all}))?;
         let mut ranges = done.responses.into_iter().map(|it| it.response_range);
         let mut key = || -> anyhow::Result<Option<KeyValue>> {
@@ -235,7 +240,7 @@ impl Etcd {
             let range = range.ok_or_else(|| anyhow!("an answer is missing"))?;
             Ok(range.kvs.into_iter().next())
         };
-        let (holder, term, wish) = (key()?, key()?, key()?);
+        let (holder, term, requested) = (key()?, key()?, key()?);
         let holder = holder.map(|it| {
             let value: HolderValue =
                 serde_json::from_str(&it.text()?).context("the holder's key")?;
@@ -253,11 +258,11 @@ impl Etcd {
             );
             Ok(term)
         };
-        Ok(Seen {
+        Ok(StoreView {
             holder: holder.transpose()?,
             term: term.as_ref().map_or(Ok(0), number)?,
             term_revision: term.map_or(0, |it| it.mod_revision.0),
-            wish: wish.map(|it| it.text()).transpose()?,
+            requested: requested.map(|it| it.text()).transpose()?,
         })
     }
 
@@ -275,17 +280,17 @@ impl Etcd {
             "success": [
                 {"requestPut": {"key": self.holder, "value": value, "lease": lease.to_string()}},
                 {"requestPut": {"key": self.term, "value": BASE64.encode(term.to_string())}},
-                {"requestDeleteRange": {"key": self.wish}},
+                {"requestDeleteRange": {"key": self.requested}},
             ],
         }))
     }
 
-    /// Has the present holder leave the shard to this candidate.
+    /// Requests that the present leader leaves the shard to this candidate.
     ///
     /// # Errors
     /// No member answers.
-    pub(crate) fn wish(&mut self) -> anyhow::Result<()> {
-        let body = json!({"key": self.wish, "value": BASE64.encode(&self.own)});
+    pub(crate) fn request_leader(&mut self) -> anyhow::Result<()> {
+        let body = json!({"key": self.requested, "value": BASE64.encode(&self.own)});
         self.post::<Value>("kv/put", &body).map(drop)
     }
 
@@ -297,7 +302,7 @@ impl Etcd {
                 Ok(answer) => return Ok(answer),
                 Err(error) => failed = error.context(self.endpoints[self.at].clone()),
             }
-            // Who comes next has to log in again, too.
+            // The next member needs a login of its own.
             self.token = None;
             self.at = (self.at + 1) % self.endpoints.len();
         }
@@ -329,7 +334,7 @@ impl Etcd {
         let text = answer
             .body_mut()
             .with_config()
-            .limit(MOST_BYTES)
+            .limit(MAX_BYTES)
             .read_to_string()?;
         if !answer.status().is_success() {
             bail!("{}: {}", answer.status(), text.trim());
@@ -342,7 +347,7 @@ fn agent(settings: &LeaseSettings) -> anyhow::Result<Agent> {
     let roots = settings.ca.as_deref().map(certificates).transpose()?;
     let roots = roots.map_or(RootCerts::WebPki, |found| RootCerts::new_with_certs(&found));
     let own = settings.own.as_ref().map(|(certificate, key)| {
-        let pem = joulebus_files::read_secret(key, MOST_CERTIFICATE_BYTES)?;
+        let pem = joulebus_files::read_secret(key, MAX_CERTIFICATE_BYTES)?;
         let key = PrivateKey::from_pem(pem.as_bytes())?;
         Ok::<_, anyhow::Error>(ClientCert::new_with_certs(&certificates(certificate)?, key))
     });
@@ -357,10 +362,10 @@ fn agent(settings: &LeaseSettings) -> anyhow::Result<Agent> {
     Ok(config.into())
 }
 
-/// The certificates in a file.
+/// Reads the certificates of a PEM file.
 fn certificates(path: &Path) -> anyhow::Result<Vec<Certificate<'static>>> {
     let named = || path.display().to_string();
-    let bytes = joulebus_files::read(path, MOST_CERTIFICATE_BYTES).with_context(named)?;
+    let bytes = joulebus_files::read(path, MAX_CERTIFICATE_BYTES).with_context(named)?;
     let mut found = Vec::new();
     for item in parse_pem(&bytes) {
         if let PemItem::Certificate(certificate) = item.with_context(named)? {
@@ -398,7 +403,7 @@ mod tests {
         Etcd::new(&settings, ("lab", "hall", "base")).unwrap()
     }
 
-    /// Reads a request whole: a body of the stated length after an empty line.
+    /// Reads a whole request: headers, an empty line, and a body of the stated length.
     fn read_request(stream: &mut TcpStream) {
         let (mut read, mut byte) = (Vec::new(), [0]);
         while !read.ends_with(b"\r\n\r\n") && stream.read(&mut byte).unwrap_or(0) == 1 {
@@ -412,7 +417,8 @@ mod tests {
         let _ = stream.read_exact(&mut vec![0; length]);
     }
 
-    /// What a call says to a member that answers with these bytes, and then with the last ones for as long as anybody listens.
+    /// The reply to a call, and how long it took, if a member answers with `bytes` and then repeats
+    /// `for_ever` while the client reads.
     fn answer(call: &Call, bytes: &[u8], for_ever: &'static [u8]) -> (Reply, Duration) {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();
@@ -542,7 +548,7 @@ mod tests {
             let (reply, took) = answer(&RENEW, bytes, for_ever);
             let shown = String::from_utf8_lossy(bytes);
             assert_eq!(reply, Reply::Failed, "{shown}");
-            // Generous beside a busy machine; without a limit it would not end.
+            // Generous for a busy machine. Without a limit the call would not end.
             assert!(took < 20 * limit, "{shown}: {took:?}");
         }
     }
@@ -553,7 +559,7 @@ mod tests {
             "responses":[{"responseRange":{"count":"0"}},{"responseRange":{}},{"response_range":{}}]}"#;
         assert_eq!(
             answer(&Call::Look, &ok(body), b"").0,
-            Reply::Seen(Seen::default())
+            Reply::StoreView(StoreView::default())
         );
         let gone = r#"{"result":{"header":{},"ID":"7"}}"#;
         assert_eq!(

@@ -1,4 +1,4 @@
-//! `joulebus link`: its threads, and its report.
+//! `joulebus link`: starts the threads, waits for the stop, and reports.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -20,32 +20,32 @@ use joulebus_standby::Places;
 use serde::Serialize;
 
 use crate::config::{Mode, Settings, Side};
-use crate::giving::GivenRecord;
-use crate::network::{Network, NetworkError, longest_bytes, longest_state_bytes};
+use crate::egress::EgressRecord;
+use crate::ingress::IngressRecord;
+use crate::leadership::Leadership;
+use crate::network::{Network, NetworkError, max_message_bytes, max_state_message_bytes};
 use crate::refusals::Refusals;
-use crate::taking::TakenRecord;
-use crate::turn::Turn;
-use crate::{follow, forward, intake, one_thread, outputs, standby, take_over};
+use crate::{follow, forward, intake, outputs, standby, take_over, tls_workaround};
 
-/// Interval of checking whether to stop: nothing else is done here.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
-/// Pause before a router is looked for again.
-const ROUTER_AGAIN_NS: u64 = 500_000_000;
-/// Nice value of all threads: the worker and its sources run first.
+/// Interval between checks for a stop. The main thread does nothing else.
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
+/// Pause before the next attempt to reach a router.
+const RETRY_ROUTER_NS: u64 = 500_000_000;
+/// Nice value of all threads, so that the worker and its sources run first.
 const NICE: u8 = 5;
 
-/// What was linked.
+/// The report of a link that has ended.
 #[derive(Debug, Serialize)]
 struct LinkReport {
     fleet: String,
     link: String,
-    given: Vec<GivenRecord>,
-    taken: Vec<TakenRecord>,
-    /// Requests that were refused, by reason.
+    given: Vec<EgressRecord>,
+    taken: Vec<IngressRecord>,
+    /// Refused requests, by reason.
     refused: Refusals,
 }
 
-/// What `--check` says.
+/// The report of `--check`.
 #[derive(Debug, Serialize)]
 struct CheckReport {
     fleet: String,
@@ -54,17 +54,17 @@ struct CheckReport {
     connect: Vec<String>,
     listen: Vec<String>,
     encrypted: bool,
-    /// The shards, and the robots of each that the config names.
+    /// Number of the config's robots in each shard.
     shards: BTreeMap<String, usize>,
-    /// The one that this host's worker speaks for.
+    /// The shard that this host's worker may lead.
     speaks_for: Option<String>,
-    /// Whose samples are taken, or whose outputs are followed.
+    /// Links whose samples are taken, or whose outputs are followed.
     takes: Vec<String>,
-    /// Where samples go.
+    /// Links that get the samples published here.
     gives: Vec<String>,
-    /// The other links whose workers may serve in place of this host's.
+    /// Links of the other candidates for this host's shard.
     stands_by_with: Vec<String>,
-    /// The members of etcd that decide which of them does; without them an operator decides.
+    /// The etcd members of the lease. Without them an operator chooses the leader.
     lease: Vec<String>,
 }
 
@@ -76,8 +76,8 @@ pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcom
         return Ok(Outcome::Done);
     }
     if settings.network.tls.is_some() && !args.take_over {
-        // Before signals are caught: one that comes meanwhile is not forgotten.
-        one_thread::begin();
+        // Restart before signals are caught. A signal in between then still ends the program.
+        tls_workaround::begin();
     }
     let stop = Stop::on_signals()?;
     if args.take_over {
@@ -89,7 +89,7 @@ pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcom
         return Ok(Outcome::Done);
     };
     while !stop.is_asked() && !link.threads.iter().any(JoinHandle::is_finished) {
-        thread::sleep(LOOK_EVERY);
+        thread::sleep(POLL_INTERVAL);
     }
     let report = link.finish(&config, &settings)?;
     let lost = report.is_lossy();
@@ -148,7 +148,7 @@ fn checked(config: &Config, settings: &Settings) -> CheckReport {
     }
 }
 
-/// Opens the network; a client waits for its router, until it is asked to stop.
+/// Opens the network. A client retries until a router answers or a stop is requested.
 fn open(
     config: &Config,
     settings: &Settings,
@@ -157,23 +157,23 @@ fn open(
 ) -> anyhow::Result<Option<Network>> {
     let of = (config.fleet(), settings.name.as_str());
     let capacity = config.limits().capacity;
-    let longest_bytes = match settings.standby {
-        Some(_) => longest_state_bytes(capacity),
-        None => longest_bytes(capacity),
+    let max_message_bytes = match settings.standby {
+        Some(_) => max_state_message_bytes(capacity),
+        None => max_message_bytes(capacity),
     };
     let candidates = settings.standby.iter().flat_map(|it| &it.others);
     let candidates: Vec<&str> = candidates.map(|(_, name)| name.as_str()).collect();
     let hosts = takes.map(|takes| (takes, candidates.as_slice()));
-    let mut is_told = false;
+    let mut is_logged = false;
     while !stop.is_asked() {
-        match Network::open(&settings.network, of, hosts, longest_bytes) {
+        match Network::open(&settings.network, of, hosts, max_message_bytes) {
             Err(NetworkError::Open { .. }) if settings.network.mode == Mode::Client => {
-                if !is_told {
+                if !is_logged {
                     let router = settings.network.connect.join(", ");
                     tracing::warn!("no router answers at {router}: waiting for one");
                 }
-                is_told = true;
-                stop.sleep_until(clock::monotonic_ns() + ROUTER_AGAIN_NS);
+                is_logged = true;
+                stop.sleep_until(clock::monotonic_ns() + RETRY_ROUTER_NS);
             }
             opened => return Ok(Some(opened?)),
         }
@@ -181,11 +181,11 @@ fn open(
     Ok(None)
 }
 
-/// What a thread has done.
+/// The part of the report from one thread.
 #[derive(Debug, Default)]
 struct Done {
-    given: Vec<GivenRecord>,
-    taken: Vec<TakenRecord>,
+    given: Vec<EgressRecord>,
+    taken: Vec<IngressRecord>,
     refused: Refusals,
 }
 
@@ -193,14 +193,15 @@ struct Done {
 struct Link {
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<anyhow::Result<Done>>>,
-    /// Answers questions on a host without a worker.
+    /// Answers planners' questions on a host without a worker.
     questions: Option<PlanServer>,
-    /// Of this host, which has no other worker: after the threads that need it.
+    /// The worker lock of a host without a worker. Released after the threads that need it have
+    /// ended.
     lock: Option<Arc<WorkerLock>>,
 }
 
 impl Link {
-    /// `None` if it is asked to stop before its router answers.
+    /// Starts all threads. `None` if a stop is requested before the router answers.
     fn start(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::Result<Option<Self>> {
         let mut link = Self {
             stop: Arc::default(),
@@ -247,14 +248,14 @@ impl Link {
         takes: &[crate::config::Take],
         network: &Arc<Network>,
     ) -> anyhow::Result<()> {
-        let turn = match &settings.standby {
+        let leadership = match &settings.standby {
             Some(standby) => Some(self.start_standby((config, settings), standby, network)?),
             None => None,
         };
         let (of, over) = (config.clone(), Arc::clone(network));
         let fleet = settings.fleet(config);
         self.spawn("joulebus-outputs", move |stop, ready| {
-            let over = (&over, turn.as_deref());
+            let over = (&over, leadership.as_deref());
             let (given, refused) = outputs::run((&of, fleet), over, stop, ready)?;
             Ok(Done {
                 given,
@@ -276,17 +277,17 @@ impl Link {
         })
     }
 
-    /// Starts what decides whether the worker of this host serves.
+    /// Starts the threads that decide whether this host's worker leads.
     fn start_standby(
         &mut self,
         (config, settings): (&Config, &Settings),
         standby: &crate::config::Standby,
         network: &Arc<Network>,
-    ) -> anyhow::Result<Arc<Turn>> {
-        let (turn, permit) = Turn::resume(Places::of(config))?;
-        let turn = Arc::new(turn);
+    ) -> anyhow::Result<Arc<Leadership>> {
+        let (leadership, permit) = Leadership::resume(Places::of(config))?;
+        let leadership = Arc::new(leadership);
         let (of, with, over) = (config.clone(), settings.clone(), Arc::clone(network));
-        let (its, of_shard) = (Arc::clone(&turn), standby.clone());
+        let (its, of_shard) = (Arc::clone(&leadership), standby.clone());
         self.spawn("joulebus-standby", move |stop, ready| {
             let taken = standby::follow((&of, &with, &of_shard), (&over, &its), stop, ready)?;
             Ok(Done {
@@ -296,14 +297,14 @@ impl Link {
         })?;
         if let Some(lease) = standby.lease.clone() {
             let (of, with) = (config.clone(), settings.clone());
-            let (its, of_shard) = (Arc::clone(&turn), standby.clone());
+            let (its, of_shard) = (Arc::clone(&leadership), standby.clone());
             self.spawn("joulebus-lease", move |stop, ready| {
                 let by = (&of_shard, &lease);
                 standby::hold((&of, &with), by, (&its, permit), stop, ready)?;
                 Ok(Done::default())
             })?;
         }
-        Ok(turn)
+        Ok(leadership)
     }
 
     fn start_following(
@@ -352,11 +353,11 @@ impl Link {
         let (ready, joined) = sync_channel(1);
         let stop = Arc::clone(&self.stop);
         let thread = thread::Builder::new().name(name.to_owned()).spawn(move || {
-            let tell = move || {
-                // The caller waits for it.
+            let signal_ready = move || {
+                // The caller of `spawn` waits for this.
                 let _ = ready.send(());
             };
-            work(&stop, Box::new(tell))
+            work(&stop, Box::new(signal_ready))
         });
         let thread = thread.with_context(|| format!("cannot start the thread {name}"))?;
         if joined.recv().is_err() {
@@ -397,8 +398,8 @@ fn join(thread: JoinHandle<anyhow::Result<Done>>) -> anyhow::Result<Done> {
 }
 
 impl LinkReport {
-    /// Whether frames were lost on the way or refused. Those left out because the link is slower than the fleet count: a
-    /// planner did not get them.
+    /// Whether frames were lost or refused. Frames dropped on a slow link count, because planners
+    /// did not get them.
     fn is_lossy(&self) -> bool {
         let given = self.given.iter();
         self.refused.total() > 0
@@ -406,7 +407,7 @@ impl LinkReport {
                 .clone()
                 .any(|it| it.sent.dropped > 0 || it.sent.unheard > 0)
             || self.taken.iter().any(
-                |TakenRecord {
+                |IngressRecord {
                      received, refused, ..
                  }| {
                     received.lost > 0
@@ -421,7 +422,7 @@ impl LinkReport {
 impl fmt::Display for LinkReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(out, "link {} of fleet {}", self.link, self.fleet)?;
-        for GivenRecord { to, sent } in &self.given {
+        for EgressRecord { to, sent } in &self.given {
             writeln!(
                 out,
                 "gave {to} {} frames, {} bytes; {} left out for newer ones, {} not acknowledged",
@@ -482,7 +483,7 @@ impl fmt::Display for CheckReport {
         )?;
         for (shard, robots) in &self.shards {
             let own = if self.speaks_for.as_ref() == Some(shard) {
-                ", for which it speaks"
+                ", whose worker this is"
             } else {
                 ""
             };

@@ -1,26 +1,29 @@
-//! `joulebus link` as a separate program: a source and a planner like any other, that speak to their like on other hosts.
+//! The program of `joulebus link`.
+//!
+//! To its host's fleet a link is a source and a planner like any other. It exchanges their frames
+//! with links on other hosts.
 #![forbid(unsafe_code)]
 
 mod arguments;
 mod config;
+mod egress;
 mod etcd;
 mod follow;
 mod forward;
-mod gathered;
-mod giving;
+mod ingress;
 mod intake;
+mod leadership;
 mod link;
 mod network;
-mod one_thread;
-mod outlets;
 mod outputs;
 mod protocol;
 mod refusals;
+mod shard_merger;
 mod standby;
 mod take_over;
-mod taking;
-mod turn;
+mod tls_workaround;
 mod wall_clock;
+mod worker_ports;
 
 use std::process::ExitCode;
 

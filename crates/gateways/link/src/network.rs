@@ -1,7 +1,7 @@
-//! The only file that names zenoh: keys, connections, and what arrives.
+//! The zenoh session: keys, connections and arriving messages. Only this file names zenoh.
 //!
-//! Nothing is discovered: a link reaches the addresses of its file and no others, and no payload takes the way of
-//! zenoh's own shared memory.
+//! There is no discovery: a link connects to the addresses of its file and to no others. Payloads
+//! never use zenoh's own shared memory.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -22,39 +22,41 @@ use crate::config::{Mode, NetworkSettings};
 use crate::protocol::carried::Carried;
 use crate::wall_clock::WallClock;
 
-/// Messages that wait for a thread; with more, the newest are lost, and counted.
-const MOST_WAITING: usize = 256;
-/// As many of the longest messages may wait.
-const MOST_LONGEST: usize = 4;
-/// A peer that has sent nothing for so long is gone, ms. Shorter than the silence after which a link says so, longer than
-/// what a network loses at times.
-const LEASE_MS: u64 = 1_000;
-/// How long a message waits for room before it is dropped, µs; one of many batches ten times that.
-const WAIT_US: u64 = 50_000;
-/// Time after which a client gives up for now where no router answers, ms.
-const ROUTER_WITHIN_MS: i64 = 1_000;
-/// Longest header of a message and its frame, bytes.
-const LONGEST_HEADER: usize = 4_096;
+/// Maximum number of queued messages for a thread. Beyond it new messages are dropped and counted.
+const MAX_QUEUED: usize = 256;
+/// Maximum size of the queue, in messages of maximum length.
+const MAX_QUEUED_LONGEST: usize = 4;
+/// Timeout of a silent peer, ms. It is shorter than the silence that a link reports, and longer
+/// than usual interruptions of a network.
+const PEER_TIMEOUT_MS: u64 = 1_000;
+/// How long a message waits for room in the transmit queue before it is dropped, µs. A message of
+/// many batches waits ten times as long.
+const SEND_TIMEOUT_US: u64 = 50_000;
+/// Timeout of a client's attempt to reach a router, ms.
+const ROUTER_TIMEOUT_MS: i64 = 1_000;
+/// Maximum size of a message's and its frame's headers, bytes.
+const MAX_HEADER_BYTES: usize = 4_096;
 
-/// The longest message of a fleet with that capacity, bytes.
-pub(crate) fn longest_bytes(capacity: usize) -> usize {
+/// Maximum message size in a fleet of that capacity, bytes.
+pub(crate) fn max_message_bytes(capacity: usize) -> usize {
     let rows = Carried::all().map(|service| service.sizes().1);
     let longest = rows.max().unwrap_or_default();
-    LONGEST_HEADER + capacity.saturating_mul(longest)
+    MAX_HEADER_BYTES + capacity.saturating_mul(longest)
 }
 
-/// The same with a worker's state.
-pub(crate) fn longest_state_bytes(capacity: usize) -> usize {
-    let state = LONGEST_HEADER.saturating_add(Carried::STATE.most(capacity));
-    state.max(longest_bytes(capacity))
+/// Same as [`max_message_bytes`], including a worker's state.
+pub(crate) fn max_state_message_bytes(capacity: usize) -> usize {
+    let state = MAX_HEADER_BYTES.saturating_add(Carried::STATE.most(capacity));
+    state.max(max_message_bytes(capacity))
 }
 
-/// What a stream carries, as it stands in keys: rules of access tell them apart.
+/// What a stream carries. It is a part of the keys, so that access rules can distinguish the
+/// streams.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Kind {
-    /// What a worker writes.
+    /// Frames that a worker writes.
     Outputs,
-    /// What sources write.
+    /// Samples that sources write.
     Samples,
 }
 
@@ -67,31 +69,31 @@ impl Kind {
     }
 }
 
-/// Something that happened.
+/// An event of the network.
 #[derive(Debug)]
 pub(crate) enum Event {
-    /// A message of the link `from`.
+    /// A message from the link `from`.
     Message {
         from: Arc<str>,
         bytes: Bytes,
         arrived_ns: u64,
     },
-    /// The link of that name, or the way to it, is gone.
+    /// The link of that name has left, or its connection is lost.
     Lost { name: Arc<str> },
 }
 
-/// The bytes of a message.
+/// The payload of a message.
 #[derive(Debug)]
 pub(crate) struct Bytes(ZBytes);
 
 impl Bytes {
-    /// All of them, copied only if they arrived in parts.
+    /// The contiguous payload, copied only if it arrived in parts.
     pub(crate) fn get(&self) -> Cow<'_, [u8]> {
         self.0.to_bytes()
     }
 }
 
-/// What arrives for one thread: a bounded number of messages and of bytes.
+/// The queue of arriving events for one thread, bounded in messages and bytes.
 #[derive(Debug)]
 pub(crate) struct Inbox {
     entry: Entry,
@@ -99,7 +101,7 @@ pub(crate) struct Inbox {
     _subscriptions: Vec<Subscriber<()>>,
 }
 
-/// Where threads of the network put what arrives.
+/// The producing end of an [`Inbox`], used by zenoh's threads.
 #[derive(Debug, Clone)]
 struct Entry {
     sender: SyncSender<Event>,
@@ -109,20 +111,20 @@ struct Entry {
 
 #[derive(Debug, Default)]
 struct Counts {
-    /// Bytes of the messages that wait.
+    /// Total size of the queued messages.
     waiting_bytes: AtomicUsize,
-    /// Messages that were lost here.
+    /// Messages dropped because the queue was full.
     overflowed: AtomicU64,
 }
 
 impl Inbox {
-    /// `longest_bytes`: of a message that may arrive.
-    pub(crate) fn new(longest_bytes: usize) -> Self {
-        let (sender, receiver) = sync_channel(MOST_WAITING);
+    /// `max_message_bytes` is the maximum size of an expected message.
+    pub(crate) fn new(max_message_bytes: usize) -> Self {
+        let (sender, receiver) = sync_channel(MAX_QUEUED);
         let entry = Entry {
             sender,
             counts: Arc::default(),
-            most_bytes: longest_bytes.saturating_mul(MOST_LONGEST),
+            most_bytes: max_message_bytes.saturating_mul(MAX_QUEUED_LONGEST),
         };
         Self {
             entry,
@@ -131,10 +133,10 @@ impl Inbox {
         }
     }
 
-    /// The next event, within `wait`.
+    /// Returns the next event, waiting at most `wait`.
     ///
     /// # Errors
-    /// There is none, or the network has ended.
+    /// The time has passed, or the network has ended.
     pub(crate) fn next(&self, wait: Duration) -> Result<Event, RecvTimeoutError> {
         let event = self.receiver.recv_timeout(wait)?;
         let waiting = &self.entry.counts.waiting_bytes;
@@ -142,14 +144,14 @@ impl Inbox {
         Ok(event)
     }
 
-    /// Messages that were lost here because this host was too slow.
+    /// Messages dropped because this host was too slow.
     pub(crate) fn overflowed(&self) -> u64 {
         self.entry.counts.overflowed.load(Ordering::Relaxed)
     }
 }
 
 impl Entry {
-    /// Never waits: the caller is a thread of the network.
+    /// Never blocks: the caller is a thread of zenoh.
     fn put(&self, event: Event) {
         let (bytes, counts) = (event.bytes(), &self.counts);
         let before = counts.waiting_bytes.fetch_add(bytes, Ordering::Relaxed);
@@ -170,7 +172,7 @@ impl Event {
     }
 }
 
-/// A connection to the other hosts of a fleet.
+/// The connection to the other hosts of a fleet.
 #[derive(Debug)]
 pub(crate) struct Network {
     session: zenoh::Session,
@@ -180,12 +182,13 @@ pub(crate) struct Network {
     _token: LivelinessToken,
 }
 
-/// A key that is written to.
+/// A publisher of one key.
 #[derive(Debug)]
 pub(crate) struct Outlet(Publisher<'static>);
 
 impl Outlet {
-    /// Sends a message; one that the network has no room for is lost, and missed by the other side.
+    /// Sends a message. If zenoh has no room for it, it is dropped, and the receiver counts it as
+    /// missing.
     pub(crate) fn send(&self, bytes: Vec<u8>) {
         if let Err(error) = self.0.put(bytes).wait() {
             tracing::debug!(%error, "a message was not sent");
@@ -194,8 +197,10 @@ impl Outlet {
 }
 
 impl Network {
-    /// Opens the addresses, and lets the others know of this link. `hosts`, of a worker's host: the links whose samples are
-    /// taken, each by the name in its certificate, and those whose workers stand by.
+    /// Opens the addresses and announces this link.
+    ///
+    /// `hosts` is set on a worker's host. It has the links whose samples are taken and the links of
+    /// the other candidates, by the names in their certificates.
     ///
     /// # Errors
     /// [`NetworkError`].
@@ -203,9 +208,9 @@ impl Network {
         settings: &NetworkSettings,
         (fleet, name): (&str, &str),
         hosts: Option<(&[&str], &[&str])>,
-        longest_bytes: usize,
+        max_message_bytes: usize,
     ) -> Result<Self, NetworkError> {
-        let mut config = configured(settings, longest_bytes)?;
+        let mut config = configured(settings, max_message_bytes)?;
         if let Some(hosts) = hosts
             && settings.tls.is_some()
             && settings.mode == Mode::Peer
@@ -231,12 +236,12 @@ impl Network {
         })
     }
 
-    /// This host's realtime clock, for a stream.
+    /// This host's realtime clock, as a stream reads it.
     pub(crate) fn wall_clock(&self) -> WallClock {
         WallClock::new(self.realtime_within_ns)
     }
 
-    /// Where frames go to the link `to`.
+    /// The publisher of frames for the link `to`.
     ///
     /// # Errors
     /// [`NetworkError`].
@@ -246,7 +251,7 @@ impl Network {
         self.outlet(key)
     }
 
-    /// Where the link `from` is asked for frames.
+    /// The publisher of requests to the link `from`.
     ///
     /// # Errors
     /// [`NetworkError`].
@@ -256,7 +261,8 @@ impl Network {
         self.outlet(key)
     }
 
-    /// Has the frames that the link `from` sends to this one put into the inbox, and its end.
+    /// Subscribes the inbox to frames from the link `from` to this one, and to the loss of that
+    /// link.
     ///
     /// # Errors
     /// [`NetworkError`].
@@ -273,7 +279,7 @@ impl Network {
         self.watch(from, inbox)
     }
 
-    /// Has the end of links put into the inbox: of one, or of all with `*`.
+    /// Subscribes the inbox to the loss of the link `name`, or of all links with `*`.
     fn watch(&self, name: &str, inbox: &mut Inbox) -> Result<(), NetworkError> {
         let entry = inbox.entry.clone();
         let key = format!("joulebus/{}/links/{name}", self.fleet);
@@ -290,7 +296,7 @@ impl Network {
         Ok(())
     }
 
-    /// Has the requests for frames of this link put into the inbox.
+    /// Subscribes the inbox to requests for frames of this link.
     ///
     /// # Errors
     /// [`NetworkError`].
@@ -338,29 +344,31 @@ impl Network {
     }
 }
 
-/// The name of a link, with which its key ends.
+/// The name of a link, the last part of its keys.
 fn last_part(sample: &Sample) -> Option<Arc<str>> {
     let key = sample.key_expr().as_str();
     key.rsplit_once('/').map(|(_, name)| name.into())
 }
 
-/// The whole configuration of zenoh: what is not named here is its default, and no file or environment changes it.
+/// The complete configuration of zenoh. Keys that are not set here keep their defaults. No file or
+/// environment variable changes them.
 fn configured(
     settings: &NetworkSettings,
-    longest_bytes: usize,
+    max_message_bytes: usize,
 ) -> Result<zenoh::Config, NetworkError> {
     let mut config = zenoh::Config::default();
     let mut set = |key: &str, value: serde_json::Value| insert(&mut config, key, &value);
     set("mode", json!(settings.mode.name()))?;
     set("connect/endpoints", json!(settings.connect))?;
     set("listen/endpoints", json!(settings.listen))?;
-    // A client needs its router. A link that listens on nothing connects when the others are there: it tries without end (-1) and
-    // does not wait for it. One that listens tries once (0): those that start later connect to it. Of two that both tried
-    // without end each would go on although they are connected, which zenoh takes for a second connection and refuses, and
-    // one that is cut off in such a moment keeps the other from hearing anybody for ten seconds.
+    // A client needs its router. A link that does not listen retries without end (-1), in the
+    // background. A link that listens tries once (0), because peers that start later connect to it.
+    // If both peers retried without end, each would go on after they are connected. Zenoh refuses
+    // the second connection. If a peer is cut off at that moment, the other receives nothing for
+    // ten seconds.
     let is_client = settings.mode == Mode::Client;
     let within_ms = match (is_client, settings.listen.is_empty()) {
-        (true, _) => ROUTER_WITHIN_MS,
+        (true, _) => ROUTER_TIMEOUT_MS,
         (false, true) => -1,
         (false, false) => 0,
     };
@@ -372,20 +380,23 @@ fn configured(
     )?;
     set("listen/exit_on_failure", json!(true))?;
     set("scouting/multicast/enabled", json!(false))?;
-    // Tells nobody of others, and connects to nobody for it.
+    // No gossip: announce no peers, and connect to none that others announce.
     let nobody = json!({"peer": [], "router": [], "client": []});
     set("scouting/gossip/target", nobody.clone())?;
     set("scouting/gossip/autoconnect", nobody)?;
-    set("transport/link/tx/lease", json!(LEASE_MS))?;
-    set("transport/link/rx/max_message_size", json!(longest_bytes))?;
-    // A link keeps few frames on their way; those must find room although a thread of the network gets no processor for a
-    // while, and although a long frame is many batches.
+    set("transport/link/tx/lease", json!(PEER_TIMEOUT_MS))?;
+    set(
+        "transport/link/rx/max_message_size",
+        json!(max_message_bytes),
+    )?;
+    // Few frames of a link are in flight. They need room even while a thread of zenoh gets no
+    // processor, and a long frame takes many batches.
     set("transport/link/tx/queue/size/data", json!(16))?;
     let drop = "transport/link/tx/queue/congestion_control/drop";
-    set(&format!("{drop}/wait_before_drop"), json!(WAIT_US))?;
+    set(&format!("{drop}/wait_before_drop"), json!(SEND_TIMEOUT_US))?;
     set(
         &format!("{drop}/max_wait_before_drop_fragments"),
-        json!(10 * WAIT_US),
+        json!(10 * SEND_TIMEOUT_US),
     )?;
     if let Some(tls) = &settings.tls {
         set("transport/link/tls/root_ca_certificate", json!(tls.ca))?;
@@ -418,9 +429,11 @@ fn insert(
     config.insert_json5(key, &value.to_string()).map_err(reason)
 }
 
-/// Who may do what at the worker's link: all whose certificate is the fleet's may ask for its outputs; samples come from the
-/// links that the file names, and states and terms from the other candidates of its shard, which this link asks for them, each
-/// under its own name.
+/// Access rules of a worker's link.
+///
+/// Every link with a certificate of the fleet may request outputs. Samples are accepted from the
+/// links that the file names. States and terms are accepted from the other candidates of the shard,
+/// which this link requests them from. Each link is bound to the name in its certificate.
 fn access(fleet: &str, name: &str, (takes, candidates): (&[&str], &[&str])) -> serde_json::Value {
     let key = |rest: &str| format!("joulebus/{fleet}/{rest}");
     let both = ["ingress", "egress"];
@@ -441,7 +454,7 @@ fn access(fleet: &str, name: &str, (takes, candidates): (&[&str], &[&str])) -> s
         let keys = |of: &dyn Fn(&str) -> String| -> Vec<String> {
             candidates.iter().map(|other| key(&of(other))).collect()
         };
-        // They are told that this link asks where they have said that they can be asked.
+        // Let this link declare its requests to the candidates that accept them.
         for (id, flow, message, keys) in [
             (
                 "candidates",
@@ -543,7 +556,8 @@ mod tests {
             let of_key: Vec<_> = found.iter().filter(|(of, _)| *of == key).collect();
             assert_eq!(of_key, [&(key.clone(), who.to_owned())]);
         }
-        // What everybody may send: requests, and nothing under this link's own name but to those that ask it.
+        // The rules for all certificates allow only requests, and this link's outputs to those that
+        // requested them.
         let of_all = found.iter().filter(|(_, who)| who.is_empty());
         for (key, _) in of_all {
             let is_request = key.starts_with("joulebus/lab/ask/");

@@ -1,15 +1,15 @@
-//! What came and was not used, by reason; each reason is logged once.
+//! Counters of refused messages by reason. The first of each reason is logged.
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
 
-/// Counts by reason.
+/// Number of refusals by reason.
 #[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(transparent)]
 pub(crate) struct Refusals(BTreeMap<&'static str, u64>);
 
 impl Refusals {
-    /// Counts; the first of a reason is logged, with where it came from.
+    /// Counts a refusal. Logs the first of its reason, with the sender.
     pub(crate) fn count(&mut self, reason: &'static str, from: &str, error: &dyn Display) {
         let count = self.0.entry(reason).or_default();
         *count += 1;

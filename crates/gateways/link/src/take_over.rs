@@ -1,4 +1,4 @@
-//! `joulebus link FILE --take-over`: the command that this host's worker shall serve.
+//! `joulebus link FILE --take-over`: requests that this host's worker leads its shard.
 
 use std::fs::File;
 use std::time::Duration;
@@ -13,15 +13,15 @@ use joulebus_standby::{Permit, Places};
 use crate::config::Settings;
 use crate::etcd::Etcd;
 
-/// How long the link of this host has to answer; a lease has its time to live, and as much again.
-const ANSWER_NS: u64 = 5_000_000_000;
+/// Timeout of the answer by this host's link. With a lease twice its time to live is added.
+const ANSWER_TIMEOUT_NS: u64 = 5_000_000_000;
 const NANOSECONDS: u64 = 1_000_000_000;
-const LOOK_EVERY: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
-/// Commands it, and waits until it is so.
+/// Requests leadership and waits until this host leads.
 ///
 /// # Errors
-/// This host has no worker that stands by, etcd does not answer, or it is not so in time.
+/// This host has no standby worker, etcd does not answer, or the timeout has passed.
 pub(crate) fn run(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::Result<()> {
     let Some(standby) = &settings.standby else {
         bail!(
@@ -40,15 +40,15 @@ pub(crate) fn run(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::
         Ok(permit.filter(|_| !places.request.exists()))
     };
     let within_ns = match &standby.lease {
-        _ if serves()?.is_some() => ANSWER_NS,
+        _ if serves()?.is_some() => ANSWER_TIMEOUT_NS,
         Some(lease) => {
             let mut etcd = Etcd::new(lease, (config.fleet(), shard, &settings.name))?;
-            etcd.wish().context("etcd does not answer")?;
-            ANSWER_NS + 2 * u64::from(lease.ttl_s) * NANOSECONDS
+            etcd.request_leader().context("etcd does not answer")?;
+            ANSWER_TIMEOUT_NS + 2 * u64::from(lease.ttl_s) * NANOSECONDS
         }
         None => {
             File::create(&places.request).with_context(|| format!("{:?}", places.request))?;
-            ANSWER_NS
+            ANSWER_TIMEOUT_NS
         }
     };
     let until_ns = clock::monotonic_ns() + within_ns;
@@ -61,10 +61,10 @@ pub(crate) fn run(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::
             return Ok(());
         }
         if stop.is_asked() || clock::monotonic_ns() >= until_ns {
-            // Whoever starts a link later does not want it any more.
+            // A link that starts later must not act on this request.
             let _ = std::fs::remove_file(&places.request);
             bail!("this host does not serve shard {shard} yet: does its link run?");
         }
-        std::thread::sleep(LOOK_EVERY);
+        std::thread::sleep(POLL_INTERVAL);
     }
 }

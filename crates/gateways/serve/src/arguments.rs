@@ -7,7 +7,8 @@ use clap::ArgGroup;
 
 use joulebus_program::config_file::ConfigFile;
 
-/// Show a fleet to people and programs: a page, a JSON API and metrics, or all messages in Foxglove, live
+/// Show a fleet to people and programs: a page, a JSON API and metrics, or all messages in
+/// Foxglove, live
 #[derive(Debug, clap::Args)]
 #[command(
     group = ArgGroup::new("what").required(true).multiple(true).args(["http", "socket", "foxglove", "webhook"]),
@@ -47,7 +48,8 @@ pub(crate) struct ServeArguments {
     /// With --http: clients need the token in this file (mode 0600)
     #[arg(long, value_name = "FILE", requires = "http")]
     pub(crate) token_file: Option<PathBuf>,
-    /// With --http: a name that this server is reached by, such as that of a reverse proxy; may be repeated
+    /// With --http: a name that this server is reached by, such as that of a reverse proxy; may be
+    /// repeated
     #[arg(long, value_name = "NAME", requires = "http")]
     pub(crate) allow_host: Vec<String>,
     /// With --http or --socket: metrics of at most this many robots; 0: only of the fleet
@@ -56,7 +58,8 @@ pub(crate) struct ServeArguments {
     /// Tell this address of alarms; @FILE: the address in this file (mode 0600)
     #[arg(long, value_name = "ADDRESS")]
     pub(crate) webhook: Option<String>,
-    /// With --webhook: check its certificate against those in this file (PEM) instead of Mozilla's list
+    /// With --webhook: check its certificate against those in this file (PEM) instead of Mozilla's
+    /// list
     #[arg(long, value_name = "FILE", requires = "webhook")]
     pub(crate) webhook_ca: Option<PathBuf>,
     /// Serve the Foxglove WebSocket protocol
@@ -74,8 +77,8 @@ pub(crate) struct ServeArguments {
     #[arg(long, default_value_t = 8765, requires = "foxglove")]
     pub(crate) port: u16,
     #[allow(rustdoc::bare_urls, reason = "`--help` shows the text as it is")]
-    /// With --foxglove: also accept web pages of this origin, like https://lab.example:8080; may be repeated. Pages of
-    /// this host and of https://app.foxglove.dev are always accepted
+    /// With --foxglove: also accept web pages of this origin, like https://lab.example:8080; may be
+    /// repeated. Pages of this host and of https://app.foxglove.dev are always accepted
     #[arg(long, value_name = "ORIGIN", value_parser = origin, requires = "foxglove")]
     pub(crate) allow_origin: Vec<String>,
     /// With --foxglove: also a channel for each robot's sample, forecast, diagnostics and budget

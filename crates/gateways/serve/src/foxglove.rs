@@ -1,8 +1,8 @@
 //! Serves the channels of a capture over the Foxglove WebSocket protocol.
 //!
-//! A recorder writes its capture into a pipe, and the messages read from the pipe are sent to the
-//! connected clients: so live and recorded data are the same by construction. A client that is too
-//! slow loses messages, without effect on the fleet.
+//! A recorder writes its capture into a pipe, and this server sends the messages that it reads from
+//! the pipe to its clients. Live and recorded data are therefore the same by construction. A slow
+//! client loses messages, without effect on the fleet.
 
 use std::collections::HashMap;
 use std::io;
@@ -29,11 +29,11 @@ use serde::Serialize;
 use crate::guard::{Guard, hidden_address};
 
 /// Timeout for clients to disconnect at the end.
-const LEAVE_LIMIT: Duration = Duration::from_secs(1);
+const DISCONNECT_TIMEOUT: Duration = Duration::from_secs(1);
 /// Bytes of messages queued for a slow reader.
 const QUEUE_BYTES: usize = 64 << 20;
 
-/// What was served.
+/// The report of a server that has ended.
 #[derive(Debug, Serialize)]
 pub(crate) struct FoxgloveReport {
     pub(crate) address: String,
@@ -78,16 +78,14 @@ impl Foxglove {
         let options = Options {
             settings: CaptureSettings::of(Preset::FastWrite),
             per_robot: args.per_robot,
-            choose: Arc::new(|_| true),
-            max_file_bytes: u64::MAX,
             max_file_ns: u64::MAX,
-            resume: false,
-            snapshot: None,
             queue_bytes: QUEUE_BYTES,
-            // It shows what it reads, and keeps nothing.
+            // A server shows what it reads and keeps nothing.
             member: "foxglove",
+            ..Options::default()
         };
-        // Reads from the beginning: a recorder starts with the models, which may be more than a pipe holds.
+        // Start reading before the recorder starts: it first writes the models, which may exceed
+        // the pipe's capacity.
         let sent = Arc::new(AtomicU64::new(0));
         let counted = Arc::clone(&sent);
         let forward = std::thread::Builder::new()
@@ -107,7 +105,7 @@ impl Foxglove {
         })
     }
 
-    /// Where it listens.
+    /// The address that it listens on.
     pub(crate) fn address(&self) -> &str {
         &self.address
     }
@@ -133,18 +131,18 @@ impl Foxglove {
     }
 }
 
-/// Waits for clients to disconnect, at most [`LEAVE_LIMIT`]: the exit of the process closes their
-/// connections.
+/// Waits for clients to disconnect, at most [`DISCONNECT_TIMEOUT`]: the exit of the process closes
+/// their connections.
 fn end(clients: ShutdownHandle) {
-    let (tell, told) = channel();
+    let (done, finished) = channel();
     let wait = move || {
         clients.wait_blocking();
         // The receiver may have timed out.
-        let _ = tell.send(());
+        let _ = done.send(());
     };
     let waiting = std::thread::Builder::new().name("joulebus-end".to_owned());
     if waiting.spawn(wait).is_ok() {
-        let _ = told.recv_timeout(LEAVE_LIMIT);
+        let _ = finished.recv_timeout(DISCONNECT_TIMEOUT);
     }
 }
 

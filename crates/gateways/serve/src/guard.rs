@@ -1,10 +1,10 @@
-//! A proxy in front of the Foxglove server. It checks the `Origin` of web pages, and limits the duration
-//! of handshakes and the number of connections.
+//! A proxy in front of the Foxglove server. It checks the `Origin` of web pages, and limits the
+//! duration of handshakes and the number of connections.
 //!
-//! The library's server accepts every `Origin`, waits for a handshake without a time limit, also while
-//! it is being stopped, and stops accepting after one failed `accept`. It therefore listens at a random
-//! loopback address, and this proxy passes a connection on once its request has been read and checked. A
-//! web page cannot find that address: there are 2³⁸ combinations of address and port.
+//! The library's server accepts every `Origin`, waits for a handshake without a timeout (even while
+//! it stops), and stops accepting after one failed `accept`. It therefore listens on a random
+//! loopback address. The proxy forwards a connection once it has read and checked the request. A
+//! web page cannot find the address among 2³⁸ combinations of address and port.
 
 use std::collections::hash_map::RandomState;
 use std::fmt;
@@ -21,13 +21,13 @@ use joulebus_program::output::say;
 /// Maximum duration of a handshake.
 const HANDSHAKE_LIMIT: Duration = Duration::from_secs(5);
 /// Maximum bytes of a request.
-const MOST_REQUEST_BYTES: usize = 8 << 10;
+const MAX_REQUEST_BYTES: usize = 8 << 10;
 /// Maximum number of connections, including those in their handshake.
-const MOST_CONNECTIONS: usize = 64;
+const MAX_CONNECTIONS: usize = 64;
 /// A client that has accepted no bytes for this time is disconnected.
 const WRITE_LIMIT: Duration = Duration::from_secs(10);
 /// Interval of checks for connections and for the stop flag.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// The origin of Foxglove's web application.
 const FOXGLOVE: &str = "https://app.foxglove.dev";
@@ -84,8 +84,8 @@ impl fmt::Display for Refusal {
                 "no whole request within {} s",
                 HANDSHAKE_LIMIT.as_secs()
             ),
-            Self::TooLong => write!(out, "a request of more than {MOST_REQUEST_BYTES} bytes"),
-            Self::TooMany => write!(out, "more than {MOST_CONNECTIONS} connections"),
+            Self::TooLong => write!(out, "a request of more than {MAX_REQUEST_BYTES} bytes"),
+            Self::TooMany => write!(out, "more than {MAX_CONNECTIONS} connections"),
         }
     }
 }
@@ -100,8 +100,8 @@ pub(crate) fn hidden_address() -> IpAddr {
 }
 
 impl Guard {
-    /// Passes connections to `listener` on to `server`: those of programs, of pages of this host and of
-    /// Foxglove, and of pages of `origins`.
+    /// Forwards connections on `listener` to `server`: those of programs, of pages of this host and
+    /// of Foxglove, and of pages of `origins`.
     pub(crate) fn start(
         listener: TcpListener,
         server: SocketAddr,
@@ -124,7 +124,7 @@ impl Guard {
         })
     }
 
-    /// Stops accepting; existing connections stay open.
+    /// Stops accepting. Existing connections stay open.
     pub(crate) fn stop(&mut self) {
         self.shared.stop.store(true, Ordering::Relaxed);
         if let Some(accept) = self.accept.take() {
@@ -154,15 +154,15 @@ impl Shared {
         while !self.stop.load(Ordering::Relaxed) {
             match listener.accept() {
                 Ok((client, _)) => self.take(client),
-                // No connection, or no free descriptor: a transient error.
-                Err(_) => thread::sleep(LOOK_EVERY),
+                // No connection, or no free descriptor, which is transient.
+                Err(_) => thread::sleep(POLL_INTERVAL),
             }
         }
     }
 
     fn take(self: &Arc<Self>, mut client: TcpStream) {
         let place = Place(Arc::clone(self));
-        if self.connections.fetch_add(1, Ordering::Relaxed) >= MOST_CONNECTIONS {
+        if self.connections.fetch_add(1, Ordering::Relaxed) >= MAX_CONNECTIONS {
             return refuse(&mut client, &Refusal::TooMany);
         }
         let started = thread::Builder::new()
@@ -188,12 +188,12 @@ impl Shared {
         };
     }
 
-    /// Reads the request; bytes after it are included.
+    /// Reads the request, including bytes that follow it.
     fn request(&self, client: &mut TcpStream) -> io::Result<Result<Vec<u8>, Refusal>> {
         client.set_nonblocking(false)?;
         client.set_nodelay(true)?;
         client.set_write_timeout(Some(WRITE_LIMIT))?;
-        client.set_read_timeout(Some(LOOK_EVERY))?;
+        client.set_read_timeout(Some(POLL_INTERVAL))?;
         let end = Instant::now() + HANDSHAKE_LIMIT;
         let mut request = Vec::new();
         let mut buffer = [0; 2048];
@@ -202,7 +202,7 @@ impl Shared {
                 let checked = check(&request[..length], &self.origins);
                 return Ok(checked.map(|()| request));
             }
-            if request.len() > MOST_REQUEST_BYTES {
+            if request.len() > MAX_REQUEST_BYTES {
                 return Ok(Err(Refusal::TooLong));
             }
             if Instant::now() >= end || self.stop.load(Ordering::Relaxed) {
@@ -231,7 +231,7 @@ impl Shared {
     }
 }
 
-/// Forwards until `from` ends or `to` accepts no more; then closes both.
+/// Forwards until `from` ends or `to` accepts no more, then closes both.
 fn pass_on(mut from: &TcpStream, mut to: &TcpStream) {
     // An error ends the connection as well.
     let _ = io::copy(&mut from, &mut to);

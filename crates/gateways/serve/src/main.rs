@@ -1,4 +1,4 @@
-//! `joulebus serve` as a separate program: a fleet's page, API and metrics, and its messages in Foxglove.
+//! The program of `joulebus serve`: a fleet's page, API and metrics, and its messages in Foxglove.
 #![forbid(unsafe_code)]
 
 mod arguments;

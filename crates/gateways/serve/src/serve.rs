@@ -1,4 +1,4 @@
-//! `joulebus serve`: one process, one or both of the ways to look into a fleet.
+//! `joulebus serve`: runs the page, Foxglove and the webhook in one process.
 
 use std::fmt;
 use std::time::Duration;
@@ -14,7 +14,7 @@ use crate::http::{HttpReport, HttpServer, Options};
 use crate::webhook::{Webhook, WebhookReport};
 
 /// Interval of checking whether to stop.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 #[derive(Debug, Serialize)]
 struct ServeReport {
@@ -68,7 +68,7 @@ pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
             || foxglove.as_ref().is_some_and(Foxglove::is_over)
     };
     while !stop.is_asked() && !is_over() {
-        std::thread::sleep(LOOK_EVERY);
+        std::thread::sleep(POLL_INTERVAL);
     }
     let foxglove = foxglove.map(Foxglove::finish).transpose()?;
     let http = http.map(HttpServer::finish).transpose()?;

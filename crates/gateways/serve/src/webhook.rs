@@ -1,7 +1,8 @@
-//! `joulebus serve --webhook`: tells a web address of every raise and every end of an alarm.
+//! `joulebus serve --webhook`: posts every raise and clearance of an alarm to a web address.
 //!
-//! One thread reads, another sends; between them lies a bounded queue, so that a receiver that does not answer
-//! costs neither the reader nor the fleet anything. What waits is sent in one request.
+//! One thread reads, another sends, with a bounded queue between them. A receiver that does not
+//! answer costs neither the reader nor the fleet anything. All queued changes are sent in one
+//! request.
 
 use std::path::Path;
 use std::str::FromStr;
@@ -22,35 +23,36 @@ use ureq::Agent;
 use ureq::http::Uri;
 use ureq::tls::{PemItem, RootCerts, TlsConfig, parse_pem};
 
-/// Changes that wait; further ones are lost.
-const MOST_WAITING: usize = 10_000;
-/// Changes of one request.
-const MOST_TOLD: usize = 100;
+/// Maximum number of queued changes. Further ones are lost.
+const MAX_WAITING: usize = 10_000;
+/// Maximum number of changes in a request.
+const MAX_CHANGES: usize = 100;
 /// Time that a request may take.
 const REQUEST_LIMIT: Duration = Duration::from_secs(10);
 /// Pause before a request is sent again: doubled each time, up to the second.
-const AGAIN: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));
+const RETRY_DELAYS: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(60));
 /// Time for what waits when the program ends.
 const END_LIMIT: Duration = Duration::from_secs(5);
 /// Interval of checking whether to end.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
-/// Longest file with an address, bytes.
-const MOST_BYTES: u64 = 4_096;
-/// Longest file with certificates, bytes; all of Mozilla's have a quarter of it.
-const MOST_CERTIFICATE_BYTES: u64 = 1 << 20;
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
+/// Maximum size of a file with an address, bytes.
+const MAX_BYTES: u64 = 4_096;
+/// Maximum size of a file with certificates, bytes. All of Mozilla's take a quarter of it.
+const MAX_CERTIFICATE_BYTES: u64 = 1 << 20;
 
-/// What was told.
+/// The report of a webhook that has ended.
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct WebhookReport {
-    /// Host of the address; the rest may be secret.
+    /// Host of the address. The rest may be secret.
     pub(crate) host: String,
     /// Changes that the receiver took.
     pub(crate) told: u64,
     /// Requests that failed and were sent again, or given up.
     pub(crate) failed: u64,
-    /// Changes that it did not take, or that could not wait; ticks without diagnostics.
+    /// Changes that the receiver did not take or that the queue had no room for, and ticks without
+    /// diagnostics.
     pub(crate) lost: u64,
-    /// Those ticks: alarms that were raised and ended within them are not known.
+    /// The ticks without diagnostics. Alarms that were raised and cleared within them are unknown.
     pub(crate) ticks_missed: u64,
 }
 
@@ -62,21 +64,21 @@ pub(crate) struct Webhook {
     sending: JoinHandle<()>,
 }
 
-/// What the threads share.
+/// State shared by the threads.
 #[derive(Debug, Default)]
 struct Shared {
-    /// When what waits is given up; set when the program ends.
+    /// Deadline of the queued changes, set when the program ends.
     end_by: OnceLock<Instant>,
-    /// Changes seen. Those that are not told are lost.
+    /// Number of changes seen. Those that are not delivered are lost.
     changes: AtomicU64,
-    told: AtomicU64,
+    delivered: AtomicU64,
     failed: AtomicU64,
     /// Ticks without diagnostics.
     ticks_missed: AtomicU64,
 }
 
 impl Shared {
-    /// Time that the next request may take; none when it is too late for one.
+    /// Timeout of the next request. `None` if it is too late for one.
     fn limit(&self, now: Instant) -> Option<Duration> {
         let Some(end_by) = self.end_by.get() else {
             return Some(REQUEST_LIMIT);
@@ -91,11 +93,14 @@ impl Shared {
 }
 
 impl Webhook {
-    /// Joins the fleet, and tells `to` from now on: an address, or `@FILE` with one (mode 0600). Its certificate is checked
-    /// against those of the file `authorities`, or against Mozilla's list.
+    /// Joins the fleet, and posts alarm changes from now on to `to`: an address, or `@FILE` with
+    /// one (mode 0600).
+    ///
+    /// The receiver's certificate is checked against those of the file `authorities`, or against
+    /// Mozilla's list.
     ///
     /// # Errors
-    /// A wrong address or file; the fleet cannot be joined.
+    /// The address or file is wrong, or the fleet cannot be joined.
     pub(crate) fn start(
         config: &Config,
         to: &str,
@@ -106,7 +111,7 @@ impl Webhook {
         let roots = authorities.map_or(Ok(RootCerts::WebPki), certificates);
         let agent = agent(roots.map_err(wrong)?);
         let host = address.host().unwrap_or_default().to_owned();
-        let (records, waiting) = sync_channel(MOST_WAITING);
+        let (records, waiting) = sync_channel(MAX_WAITING);
         let shared = Arc::<Shared>::default();
         let (ready, opened) = sync_channel(1);
         let reading = {
@@ -139,36 +144,37 @@ impl Webhook {
         })
     }
 
-    /// Host that is told.
+    /// Host of the receiver.
     pub(crate) fn host(&self) -> &str {
         &self.host
     }
 
-    /// Whether it has ended by itself; [`Webhook::finish`] tells why.
+    /// Whether it has ended by itself. [`Webhook::finish`] returns the reason.
     pub(crate) fn is_over(&self) -> bool {
         self.reading.is_finished()
     }
 
-    /// Tells what waits, within five seconds, and leaves the fleet.
+    /// Delivers the queued changes within five seconds, and leaves the fleet.
     ///
     /// # Errors
-    /// What ended it.
+    /// The reason for which it ended early.
     pub(crate) fn finish(self) -> anyhow::Result<WebhookReport> {
         let shared = &self.shared;
-        // Nobody else sets it.
+        // No other call sets it.
         let _ = shared.end_by.set(Instant::now() + END_LIMIT);
         let panicked = || anyhow!("a thread of --webhook panicked");
         let read = self.reading.join().map_err(|_| panicked())?;
         while !self.sending.is_finished() && !shared.is_late() {
-            thread::sleep(LOOK_EVERY);
+            thread::sleep(POLL_INTERVAL);
         }
-        // Otherwise it waits for the answer to a request that was sent before the end; it ends with the process.
+        // Otherwise the thread waits for the answer to a request that was sent before the end. It
+        // ends with the process.
         if self.sending.is_finished() {
             self.sending.join().map_err(|_| panicked())?;
         }
         read?;
         let count = |count: &AtomicU64| count.load(Ordering::Relaxed);
-        let (told, ticks_missed) = (count(&shared.told), count(&shared.ticks_missed));
+        let (told, ticks_missed) = (count(&shared.delivered), count(&shared.ticks_missed));
         let untold = count(&shared.changes).saturating_sub(told);
         Ok(WebhookReport {
             host: self.host,
@@ -196,16 +202,16 @@ fn address(to: &str) -> anyhow::Result<Uri> {
     Err(anyhow!(refused))
 }
 
-/// The first line of a file that nobody else can read.
+/// The first line of a file that only its owner can read.
 fn secret(path: &str) -> anyhow::Result<String> {
-    let text = joulebus_files::read_secret(Path::new(path), MOST_BYTES)?;
+    let text = joulebus_files::read_secret(Path::new(path), MAX_BYTES)?;
     Ok(text.lines().next().unwrap_or_default().to_owned())
 }
 
 /// The certificates in a file.
 fn certificates(path: &Path) -> anyhow::Result<RootCerts> {
     let named = || format!("--webhook-ca {}", path.display());
-    let bytes = joulebus_files::read(path, MOST_CERTIFICATE_BYTES).with_context(named)?;
+    let bytes = joulebus_files::read(path, MAX_CERTIFICATE_BYTES).with_context(named)?;
     let mut found = Vec::new();
     for item in parse_pem(&bytes) {
         if let PemItem::Certificate(certificate) = item.with_context(named)? {
@@ -219,10 +225,10 @@ fn certificates(path: &Path) -> anyhow::Result<RootCerts> {
     Ok(RootCerts::new_with_certs(&found))
 }
 
-/// What sends requests.
+/// The HTTP client.
 fn agent(roots: RootCerts) -> Agent {
     let config = Agent::config_builder()
-        // To another host the address would be told.
+        // A redirect would reveal the address to another host.
         .max_redirects(0)
         .max_redirects_will_error(false)
         .http_status_as_error(false)
@@ -232,7 +238,7 @@ fn agent(roots: RootCerts) -> Agent {
     config.into()
 }
 
-/// Queues every change until asked to stop.
+/// Queues every change until a stop is requested.
 fn read(
     mut alarms: FleetAlarms,
     fleet: &str,
@@ -244,7 +250,7 @@ fn read(
         alarms.wait(|change| {
             let record = AlarmRecord::new(fleet, &change, clock.unix_ns(change.at_ns));
             shared.changes.fetch_add(1, Ordering::Relaxed);
-            // Without room it is not told.
+            // Without room the change is lost.
             let _ = records.try_send(record);
         })?;
     }
@@ -260,12 +266,12 @@ struct Body<'a> {
     changes: &'a [AlarmRecord],
 }
 
-/// What became of a request.
+/// The result of a request.
 enum Answer {
     Taken,
     /// Sending it again may help.
     Later(String),
-    /// It does not.
+    /// The receiver refused it.
     Refused(String),
 }
 
@@ -290,29 +296,29 @@ impl Sending {
     fn run(self, waiting: &Receiver<AlarmRecord>) {
         let mut changes = Vec::new();
         loop {
-            match waiting.recv_timeout(LOOK_EVERY) {
+            match waiting.recv_timeout(POLL_INTERVAL) {
                 Ok(change) => changes.push(change),
                 Err(RecvTimeoutError::Timeout) => continue,
                 Err(RecvTimeoutError::Disconnected) => return,
             }
-            while changes.len() < MOST_TOLD
+            while changes.len() < MAX_CHANGES
                 && let Ok(change) = waiting.try_recv()
             {
                 changes.push(change);
             }
-            self.tell(&changes);
+            self.deliver(&changes);
             changes.clear();
         }
     }
 
     /// Sends changes until the receiver has taken or refused them, or the time is over.
-    fn tell(&self, changes: &[AlarmRecord]) {
+    fn deliver(&self, changes: &[AlarmRecord]) {
         let count = changes.len() as u64;
-        let mut pause = AGAIN.0;
+        let mut pause = RETRY_DELAYS.0;
         while let Some(limit) = self.shared.limit(Instant::now()) {
             let why = match self.send(changes, limit) {
                 Answer::Taken => {
-                    self.shared.told.fetch_add(count, Ordering::Relaxed);
+                    self.shared.delivered.fetch_add(count, Ordering::Relaxed);
                     return;
                 }
                 Answer::Refused(why) => {
@@ -335,7 +341,7 @@ impl Sending {
             if !self.pauses(pause) {
                 return;
             }
-            pause = (pause * 2).min(AGAIN.1);
+            pause = (pause * 2).min(RETRY_DELAYS.1);
         }
     }
 
@@ -379,7 +385,7 @@ impl Sending {
             if now >= until {
                 return true;
             }
-            thread::sleep(LOOK_EVERY.min(until - now));
+            thread::sleep(POLL_INTERVAL.min(until - now));
         }
     }
 }
@@ -422,13 +428,13 @@ mod tests {
 
     #[test]
     fn nothing_is_sent_after_the_end() {
-        // It never answers.
+        // This receiver never answers.
         let receiver = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
         let to = format!("http://{}/x", receiver.local_addr().unwrap());
         let shared = Arc::<Shared>::default();
         shared.end_by.set(Instant::now()).unwrap();
-        let (records, waiting) = sync_channel(MOST_WAITING);
-        for number in 0..MOST_WAITING {
+        let (records, waiting) = sync_channel(MAX_WAITING);
+        for number in 0..MAX_WAITING {
             let record = AlarmRecord {
                 fleet: "lab".to_owned(),
                 stamp_ns: number as u64,

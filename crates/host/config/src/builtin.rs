@@ -90,8 +90,8 @@ impl Demo {
     }
 }
 
-/// A battery for the simulated robots, which makes budgets available: 10 Wh, an assumption, because
-/// no source states that of the GTernal.
+/// A battery for the simulated robots, which makes budgets available. Its 10 Wh are an assumption,
+/// because no source states the GTernal's capacity.
 const BATTERY: &str = "
 [platform.battery]
 capacity_wh = 10.0

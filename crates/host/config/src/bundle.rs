@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::files::MOST_BYTES;
+use crate::files::MAX_BYTES;
 use crate::values::quoted;
 use crate::{Config, ModelSource};
 
@@ -68,7 +68,7 @@ fn model(source: &ModelSource) -> Result<Option<(String, Vec<u8>)>, BundleError>
     match source {
         ModelSource::File(path) => {
             let bytes =
-                joulebus_files::read(path, MOST_BYTES).map_err(|source| BundleError::Model {
+                joulebus_files::read(path, MAX_BYTES).map_err(|source| BundleError::Model {
                     path: path.clone(),
                     source,
                 })?;

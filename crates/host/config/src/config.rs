@@ -48,7 +48,7 @@ pub struct Queries {
 
 impl Threads {
     /// Maximum number of threads chosen automatically: beyond it, memory bandwidth is the limit.
-    const MOST_UNASKED: usize = 8;
+    const MAX_UNASKED: usize = 8;
 
     /// Processors that this process may use.
     fn processors() -> usize {
@@ -88,11 +88,11 @@ impl Config {
         Self::load_within(path.as_ref(), None)
     }
 
-    /// As [`Config::load`], of a config that was attached to a capture: platform files that are not below its folder are
-    /// refused, and not read.
+    /// Same as [`Config::load`], for a config that was attached to a capture. Platform files
+    /// outside its folder are refused, and not read.
     ///
     /// # Errors
-    /// As there, or such a file.
+    /// Same as [`Config::load`], or such a file.
     pub fn load_attached(path: impl AsRef<Path>) -> Result<Self, ConfigError> {
         let path = path.as_ref();
         Self::load_within(path, path.parent())
@@ -115,7 +115,7 @@ impl Config {
         Self::read(text, "<config>", base_dir, None)
     }
 
-    /// `within`: where platform files may lie; `None`: anywhere.
+    /// Reads a config. Platform files must be below `within`, if it is set.
     fn read(
         text: &str,
         name: &str,
@@ -216,8 +216,8 @@ impl Config {
         &self.models
     }
 
-    /// What a platform of [`Config::settings`] sets, each value with its origin, for
-    /// [`platform_file`](crate::platform_file); empty if there is no such platform.
+    /// The keys that a platform of [`Config::settings`] sets, each value with its origin, for
+    /// [`platform_file`](crate::platform_file). Empty if there is no such platform.
     #[must_use]
     pub fn platform_keys(&self, platform: usize) -> &[Assignment] {
         self.platform_keys.get(platform).map_or(&[], Vec::as_slice)
@@ -284,7 +284,7 @@ fn ns(seconds: f64) -> u64 {
     (seconds * 1e9).round() as u64
 }
 
-/// Converts checked keys to plain values; `None` where one is missing, which the checks exclude.
+/// Converts checked keys to plain values. `None` for a missing one, which the checks exclude.
 struct Builder<'a>(&'a Values);
 
 impl Builder<'_> {
@@ -355,8 +355,8 @@ impl Builder<'_> {
         })
     }
 
-    /// A number in single precision. A bound such as 0.99 lies between two `f32`: the one inside
-    /// the range is taken.
+    /// A number in single precision. A bound such as 0.99 is between two `f32`, of which the one
+    /// inside the range is taken.
     fn single(&self, path: &str) -> Option<f32> {
         let value = self.0.number(path)?;
         let narrow = value as f32;
@@ -392,7 +392,7 @@ impl Builder<'_> {
         let count = match (asked, cpus) {
             // No threads without work.
             _ if capacity < from => 1,
-            (0, 0) => Threads::processors().min(Threads::MOST_UNASKED),
+            (0, 0) => Threads::processors().min(Threads::MAX_UNASKED),
             (0, cpus) => cpus,
             (asked, _) => asked,
         };
@@ -484,7 +484,7 @@ impl Builder<'_> {
         })
     }
 
-    /// The table, `Some(None)` if there is none.
+    /// The table, or `Some(None)` if there is none.
     #[allow(clippy::option_option, reason = "the outer one is that of every key")]
     fn open_circuit(&self) -> Option<Option<OpenCircuit>> {
         let resistance_ohm = self.0.number("platform.battery.resistance_ohm")?;

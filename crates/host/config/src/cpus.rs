@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 /// Size of Linux's CPU mask.
-const MOST: usize = 1024;
+const MAX_CPUS: usize = 1024;
 
 /// The CPUs in the order of the list, each once: `"2-3,6"`. `None` if the text is not such a list.
 pub(crate) fn parse(text: &str) -> Option<Vec<usize>> {
@@ -23,7 +23,7 @@ pub(crate) fn parse(text: &str) -> Option<Vec<usize>> {
 }
 
 fn range(text: &str) -> Option<RangeInclusive<usize>> {
-    let cpu = |text: &str| text.trim().parse().ok().filter(|cpu| *cpu < MOST);
+    let cpu = |text: &str| text.trim().parse().ok().filter(|cpu| *cpu < MAX_CPUS);
     let (first, last) = match text.split_once('-') {
         Some((first, last)) => (cpu(first)?, cpu(last)?),
         None => (cpu(text)?, cpu(text)?),

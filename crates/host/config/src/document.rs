@@ -12,20 +12,20 @@ use toml::de::{DeString, DeTable, DeValue};
 use crate::key::{File, Key, ValueKind};
 use crate::keys::{self, KEYS};
 use crate::numbers::{integer, number};
-use crate::problem::{MOST_PROBLEMS, Problem};
+use crate::problem::{MAX_PROBLEMS, Problem};
 use crate::remedy;
 use crate::robots;
 use crate::values::{Place, Value, Values};
 
 /// Letters of a key or a value that are shown.
-const MOST_SHOWN: usize = 60;
+const MAX_SHOWN: usize = 60;
 
 /// A text and its name.
 pub(crate) struct Source<'a> {
     text: &'a str,
     pub(crate) name: Arc<str>,
     directory: Option<Arc<PathBuf>>,
-    /// Where each line begins.
+    /// Position of the start of each line.
     lines: Vec<usize>,
 }
 
@@ -42,14 +42,15 @@ pub(crate) struct FleetFile {
 #[derive(Debug)]
 pub(crate) struct Listed {
     pub(crate) values: Values,
-    /// Where it begins.
+    /// Position of its start.
     pub(crate) header: Place,
     /// Its own file could not be read: missing keys are not reported.
     pub(crate) cut_short: bool,
 }
 
 impl<'a> Source<'a> {
-    /// A text, its name in messages, and the directory to which its paths are relative; `None` for built-in texts.
+    /// A text, its name in messages, and the directory to which its paths are relative; `None` for
+    /// built-in texts.
     pub(crate) fn new(text: &'a str, name: &str, directory: Option<&Path>) -> Self {
         let breaks = text.match_indices('\n').map(|(at, _)| at + 1);
         Self {
@@ -186,8 +187,8 @@ impl Source<'_> {
 }
 
 impl Source<'_> {
-    /// Where the line begins that an error without a place stands in: the text up to any line before
-    /// it has no such error.
+    /// The start of the line of an error without a position: the text up to any earlier line does
+    /// not have the error.
     fn start_of(&self, error: &toml::de::Error) -> usize {
         let starts = &self.lines;
         let fails_before = |start: &usize| {
@@ -201,7 +202,7 @@ impl Source<'_> {
 
 /// The beginning of a key or a value.
 fn shown(text: &str) -> Cow<'_, str> {
-    match text.char_indices().nth(MOST_SHOWN) {
+    match text.char_indices().nth(MAX_SHOWN) {
         Some((end, _)) => format!("{}…", &text[..end]).into(),
         None => text.into(),
     }
@@ -301,7 +302,7 @@ impl Walk<'_> {
     }
 
     fn unknown(&mut self, place: &Place, path: &str, item: &Spanned<DeValue<'_>>) {
-        if self.problems.len() > MOST_PROBLEMS {
+        if self.problems.len() > MAX_PROBLEMS {
             return;
         }
         let file = (self.file == File::Platform).then_some(File::Platform);
@@ -319,20 +320,20 @@ impl Walk<'_> {
     fn wrong(&mut self, place: &Place, path: &str, what: String, remedy: String) {
         let line = Some(place.line);
         let problem = match self.problems.len() {
-            ..MOST_PROBLEMS => Problem {
+            ..MAX_PROBLEMS => Problem {
                 file: place.file.to_string(),
                 line,
                 key: shown(path).into_owned(),
                 what,
                 remedy,
             },
-            MOST_PROBLEMS => Problem::more(&place.file, line),
+            MAX_PROBLEMS => Problem::more(&place.file, line),
             _ => return,
         };
         self.problems.push(problem);
     }
 
-    /// The value if the key's kind and range allow it, else what was found and the remedy.
+    /// The value if the key's kind and range allow it, else the found value and the remedy.
     fn value(&self, key: &Key, item: &Spanned<DeValue<'_>>) -> Result<Value, (String, String)> {
         let refused = |what: String, advice: Option<String>| {
             let advice = advice.map_or_else(String::new, |advice| format!("{advice}. "));

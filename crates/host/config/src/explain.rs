@@ -13,7 +13,7 @@ pub struct Explanation {
     pub key: &'static str,
     /// The file that it belongs to.
     pub file: File,
-    /// Unit; empty where there is none.
+    /// Unit. Empty if there is none.
     pub unit: &'static str,
     /// Allowed values, as text.
     pub range: String,
@@ -21,7 +21,7 @@ pub struct Explanation {
     pub required: bool,
     /// The default, if there is one.
     pub default: Option<String>,
-    /// What it does.
+    /// Its effect.
     pub doc: &'static str,
 }
 

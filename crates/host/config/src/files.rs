@@ -10,11 +10,11 @@ use crate::problem::Problem;
 use crate::values::Values;
 
 /// Maximum size of a config or a model: larger files were named by mistake.
-pub(crate) const MOST_BYTES: u64 = 4 << 20;
+pub(crate) const MAX_BYTES: u64 = 4 << 20;
 
 /// The text of a config file.
 pub(crate) fn read(path: &Path) -> io::Result<String> {
-    joulebus_files::read_to_string(path, MOST_BYTES)
+    joulebus_files::read_to_string(path, MAX_BYTES)
 }
 
 /// Whether `path` is below `folder`, and by its text alone: one with `..` is not.
@@ -23,7 +23,8 @@ pub fn is_below(path: &Path, folder: &Path) -> bool {
     path.starts_with(folder) && path.components().all(|part| part != Component::ParentDir)
 }
 
-/// Reads the file of each platform; keys in the fleet's file override it. `within`: where they may lie; `None`: anywhere.
+/// Reads the file of each platform. Keys in the fleet's file override it. The files must be below
+/// `within`, if it is set.
 pub(crate) fn platforms(fleet: &mut FleetFile, within: Option<&Path>, problems: &mut Vec<Problem>) {
     for listed in &mut fleet.platforms {
         if !listed.values.names("platform.file") {

@@ -17,11 +17,11 @@ pub struct Key {
     pub file: File,
     /// Kind and range of its value.
     pub kind: ValueKind,
-    /// Unit of the value; empty where there is none.
+    /// Unit of the value. Empty if there is none.
     pub unit: &'static str,
     /// Its default.
     pub default: DefaultValue,
-    /// What it does, in a sentence.
+    /// Its effect, in a sentence.
     pub doc: &'static str,
 }
 

@@ -6,9 +6,9 @@ use std::path::PathBuf;
 use serde::Serialize;
 
 /// Problems that are listed: a text of many wrong keys is no config.
-pub(crate) const MOST_PROBLEMS: usize = 100;
-/// Letters of what was found that are shown: it may quote a file of any length.
-const MOST_SHOWN: usize = 400;
+pub(crate) const MAX_PROBLEMS: usize = 100;
+/// Maximum length of a problem's description, letters, because it may quote a file of any length.
+const MAX_SHOWN: usize = 400;
 
 /// An error or a warning about a config file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -19,16 +19,17 @@ pub struct Problem {
     pub line: Option<usize>,
     /// The key, with its sections; empty if the text is not TOML.
     pub key: String,
-    /// What was found, and what is allowed.
+    /// The found and the allowed value.
     pub what: String,
-    /// What to do.
+    /// The remedy.
     pub remedy: String,
 }
 
 impl Problem {
-    /// Adds a problem of `key` in `text`, the contents of `file`: at byte `at`, or else in the line that sets the last part of
-    /// the key, if one does. Of a `what` of more than 400 letters the middle is left out, and of more than a hundred problems
-    /// only that there are more is added.
+    /// Adds a problem of `key` in `text`, the contents of `file`. It is at byte `at`, or else in
+    /// the line that sets the last part of the key, if there is one. The middle of a `what` of more
+    /// than 400 letters is left out. After a hundred problems only a note that there are more is
+    /// added.
     pub fn add(
         problems: &mut Vec<Self>,
         (file, text): (&str, &str),
@@ -38,26 +39,26 @@ impl Problem {
         remedy: &str,
     ) {
         let problem = match problems.len() {
-            ..MOST_PROBLEMS => Self {
+            ..MAX_PROBLEMS => Self {
                 file: file.to_owned(),
                 line: line(text, at, key),
                 key: key.to_owned(),
                 what: shortened(what),
                 remedy: remedy.to_owned(),
             },
-            MOST_PROBLEMS => Self::more(file, None),
+            MAX_PROBLEMS => Self::more(file, None),
             _ => return,
         };
         problems.push(problem);
     }
 
-    /// What is said instead of the problem after the last one that is listed.
+    /// The note that follows the last listed problem.
     pub(crate) fn more(file: &str, line: Option<usize>) -> Self {
         Self {
             file: file.to_owned(),
             line,
             key: String::new(),
-            what: format!("there are more than {MOST_PROBLEMS} problems"),
+            what: format!("there are more than {MAX_PROBLEMS} problems"),
             remedy: "Correct those listed; the others were not looked for".to_owned(),
         }
     }
@@ -79,13 +80,13 @@ fn line(text: &str, at: Option<usize>, key: &str) -> Option<usize> {
     text.lines().position(sets).map(|line| line + 1)
 }
 
-/// Beginning and end of a long text: between them is what it quotes.
+/// Start and end of a long text. The quoted part is in the middle.
 fn shortened(text: String) -> String {
     let letters = text.chars().count();
-    if letters <= MOST_SHOWN {
+    if letters <= MAX_SHOWN {
         return text;
     }
-    let part = MOST_SHOWN / 2;
+    let part = MAX_SHOWN / 2;
     let head: String = text.chars().take(part).collect();
     let tail: String = text.chars().skip(letters - part).collect();
     format!("{head}…{tail}")

@@ -158,12 +158,13 @@ fn split_unit(name: &str) -> (&str, Option<&'static str>) {
         .unwrap_or((name, None))
 }
 
-/// Longest path that is compared with those of keys, bytes: the work grows with its length.
-const LONGEST_PATH: usize = 100;
+/// Maximum length of a path that is compared with keys, bytes, because the work grows with the
+/// length.
+const MAX_PATH_BYTES: usize = 100;
 
 /// The key of `file` nearest to `path`, if one is similar.
 pub(crate) fn nearest(file: Option<File>, path: &str) -> Option<&'static Key> {
-    if path.len() > LONGEST_PATH {
+    if path.len() > MAX_PATH_BYTES {
         return None;
     }
     let wanted = path.to_lowercase();
@@ -196,7 +197,7 @@ fn likeness(key: &Key, wanted: &str) -> f64 {
     best + same_section + 0.01 * whole
 }
 
-/// Keys and words of earlier versions, with what replaced them.
+/// Keys and words of earlier versions, with their replacements.
 const REPLACED: &[(&str, &str)] = &[
     (
         "platform.adapt",
@@ -208,13 +209,13 @@ const REPLACED: &[(&str, &str)] = &[
     ),
 ];
 
-/// What replaced a key.
+/// The replacement of a key.
 fn replaced_key(path: &str) -> Option<&'static str> {
     let (_, by) = REPLACED.iter().find(|(old, _)| *old == path)?;
     Some(by)
 }
 
-/// What replaced a word that a key once allowed.
+/// The replacement of a word that a key once allowed.
 pub(crate) fn replaced_word(key: &Key, word: &str) -> Option<&'static str> {
     replaced_key(&format!("{} = {word}", key.path))
 }
@@ -254,7 +255,7 @@ pub(crate) fn unknown_section(file: Option<File>, path: &str) -> String {
         .filter_map(|key| Some(key.path.rsplit_once('.')?.0));
     let alike = |section: &&str| strsim::normalized_damerau_levenshtein(section, path);
     let nearest = sections
-        .filter(|_| path.len() <= LONGEST_PATH)
+        .filter(|_| path.len() <= MAX_PATH_BYTES)
         .max_by(|one, other| alike(one).total_cmp(&alike(other)))
         .filter(|section| alike(section) >= 0.5);
     match nearest {

@@ -7,8 +7,10 @@ use toml::de::DeValue;
 
 use crate::numbers::integer;
 
-/// One entry of the list in `source`: an id, or `"a-b"` with both ends included. The error states
-/// what is wrong.
+/// Parses one entry of the list in `source`: an id, or an inclusive range `"a-b"`.
+///
+/// # Errors
+/// What is wrong with the entry.
 pub(crate) fn parse(
     entry: &Spanned<DeValue<'_>>,
     source: &str,

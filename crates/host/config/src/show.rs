@@ -50,7 +50,7 @@ fn keys_of(values: &Values) -> impl Iterator<Item = &'static Key> {
     })
 }
 
-/// What a platform sets, each value with its origin, as in a platform's file.
+/// The keys that a platform sets, each value with its origin, as in a platform's file.
 pub(crate) fn platform(listed: &Listed) -> Vec<Assignment> {
     let values = &listed.values;
     let set = keys_of(values).filter(|key| key.file == File::Platform);

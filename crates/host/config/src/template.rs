@@ -13,7 +13,7 @@ pub struct Assignment {
     pub key: &'static str,
     /// The value as TOML.
     pub value: String,
-    /// Where it comes from, for the comment; may be empty.
+    /// Its origin, for the comment. May be empty.
     pub note: String,
 }
 
@@ -160,7 +160,7 @@ mod tests {
         let robot = &config.settings().platforms[0];
         assert_eq!(robot.power_max_w, 60.0);
         assert_eq!(robot.alarms.map(|limits| limits.noise_limit), Some(9.0));
-        // Written again from what it sets, it is the same platform.
+        // Written again from its keys, it is the same platform.
         let again = platform_file("The same.", config.platform_keys(0));
         std::fs::write(folder.path().join("robot.toml"), &again).expect("writable");
         let same = Config::load(&path).unwrap_or_else(|error| panic!("{error}\n{again}"));

@@ -1,6 +1,6 @@
-//! What programs write to the disk: the file system's operations, one by one.
+//! The file system's operations, one by one.
 //!
-//! Everything that must survive a crash, or a full disk, is written by these alone.
+//! Everything that must survive a crash or a full disk is written only through this module.
 
 use std::io;
 use std::path::Path;

@@ -1,9 +1,9 @@
 //! Opens files given by the user.
 //!
 //! Opening a pipe blocks, reading a device never ends, and opening some devices has side effects.
-//! So only regular files are opened, also through symbolic links, and whole files are read into
-//! memory only up to a limit set by the reader. Files that a user names are written by [`create`] and [`replace`], what
-//! must survive a crash by [`disk`].
+//! Therefore only regular files are opened, also through symbolic links, and whole files are read
+//! into memory only up to a limit set by the reader. [`create`] and [`replace`] write files that a
+//! user names. [`disk`] writes files that must survive a crash.
 #![forbid(unsafe_code)]
 
 pub mod disk;
@@ -28,7 +28,7 @@ pub enum Refused {
         /// Its kind.
         found: &'static str,
     },
-    /// It is in the place of another one, and no program of joulebus has written it.
+    /// It would replace a file that no program of joulebus has written.
     #[error(
         "begins with {found:?}, which is not what would be written there, and is not overwritten; move it away, or name \
          another file"
@@ -106,7 +106,7 @@ pub fn read(path: &Path, most_bytes: u64) -> io::Result<Vec<u8>> {
     };
     allowed(file.metadata()?.len())?;
     let mut bytes = Vec::new();
-    // It may grow, or be a file whose length is unknown to the system.
+    // The file may grow, or the system may not know its length.
     file.take(most_bytes.saturating_add(1))
         .read_to_end(&mut bytes)?;
     allowed(bytes.len() as u64)?;
@@ -122,10 +122,10 @@ pub fn read_to_string(path: &Path, most_bytes: u64) -> io::Result<String> {
         .map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error.utf8_error()))
 }
 
-/// As [`read_to_string`], of a file that only its owner can read.
+/// Same as [`read_to_string`], for a file that only its owner can read.
 ///
 /// # Errors
-/// As of [`read_to_string`]; [`Refused::Readable`].
+/// Those of [`read_to_string`], and [`Refused::Readable`].
 pub fn read_secret(path: &Path, most_bytes: u64) -> io::Result<String> {
     let mode = look(path)?.permissions().mode() & 0o777;
     if mode & 0o077 != 0 {

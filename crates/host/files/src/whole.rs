@@ -1,4 +1,5 @@
-//! Files that appear when they are whole: a program that fails, or is killed, leaves none of them half written.
+//! Files that appear when they are whole: a program that fails, or is killed, leaves none of them
+//! half written.
 
 use std::fs::File;
 use std::io;
@@ -13,17 +14,17 @@ use crate::{Refused, disk, look};
 
 /// Permissions before the user's mask.
 const MODE: u32 = 0o666;
-/// Bytes that tell the kind of a file, and of most.
+/// Maximum number of bytes that identify the kind of a file.
 const KIND_BYTES: usize = 9;
 const MAGIC_BYTES: usize = 4;
-/// Names that are tried beside a file that is replaced, or where a file needs a name from the beginning.
+/// Maximum number of temporary names tried beside the target.
 const NAMES: u32 = 1_000;
 
-/// Writes a file at `path`, where nothing may be, not even a link that leads nowhere.
+/// Writes a new file at `path`. Nothing may exist there, not even a dangling link.
 ///
 /// # Errors
-/// Of kind [`io::ErrorKind::AlreadyExists`] if there is something, before `write` is called or after it; that of the
-/// system; or that of `write`.
+/// [`io::ErrorKind::AlreadyExists`] if something exists, before `write` is called or after it.
+/// Errors of the system and of `write`.
 pub fn create<T, E: From<io::Error>>(
     path: &Path,
     write: impl FnOnce(&File) -> Result<T, E>,
@@ -37,12 +38,12 @@ pub fn create<T, E: From<io::Error>>(
     Ok(written)
 }
 
-/// Writes a file at `path`, in place of what an earlier run has written there: a regular file that is empty, or begins as the
-/// new one does. A link is replaced, not followed.
+/// Writes a file at `path`, and replaces the file of an earlier run: a regular file that is empty
+/// or begins like the new one. A link is replaced, not followed.
 ///
 /// # Errors
 /// [`Refused::Kind`](crate::Refused::Kind) for a pipe, a device, a directory or a link to one;
-/// [`Refused::Foreign`](crate::Refused::Foreign); that of the system; or that of `write`.
+/// [`Refused::Foreign`](crate::Refused::Foreign); errors of the system and of `write`.
 pub fn replace<T, E: From<io::Error>>(
     path: &Path,
     write: impl FnOnce(&File) -> Result<T, E>,
@@ -60,10 +61,12 @@ pub fn replace<T, E: From<io::Error>>(
     Ok(written)
 }
 
-/// Whether [`replace`] may write a file that begins with `beginning`: for programs that would learn it after hours.
+/// Checks whether [`replace`] may write a file that begins with `beginning`, for programs that
+/// would learn it after hours.
 ///
 /// # Errors
-/// [`Refused::Foreign`](crate::Refused::Foreign) if something else lies there; that of [`open`](crate::open()).
+/// [`Refused::Foreign`](crate::Refused::Foreign) if another file is there, and those of
+/// [`open`](crate::open()).
 pub fn check_kind(path: &Path, beginning: &[u8]) -> io::Result<()> {
     let file = match crate::open(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
@@ -90,8 +93,10 @@ fn taken() -> io::Error {
     io::Error::new(io::ErrorKind::AlreadyExists, what)
 }
 
-/// A file that is being written. It has no name, so that the system removes it whatever ends the program; where the file system
-/// cannot do that, it has a hidden name beside its place, which is removed when the draft is dropped.
+/// A file that is being written.
+///
+/// It has no name, so the system removes it however the program ends. If the file system cannot do
+/// that, it has a hidden name beside its target, which is removed when the draft is dropped.
 #[derive(Debug)]
 struct Draft {
     file: File,
@@ -101,14 +106,14 @@ struct Draft {
 impl Drop for Draft {
     fn drop(&mut self) {
         if let Some(hidden) = &self.hidden {
-            // What is left of it is hidden, and named after this program's process.
+            // Any remains are hidden and named after this process.
             let _ = disk::remove_file(hidden);
         }
     }
 }
 
 impl Draft {
-    /// Of the file that is to lie at `path`.
+    /// Begins the file for `path`.
     fn begin(path: &Path) -> io::Result<Self> {
         let folder = path.parent().filter(|it| !it.as_os_str().is_empty());
         let flags = OFlags::TMPFILE | OFlags::RDWR | OFlags::CLOEXEC;
@@ -140,14 +145,14 @@ impl Draft {
         })
     }
 
-    /// Gives it its name, which nobody may have.
+    /// Gives the file its name, which must be free.
     fn link(mut self, path: &Path) -> io::Result<()> {
         let Some(hidden) = &self.hidden else {
             return self.name(path);
         };
         match renameat_with(CWD, hidden, CWD, path, RenameFlags::NOREPLACE) {
             Ok(()) => self.hidden = None,
-            // The second name is refused where there is something; the first is removed with the draft.
+            // Linking fails if the name is taken. The hidden name is removed with the draft.
             Err(Errno::INVAL | Errno::NOSYS) => std::fs::hard_link(hidden, path)?,
             Err(Errno::EXIST) => return Err(taken()),
             Err(error) => return Err(error.into()),
@@ -155,7 +160,7 @@ impl Draft {
         Ok(())
     }
 
-    /// Gives it its name, in place of what has it.
+    /// Gives the file its name, and replaces the file that has it.
     fn rename(mut self, path: &Path) -> io::Result<()> {
         let hidden = match self.hidden.take() {
             Some(hidden) => hidden,
@@ -178,7 +183,7 @@ impl Draft {
     }
 }
 
-/// Makes something under a hidden name that nobody has, beside `path`.
+/// Creates a file under a free hidden name beside `path`.
 fn beside<T>(
     path: &Path,
     mut make: impl FnMut(&Path) -> io::Result<T>,
@@ -236,7 +241,7 @@ mod tests {
         symlink("nowhere", &path).unwrap();
         assert!(create(&path, text("second")).is_err());
         fs::remove_file(&path).unwrap();
-        // It came while the file was written.
+        // The other file appears while this one is written.
         let late = create(&path, |mut file| {
             fs::write(&path, "somebody's")?;
             file.write_all(b"mine")

@@ -27,7 +27,7 @@ fn only_regular_files_are_opened_without_blocking() {
     ] {
         symlink(at(to), at(link)).unwrap();
     }
-    for (path, says) in [
+    for (path, expected) in [
         (at("fifo"), "is a named pipe; allowed are regular files"),
         (
             at("link to a fifo"),
@@ -48,7 +48,12 @@ fn only_regular_files_are_opened_without_blocking() {
             joulebus_files::look(&path).map(drop),
         ];
         for refused in refusals {
-            assert_eq!(refused.unwrap_err().to_string(), says, "{}", path.display());
+            assert_eq!(
+                refused.unwrap_err().to_string(),
+                expected,
+                "{}",
+                path.display()
+            );
         }
     }
     for name in ["file", "link"] {

@@ -1,8 +1,8 @@
 //! The options of verbs that are separate programs, as data.
 //!
-//! A program writes down what its options are ([`check`]), and `joulebus` shows them in its help,
-//! completions and manual pages without that program's code, and where the program is not built.
-//! The options themselves stand beside the verb alone.
+//! A program writes a description of its options ([`check`]). `joulebus` shows them in its help,
+//! completions and manual pages without that program's code, even if the program is not built. The
+//! options themselves stand only beside the verb.
 
 use std::path::Path;
 
@@ -44,7 +44,7 @@ struct Described {
     long_help: Option<String>,
     #[serde(default, skip_serializing_if = "is_default")]
     value_names: Vec<String>,
-    /// The least and the greatest number of values; none: one.
+    /// Minimum and maximum number of values. `None`: one.
     #[serde(default, skip_serializing_if = "is_default")]
     values: Option<(usize, Option<usize>)>,
     #[serde(default, skip_serializing_if = "is_default")]
@@ -82,7 +82,7 @@ struct Possible {
     help: Option<String>,
 }
 
-/// Options of which one must be given.
+/// Options of which one is required.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Group {
@@ -116,8 +116,8 @@ impl Verb {
         }
     }
 
-    /// The verb as a parser that accepts what the program may accept: values are texts, and what
-    /// options require of each other is left to the program.
+    /// The verb as a parser that accepts everything that the program may accept: values are texts,
+    /// and the program checks dependencies between options.
     #[must_use]
     pub fn command(&'static self) -> Command {
         let mut command = Command::new(self.name.as_str())
@@ -284,9 +284,9 @@ impl Group {
     }
 }
 
-/// For a program's tests: what `joulebus` shows of it is what it has. `joulebus` has the description
-/// in `file`, below `crates/cli/verbs`, written again with `JOULEBUS_WRITE=1`. Where that folder is
-/// not beside the program's crate, only the program itself is checked.
+/// For a program's tests: checks that `joulebus` shows the program's options. `joulebus` has the
+/// description in `file`, below `crates/cli/verbs`, written again with `JOULEBUS_WRITE=1`. Without
+/// that folder beside the program's crate, only the program itself is checked.
 ///
 /// # Panics
 /// The description is another one, or help made of it differs from the program's own.
@@ -297,7 +297,7 @@ pub fn check(file: &Path, verbs: &[Command]) {
     let again: Vec<Verb> = serde_json::from_str(&text).expect("it was just written");
     assert_eq!(again, described);
     for (verb, own) in Vec::leak(again).iter().zip(verbs) {
-        // Versions are all the same: a program's is added where it is shown.
+        // All versions are equal. The program's version is added where it is shown.
         let mut own = own.clone().version(clap::builder::Resettable::Reset);
         compare(&mut verb.command(), &mut own, "");
     }

@@ -7,11 +7,11 @@ use joulebus_config::{ConfigError, UnknownKey};
 
 use crate::output::{self, StdoutClosed};
 
-/// It failed, or a check found a fault.
+/// The run failed, or a check found a fault.
 pub const FAILED: u8 = 1;
 /// Wrong usage, or a config that was refused; also clap's code for wrong usage.
 pub const USAGE: u8 = 2;
-/// It finished, but data was lost or differs.
+/// The run finished, but data was lost or differs.
 pub const INCOMPLETE: u8 = 3;
 
 /// Result of a verb that finished.
@@ -21,7 +21,7 @@ pub enum Outcome {
     Done,
     /// A check found a fault.
     Failed,
-    /// It finished, but data was lost or differs.
+    /// The run finished, but data was lost or differs.
     Incomplete,
 }
 

@@ -1,4 +1,4 @@
-//! Detects the end of the supervisor, by whatever cause: stdin closes.
+//! Detects the end of the supervisor, whatever its cause: stdin closes.
 
 use std::io;
 use std::time::Duration;
@@ -9,7 +9,7 @@ use rustix::process::{Signal, getpid, kill_process};
 /// Time for a clean exit before the process is ended.
 const GRACE: Duration = Duration::from_secs(5);
 
-/// From now on this process exits, as by SIGTERM, when its stdin closes.
+/// From now on this process exits, as after SIGTERM, when its stdin closes.
 ///
 /// # Errors
 /// The watching thread cannot be started.

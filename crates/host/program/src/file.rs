@@ -5,7 +5,8 @@ use std::path::Path;
 
 use anyhow::Context as _;
 
-/// Writes a file as a whole, in place of the one that may be there. Pipes and devices are not replaced.
+/// Writes a file as a whole, in place of the one that may be there. Pipes and devices are not
+/// replaced.
 ///
 /// # Errors
 /// As of [`joulebus_files::replace`].

@@ -1,5 +1,5 @@
-//! The other programs of this release, found like git's subcommands: in the directory of the running
-//! program, then in the directories of `PATH`.
+//! The other programs of this release, found like git's subcommands: in the directory of the
+//! running program, then in the directories of `PATH`.
 
 use std::env;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, anyhow};
 use rustix::fs::{Access, access};
 
-/// The program `name`: beside this one, or in a directory of `PATH`.
+/// The path of the program `name`: beside this one, or in a directory of `PATH`.
 ///
 /// # Errors
 /// There is none.

@@ -1,7 +1,8 @@
 //! Shared code of all joulebus programs: arguments, output, exit codes.
 //!
-//! Results go to stdout, everything else to stderr; [`exit`] defines the exit codes. A verb that is
-//! a separate program has its `main` in [`verb`]; [`described`] tells `joulebus` its options.
+//! Results go to stdout, everything else to stderr. [`exit`] defines the exit codes. A verb that is
+//! a separate program has its `main` in [`verb`], and [`described`] gives its options to
+//! `joulebus`.
 #![forbid(unsafe_code)]
 
 pub mod config_file;

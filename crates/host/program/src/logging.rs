@@ -10,7 +10,7 @@ use tracing_subscriber::util::SubscriberInitExt as _;
 use crate::output::{SAID, say, say_in_log};
 
 const VARIABLE: &str = "JOULEBUS_LOG";
-/// Target of the alarms of robots, which are logged whatever the verbosity.
+/// Target of the robots' alarms, which are logged at any verbosity.
 pub const ALARMS: &str = "joulebus::alarms";
 
 /// How a line of the log is written.
@@ -18,7 +18,8 @@ pub const ALARMS: &str = "joulebus::alarms";
 pub enum LogFormat {
     /// Text
     Text,
-    /// One JSON object per line, with the fields `timestamp` (UTC), `level`, `target`, `message` and those of the event
+    /// One JSON object per line, with the fields `timestamp` (UTC), `level`, `target`, `message`
+    /// and those of the event
     Json,
 }
 

@@ -4,7 +4,7 @@ use joulebus_config::{Config, ModelSource, Problem};
 use joulebus_predictor::{FEATURES, LAGS, Model};
 
 /// A platform may allow this many times the highest power of the training; more is another robot.
-const MOST_TIMES: f32 = 3.0;
+const MAX_TIMES: f32 = 3.0;
 
 /// Platforms whose limits do not fit the readings that their model was trained on.
 #[must_use]
@@ -20,7 +20,7 @@ pub fn warnings(config: &Config, models: &[Model]) -> Vec<Problem> {
             let most_w = range.max[lags].iter().copied().fold(f32::NEG_INFINITY, f32::max);
             let (min_w, max_w) = (platform.power_min_w, platform.power_max_w);
             let inside = min_w <= least_w && most_w <= max_w;
-            let fits = inside && max_w <= MOST_TIMES * most_w.max(0.0);
+            let fits = inside && max_w <= MAX_TIMES * most_w.max(0.0);
             if fits {
                 return None;
             }

@@ -104,9 +104,9 @@ pub fn text(text: &str) -> anyhow::Result<()> {
     }
 }
 
-/// Target of what a program says, in a log whose lines are objects.
+/// Target of a program's messages in a log whose lines are objects.
 pub(crate) const SAID: &str = "joulebus::program";
-/// Whether what is said goes to the log, whose lines are objects.
+/// Whether messages go to the log, whose lines are objects.
 static TO_LOG: AtomicBool = AtomicBool::new(false);
 
 /// Lets [`say`] write to the log from now on.
@@ -114,7 +114,8 @@ pub(crate) fn say_in_log() {
     TO_LOG.store(true, Ordering::Relaxed);
 }
 
-/// Writes a line to stderr, or to the log if its lines are objects; errors are ignored, because it is not a result.
+/// Writes a line to stderr, or to the log if its lines are objects; errors are ignored, because it
+/// is not a result.
 pub fn say(line: &str) {
     let line = printable(line);
     if TO_LOG.load(Ordering::Relaxed) {
@@ -125,9 +126,9 @@ pub fn say(line: &str) {
 }
 
 /// The text with control characters escaped, except tabs and line breaks, and with Unicode's
-/// directional ones escaped: a terminal would execute or reorder them. The form `\u001b` is valid in
-/// JSON and TOML. Names of files, topics and schemas may contain any character; everything that joulebus
-/// prints passes through this function.
+/// directional ones escaped: a terminal would execute or reorder them. The form `\u001b` is valid
+/// in JSON and TOML. Names of files, topics and schemas may contain any character, so joulebus
+/// prints everything through this function.
 #[must_use]
 pub fn printable(text: &str) -> Cow<'_, str> {
     if !text.contains(is_unprintable) {

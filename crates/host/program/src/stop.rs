@@ -9,7 +9,7 @@ use rustix::time::{ClockId, clock_gettime};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
 
 /// Maximum delay of the exit by a sleep.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Set by SIGINT, SIGTERM and SIGHUP. A second signal has no effect: the clean-up always runs.
 #[derive(Debug, Clone)]
@@ -18,8 +18,9 @@ pub struct Stop {
 }
 
 impl Stop {
-    /// From now on the signals set the flag instead of killing the process. SIGHUP stays ignored where
-    /// it is ignored at the start: `nohup` does that so that the process outlives its terminal.
+    /// From now on the signals set the flag instead of killing the process. SIGHUP stays ignored
+    /// where it is ignored at the start: `nohup` does that so that the process outlives its
+    /// terminal.
     ///
     /// # Errors
     /// The signal handlers cannot be installed.
@@ -51,7 +52,7 @@ impl Stop {
             if left.is_zero() {
                 return true;
             }
-            std::thread::sleep(left.min(LOOK_EVERY));
+            std::thread::sleep(left.min(POLL_INTERVAL));
         }
         false
     }

@@ -5,22 +5,22 @@
 pub struct Utc {
     /// The year.
     pub year: u64,
-    /// From 1.
+    /// 1 to 12.
     pub month: u64,
-    /// From 1.
+    /// 1 to 31.
     pub day: u64,
-    /// From 0 to 23.
+    /// 0 to 23.
     pub hour: u64,
-    /// From 0 to 59.
+    /// 0 to 59.
     pub minute: u64,
-    /// From 0 to 59.
+    /// 0 to 59.
     pub second: u64,
-    /// From 0 to 999.
+    /// 0 to 999.
     pub millisecond: u64,
 }
 
 impl Utc {
-    /// From Unix time, ns.
+    /// Converts Unix time, ns.
     #[must_use]
     pub fn of(unix_ns: u64) -> Self {
         let seconds = unix_ns / 1_000_000_000;
@@ -36,7 +36,7 @@ impl Utc {
         }
     }
 
-    /// As in `2026-11-22`.
+    /// The date, as in `2026-11-22`.
     #[must_use]
     pub fn date(&self) -> String {
         format!("{}-{:02}-{:02}", self.year, self.month, self.day)

@@ -10,7 +10,7 @@ use crate::window::Window;
 /// Silence of the worker before a warning, ns.
 const PATIENCE_NS: u64 = 2_000_000_000;
 /// Maximum sleep while the worker is silent, ns.
-const LOOK_EVERY_NS: u64 = 50_000_000;
+const POLL_INTERVAL_NS: u64 = 50_000_000;
 
 /// State of the worker as seen by a source.
 #[derive(Debug)]
@@ -36,7 +36,7 @@ struct HeardWorker {
 /// Whether the fleet can take a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SendWindow {
-    /// It can.
+    /// The source may send.
     Free,
     /// The worker has ended.
     NoWorker,
@@ -95,7 +95,7 @@ impl Flow {
         self.window.sent(frame, clock::monotonic_ns());
     }
 
-    /// The source continues as run `source_epoch`, unless it already does: frames of older runs are
+    /// The source continues as run `source_epoch`, unless it already does. Frames of older runs are
     /// no longer waited for.
     pub fn follow(&mut self, source_epoch: u64) {
         if source_epoch > self.source_epoch {
@@ -148,7 +148,7 @@ impl Flow {
                 .as_ref()
                 .and_then(|worker| worker.process.as_ref());
             self.waiter
-                .wait_until(Some(now_ns + LOOK_EVERY_NS), process)?;
+                .wait_until(Some(now_ns + POLL_INTERVAL_NS), process)?;
         }
     }
 

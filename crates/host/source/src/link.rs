@@ -10,7 +10,7 @@ use joulebus_wire::Sample;
 use crate::report::PublishReport;
 
 /// Interval of checks for a worker, ns.
-const LOOK_EVERY_NS: u64 = 100_000_000;
+const POLL_INTERVAL_NS: u64 = 100_000_000;
 
 /// A source of the fleet.
 #[derive(Debug)]
@@ -75,6 +75,9 @@ impl Link {
             Ok(sent) => {
                 report.frames_sent += 1;
                 report.samples_sent += frame.len() as u64;
+                if let Some(error) = &sent.not_woken {
+                    tracing::warn!(%error, "the worker was not woken");
+                }
                 if sent.readers > 0 {
                     return Ok(Fate::Sent);
                 }
@@ -90,7 +93,7 @@ impl Link {
         }
     }
 
-    /// Whether a worker runs and reads: checked by a frame without samples.
+    /// Whether a worker runs and reads, checked by a frame without samples.
     ///
     /// # Errors
     /// The lock or the service cannot be used.
@@ -105,17 +108,17 @@ impl Link {
         }
     }
 
-    /// Waits for a worker; `false` at a signal.
+    /// Waits for a worker. Returns `false` at a signal.
     ///
     /// # Errors
-    /// As [`Link::has_worker`].
+    /// Same as [`Link::has_worker`].
     pub fn wait_for_worker(&mut self, stop: &Stop) -> anyhow::Result<bool> {
         if self.has_worker()? {
             return Ok(true);
         }
         say("no worker runs; waiting for one (`joulebus run` starts it)");
         while !self.has_worker()? {
-            if !stop.sleep_until(clock::monotonic_ns() + LOOK_EVERY_NS) {
+            if !stop.sleep_until(clock::monotonic_ns() + POLL_INTERVAL_NS) {
                 return Ok(false);
             }
         }

@@ -24,10 +24,10 @@ impl FromStr for Hertz {
     }
 }
 
-/// A number within a range, both ends included.
+/// A number within a closed range.
 ///
 /// # Errors
-/// No number, or outside the range; the message has both ends.
+/// The text is no number, or outside the range. The message has both ends.
 pub fn number(text: &str, least: f64, greatest: f64, unit: &str) -> Result<f64, String> {
     let value: f64 = text
         .parse()
@@ -83,7 +83,7 @@ impl FromStr for Rate {
 /// Number of passes through each trial.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Passes {
-    /// So many.
+    /// A number of frames.
     Count(u64),
     /// Without end.
     ForEver,

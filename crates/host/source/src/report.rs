@@ -1,11 +1,11 @@
-//! What was published.
+//! The report of a source.
 
 use std::fmt;
 
 use serde::Serialize;
 
 /// Maximum number of notes shown as text.
-const MOST_NOTES: usize = 5;
+const MAX_NOTES: usize = 5;
 
 /// Report of a source.
 #[derive(Debug, Default, Serialize)]
@@ -16,7 +16,7 @@ pub struct PublishReport {
     pub source: String,
     /// Robots of the source.
     pub robots: usize,
-    /// From the first frame to the end.
+    /// Time from the first frame to the end, s.
     pub duration_s: f64,
     /// Frames sent.
     pub frames_sent: u64,
@@ -100,8 +100,8 @@ impl fmt::Display for PublishReport {
             writeln!(out, "delayed by {:.1} s", self.held_up_s)?;
         }
         let questionable = self.trials.iter().filter(|trial| !trial.clean);
-        let more = questionable.clone().count().saturating_sub(MOST_NOTES);
-        for trial in questionable.take(MOST_NOTES) {
+        let more = questionable.clone().count().saturating_sub(MAX_NOTES);
+        for trial in questionable.take(MAX_NOTES) {
             writeln!(
                 out,
                 "robot {}: {}: {}",

@@ -1,9 +1,9 @@
 //! Flow control: frames that the worker has not answered yet.
 //!
-//! A frame is answered when a forecast answers one of its samples, or of a later frame: the worker
-//! takes frames as a whole and in order. If every sample of a frame was refused, that never
-//! happens; then the frame is answered when two ticks have begun after it was sent, because the
-//! second one took everything sent before the first.
+//! A forecast of one of a frame's samples, or of a later frame's, answers the frame, because the
+//! worker takes frames as a whole and in order. If every sample of a frame was refused, there is no
+//! forecast. The frame then counts as answered when two ticks have begun after it was sent, because
+//! the second one took everything sent before the first.
 
 use std::collections::{HashMap, VecDeque};
 
@@ -34,7 +34,8 @@ struct OfRobot {
 }
 
 impl Window {
-    /// At most `most_frames` frames, with at most `most_samples` samples of a robot in them.
+    /// A window of at most `most_frames` frames, with at most `most_samples` samples of a robot in
+    /// them.
     #[must_use]
     pub fn new(most_frames: usize, most_samples: usize) -> Self {
         Self {

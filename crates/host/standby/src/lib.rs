@@ -1,14 +1,14 @@
-//! What a worker that stands by and the link of its host leave each other: files in the fleet's
+//! The files through which a standby worker and the link of its host communicate, in the fleet's
 //! private directory.
 //!
-//! | file | written by | |
+//! | file | written by | contents |
 //! |---|---|---|
 //! | [permit](Permit) | the link | term, and the instant after which the worker must be silent |
-//! | [keyframe](SavedState) | the worker that serves | its state, once a second |
-//! | [replica](SavedState) | the link | the keyframe of the worker elsewhere that serves |
-//! | request | `joulebus link FILE --take-over` | the command that this host's worker shall serve |
+//! | [keyframe](SavedState) | the leading worker | its state, once a second |
+//! | [replica](SavedState) | the link | the keyframe of the leader on another host |
+//! | request | `joulebus link FILE --take-over` | the request that this host's worker leads |
 //!
-//! Files, because they are there after any of the processes was killed, are replaced whole (by
+//! They are files because those survive a kill of any of the processes, are replaced whole (by
 //! renaming), and cost a tick nothing.
 #![forbid(unsafe_code)]
 

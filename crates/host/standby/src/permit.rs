@@ -15,10 +15,10 @@ const NEVER: &str = "never";
 /// The permit of this host's worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Permit {
-    /// Number of the turn, from 1: greater than that of every worker that has served before.
+    /// Number of the term, from 1, higher than that of every earlier leader.
     pub term: u64,
-    /// The worker sends nothing from this instant on, ns since boot with suspend ([`clock::boot_ns`]); `None`: until the permit is
-    /// withdrawn.
+    /// The worker sends nothing from this instant on, ns since boot with suspend
+    /// ([`clock::boot_ns`]); `None`: until the permit is withdrawn.
     pub until_ns: Option<u64>,
     /// The lease that it follows from, for a link that starts again; 0 without one.
     pub lease: u64,
@@ -31,7 +31,8 @@ impl Permit {
         self.until_ns.is_none_or(|until_ns| now_ns < until_ns)
     }
 
-    /// The permit in a file; `None` if there is none, or it is of another boot: its instants say nothing now.
+    /// Reads the permit in a file. `None` if there is none, or it is of another boot, whose
+    /// instants are meaningless now.
     ///
     /// # Errors
     /// [`PermitError`].
@@ -126,14 +127,14 @@ pub enum PermitError {
         /// The error of the system.
         source: io::Error,
     },
-    /// It is something else.
+    /// The file is something else.
     #[error(
         "{path:?} is not a permit, but {found:?}: remove it, and start the link of this host again"
     )]
     Malformed {
         /// The file.
         path: PathBuf,
-        /// What it contains.
+        /// Start of its contents.
         found: String,
     },
 }

@@ -7,7 +7,8 @@ use joulebus_bus::STANDBY_FILES;
 use joulebus_config::Config;
 use joulebus_files::disk::{self, File};
 
-/// The files, in the directory of the fleet in shared memory: the last member of the fleet on this host removes them.
+/// The files, in the directory of the fleet in shared memory: the last member of the fleet on this
+/// host removes them.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Places {
     /// [`Permit`](crate::Permit) of this host's worker.
@@ -16,12 +17,12 @@ pub struct Places {
     pub keyframe: PathBuf,
     /// [`SavedState`](crate::SavedState) of the worker elsewhere that serves.
     pub replica: PathBuf,
-    /// Exists while an operator has requested that this host's worker serve, and nobody has answered.
+    /// Exists while an operator's request that this host's worker leads is pending.
     pub request: PathBuf,
 }
 
 impl Places {
-    /// Those of the fleet of `config` on this host.
+    /// The paths of the fleet of `config` on this host.
     #[must_use]
     pub fn of(config: &Config) -> Self {
         let directory = config.root().join(config.fleet());

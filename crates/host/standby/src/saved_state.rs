@@ -1,4 +1,4 @@
-//! A worker's state in a file: its own, or that of the worker elsewhere that serves.
+//! A worker's state in a file: its own, or that of the leader on another host.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -10,28 +10,29 @@ use crate::places::replace;
 
 /// First bytes of the file; the last of them is its version.
 const MAGIC: [u8; 8] = *b"jbsaved\x01";
-/// Longest id of a boot, bytes.
+/// Maximum length of a boot id, bytes.
 const BOOT_BYTES: usize = 64;
 /// Magic, five numbers, and the boot.
 const HEAD_BYTES: usize = 8 + 5 * 8 + BOOT_BYTES;
 /// Largest file: of a million robots it takes a fifth of that.
-const MOST_BYTES: u64 = 4 << 30;
+const MAX_BYTES: u64 = 4 << 30;
 
-/// An encoded state of a fleet (`FleetState` of `joulebus-fleet`), and where it is from.
+/// An encoded state of a fleet (`FleetState` of `joulebus-fleet`), with its origin.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SavedState {
     /// Term of the worker that it was taken from.
     pub term: u64,
     /// When it was taken, monotonic ns of this host.
     pub taken_ns: u64,
-    /// What is to be added to the instants in it to get those of this host, ns.
+    /// Offset to add to its instants to get those of this host, ns.
     pub offset_ns: i64,
     /// The state.
     pub bytes: Vec<u8>,
 }
 
 impl SavedState {
-    /// The state in a file; `None` if there is none, or it is of another boot: its instants say nothing now.
+    /// Reads the state in a file. `None` if there is none, or it is of another boot, whose instants
+    /// are meaningless now.
     ///
     /// # Errors
     /// [`SavedStateError`].
@@ -40,7 +41,7 @@ impl SavedState {
             path: path.to_owned(),
             source,
         };
-        let bytes = match joulebus_files::read(path, MOST_BYTES) {
+        let bytes = match joulebus_files::read(path, MAX_BYTES) {
             Ok(bytes) => bytes,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(failed(error)),
@@ -84,14 +85,14 @@ impl SavedState {
         })
     }
 
-    /// Which of two is newer: that of the later term, then the one that was taken later.
+    /// Sort key by age: the term, then the time at which it was taken.
     #[must_use]
     pub const fn order(&self) -> (u64, u64) {
         (self.term, self.taken_ns)
     }
 }
 
-/// The boot and the state of a file's bytes, or what is wrong with them.
+/// The boot and the state in a file's bytes, or what is wrong with them.
 fn parse(mut bytes: Vec<u8>) -> Result<([u8; BOOT_BYTES], SavedState), String> {
     let Some((head, payload)) = bytes.split_first_chunk::<HEAD_BYTES>() else {
         return Err(format!(
@@ -156,7 +157,7 @@ pub enum SavedStateError {
         /// The error of the system.
         source: io::Error,
     },
-    /// It is damaged, or something else.
+    /// The file is damaged, or something else.
     #[error("state {path:?} is damaged: {reason}; remove it if it stays so")]
     Damaged {
         /// The file.

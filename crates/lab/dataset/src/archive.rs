@@ -1,10 +1,11 @@
-//! Archives: recordings as a folder of Parquet files, which every distributed engine reads. The only module that uses the
-//! crate `parquet`.
+//! Archives: recordings as a folder of Parquet files, which every distributed engine reads. Only
+//! this module uses the crate `parquet`.
 //!
-//! A file has one trial: its rows in the order and the units of the recording that it came from, to the bit, and in its
-//! footer what else a [`Table`](crate::trial::Table) has. Files lie in partitions, `fleet=…/day=…/robot=…`. A recording is
-//! in an archive when its listing is there, `_joulebus/000017.recording`: it names the files of its trials. So an archive
-//! reads as the recordings that were exported, in their order.
+//! A file has one trial: its rows in the order and the units of the original recording, to the bit,
+//! and in its footer the other parts of a [`Table`](crate::trial::Table). Files are in partitions,
+//! `fleet=…/day=…/robot=…`. A recording is in an archive once its listing is there,
+//! `_joulebus/000017.recording`, which names the files of its trials. An archive therefore reads as
+//! the exported recordings, in their order.
 
 mod head;
 mod listing;

@@ -1,8 +1,8 @@
 //! The header of NumPy's array files, for recordings and model files alike.
 //!
 //! A header is untrusted: no allocation depends on a size that it merely claims. It is a Python
-//! expression, of which only the one form is read that a plain array's header has. General parsers
-//! nest, multiply and concatenate without bounds.
+//! expression. Only the form that plain arrays have is read, because general parsers nest, multiply
+//! and concatenate without bounds.
 
 use std::io::{self, Read};
 
@@ -10,7 +10,7 @@ use std::io::{self, Read};
 pub const MAGIC: &[u8] = b"\x93NUMPY";
 /// NumPy's own default limit for a header's length.
 const MAX_TEXT_BYTES: usize = 10_000;
-/// Most dimensions, and most digits of each.
+/// Maximum number of dimensions, and of digits of each.
 const MAX_DIMENSIONS: usize = 8;
 const MAX_DIGITS: usize = 9;
 /// Bytes of magic and version.
@@ -39,7 +39,7 @@ pub enum HeaderError {
     Malformed {
         /// Offset in the file.
         at: usize,
-        /// What was found and what is allowed.
+        /// The problem with the expected value.
         detail: String,
     },
     /// The elements are records.
@@ -118,7 +118,7 @@ impl Header {
         })
     }
 
-    /// Length of the header in bytes: where the elements begin.
+    /// Length of the header in bytes, which is the position of the elements.
     #[must_use]
     pub fn length(&self) -> usize {
         self.length
@@ -192,8 +192,8 @@ fn malformed(at: usize, detail: String) -> HeaderError {
     HeaderError::Malformed { at, detail }
 }
 
-/// Element type, order and shape. Of Python's expressions only the form below is allowed, its keys in
-/// any order.
+/// Element type, order and shape. Of Python's expressions only the form below is allowed, its keys
+/// in any order.
 fn parse(at: usize, text: &[u8]) -> Result<(String, bool, Vec<usize>), HeaderError> {
     if text.contains(&b'[') {
         return Err(HeaderError::Records);
@@ -244,7 +244,7 @@ fn parse(at: usize, text: &[u8]) -> Result<(String, bool, Vec<usize>), HeaderErr
     }
 }
 
-/// What lies within the braces: before the parentheses, within them, and after them.
+/// The text within the braces: before, within and after the parentheses.
 fn parts(text: &str) -> Option<(&str, &str, &str)> {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b" \n{}():,'\"<>=|_".contains(&byte);
     if !text.ends_with('\n') || !text.bytes().all(plain) {

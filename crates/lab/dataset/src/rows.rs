@@ -73,7 +73,7 @@ pub struct TrialRows {
     /// For each row, the number (from 0) of the sample on which its forecast is based.
     pub sample_seq: Vec<u64>,
     /// For each row, the age of its newest reading: its reading-age features, and their
-    /// continuation where no further reading arrives.
+    /// continuation if no further reading arrives.
     pub reading_ages: Vec<ReadingAge>,
     /// Samples without a row because their window of five readings is not full: at the start, and
     /// after a gap, a missing reading, or a time that does not advance.

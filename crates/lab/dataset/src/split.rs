@@ -29,12 +29,12 @@ pub use source::{Placed, Source, SourceInfo, describe, digest, group_of, median_
 /// twice.
 pub const PAUSE_ROWS: usize = 2 * (LAGS + 1);
 
-/// Most consecutive rows that are taken of a part of which not all rows are: 18 minutes at 30 Hz.
+/// Maximum number of consecutive rows taken from a part that is thinned: 18 minutes at 30 Hz.
 pub const STRETCH_ROWS: usize = 32_768;
-/// Least stretches that such rows come in.
-const LEAST_STRETCHES: usize = 64;
+/// Minimum number of stretches of such rows.
+const MIN_STRETCHES: usize = 64;
 
-/// Unit of the split: what stays in one part.
+/// Unit of the split, which stays in one part.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum By {
@@ -85,7 +85,7 @@ pub struct Split {
 }
 
 impl Default for Split {
-    /// By trial, 15 % each.
+    /// A split by trial with 15 % for validation and 15 % held out.
     fn default() -> Self {
         Self {
             by: By::Trial,
@@ -118,7 +118,7 @@ impl fmt::Display for Split {
 }
 
 impl Split {
-    /// As a model's file states it: `split by trial, seed 0`.
+    /// The spelling in a model's file: `split by trial, seed 0`.
     #[must_use]
     pub fn origin(&self) -> String {
         match self.by {
@@ -156,7 +156,7 @@ pub struct Thinned {
 pub struct SplitSummary {
     /// Unit of the split.
     pub by: By,
-    /// Names of the units for training; for a split in time the trials, once.
+    /// Names of the units for training. For a split in time the trials, once.
     pub training: Vec<String>,
     /// Units for validation.
     pub validation: Vec<String>,
@@ -263,7 +263,8 @@ pub fn split(
     Ok((assignment.dataset(sources, description), assignment.summary))
 }
 
-/// Assigns whole trials, whose parts are given: training, validation, held out. The ranges are of the trials in this order.
+/// Assigns whole trials, whose parts are given: training, validation, held out. The ranges are of
+/// the trials in this order.
 ///
 /// # Errors
 /// [`SplitError::Copy`]: the same rows are in two parts.
@@ -308,8 +309,9 @@ pub fn assign(sources: &[Source], split: Split) -> Result<Assignment, SplitError
     })
 }
 
-/// The same of trials whose rows are elsewhere. `resume_at` is asked only by a split in time, once for each trial that has
-/// rows: with its index and its two cuts, it gives where the rows go on after them ([`resume`]).
+/// Same as [`assign`], for trials whose rows are elsewhere. Only a split in time calls `resume_at`,
+/// once for each trial that has rows. Given its index and its two cuts, it returns where the rows
+/// continue after them ([`resume`]).
 ///
 /// # Errors
 /// [`SplitError`], and those of `resume_at`.
@@ -344,8 +346,8 @@ fn assign_units(sources: &[SourceInfo], split: Split) -> Result<Assignment, Spli
     by_unit(sources, split.by, parts, split.to_string())
 }
 
-/// Like [`assign`], with the held-out units given by name, such as one terrain of several; the
-/// validation share is taken of the others, shuffled by the seed.
+/// Same as [`assign`], with the held-out units given by name, such as one terrain of several. The
+/// validation share is taken from the others, shuffled by the seed.
 ///
 /// # Errors
 /// [`SplitError`]: a unit that does not exist, none left for training or validation, or a split in
@@ -400,13 +402,14 @@ pub fn assign_unread_leaving_out(
 }
 
 impl Assignment {
-    /// All rows, or, if they are more than `most_rows`, about as many of each part as its share of them: stretches of
-    /// [`STRETCH_ROWS`] or fewer consecutive rows, evenly spread over the part; at least one of each part.
+    /// All rows, or, if there are more than `most_rows`, about as many of each part as its share of
+    /// them. They are stretches of at most [`STRETCH_ROWS`] consecutive rows, evenly spread over
+    /// the part, at least one of each part.
     #[must_use]
     pub fn thin(&self, most_rows: usize) -> Thinned {
         let found: usize = self.summary.rows.iter().sum();
         let stretch = match found > most_rows {
-            true => (most_rows / LEAST_STRETCHES).clamp(1, STRETCH_ROWS),
+            true => (most_rows / MIN_STRETCHES).clamp(1, STRETCH_ROWS),
             false => found.max(1),
         };
         let mut rows = [0; 3];

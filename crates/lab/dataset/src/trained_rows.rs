@@ -1,10 +1,11 @@
 //! Recognises rows that a model was trained on.
 //!
-//! What identifies rows are their readings, in order, to 12 bits of their mantissa: nothing of a file's
-//! name, format, units, times, velocities or robot. The readings of each gapless run of training rows are cut into
-//! blocks, and the model file has a hash of each block. A recording is compared at every offset, so it is
-//! recognised renamed, copied, converted, played and captured, imported, cut at its ends, or as part of a longer
-//! one. It is not recognised when it is resampled, or its readings are changed by more than rounding.
+//! Rows are identified by their readings, in order, to 12 bits of their mantissa. A file's name,
+//! format, units, times, velocities and robot do not count. The readings of each gapless run of
+//! training rows are cut into blocks, and the model file has a hash of each block. A recording is
+//! compared at every offset. It is therefore recognised renamed, copied, converted, played and
+//! captured, imported, cut at its ends, or as part of a longer one. It is not recognised when it is
+//! resampled, or its readings are changed by more than rounding.
 
 use std::collections::BTreeMap;
 
@@ -13,14 +14,15 @@ use joulebus_predictor::{FeatureSet, LAGS, TrainedBlocks, TrainedRows};
 use crate::rows::{Dataset, Row};
 use crate::split::PAUSE_ROWS;
 
-/// Least and usual number of rows of a block.
+/// Minimum and usual number of rows of a block.
 const SHORTEST: usize = 16;
 const USUAL: usize = 64;
 /// Blocks up to which their usual length is kept; above, it is doubled.
-const MOST_BLOCKS: usize = 4_096;
-/// Blocks above which a model states none: they are of many short runs, and the file would be too large.
-const MOST_SHORT: usize = 4 * MOST_BLOCKS;
-/// Least number of changes of the reading in a stretch that is recognised: resting robots repeat
+const MAX_BLOCKS: usize = 4_096;
+/// Blocks above which a model states none: they are of many short runs, and the file would be too
+/// large.
+const MAX_SHORT: usize = 4 * MAX_BLOCKS;
+/// Minimum number of changes of the reading in a recognised stretch, because resting robots repeat
 /// short sequences of a coarse monitor's readings by chance.
 const FEWEST_CHANGES: usize = 24;
 /// Odd, so that every power of it has an inverse.
@@ -28,8 +30,8 @@ const BASE: u64 = 0x9e37_79b9_7f4a_7c15;
 
 const NEWEST: usize = FeatureSet::PowerOnly.first();
 
-/// Hashes of the rows for fitting and for early stopping. `None` if there are too many short runs to
-/// state them.
+/// Hashes of the rows for fitting and for early stopping. `None` if there are too many short runs
+/// to state them.
 #[must_use]
 pub fn trained_rows(dataset: &Dataset) -> Option<TrainedRows> {
     let parts = [&dataset.training, &dataset.validation];
@@ -45,10 +47,10 @@ pub fn trained_rows(dataset: &Dataset) -> Option<TrainedRows> {
     };
     let longest = stretches.iter().map(Vec::len).max().unwrap_or(0);
     let mut length = USUAL;
-    while length < longest && count(length) > MOST_BLOCKS {
+    while length < longest && count(length) > MAX_BLOCKS {
         length *= 2;
     }
-    if count(length) > MOST_SHORT {
+    if count(length) > MAX_SHORT {
         return None;
     }
     let mut blocks = BTreeMap::<usize, Vec<u64>>::new();
@@ -70,12 +72,12 @@ pub fn trained_rows(dataset: &Dataset) -> Option<TrainedRows> {
     })
 }
 
-/// For each row of a recording, in order, whether it was trained on. Rows that share a reading's window
-/// with one that was (within [`PAUSE_ROWS`]) count as such.
+/// For each row of a recording, in order, whether it was trained on. Rows that share a reading's
+/// window with one that was (within [`PAUSE_ROWS`]) count as such.
 #[must_use]
 pub fn is_trained_on(rows: &[Row], trained: &TrainedRows) -> Vec<bool> {
     let sums = Sums::new(rows.iter().map(element));
-    // +1 where a recognised block begins, −1 after its end.
+    // +1 at the start of a recognised block, −1 after its end.
     let mut edges = vec![0_i64; rows.len() + 1];
     for group in &trained.blocks {
         let length = group.rows as usize;
@@ -113,7 +115,8 @@ fn widened(found: &[bool], rows: &[Row]) -> Vec<bool> {
     trained
 }
 
-/// The readings of each gapless run; runs shorter than a block are joined while they follow each other.
+/// The readings of each gapless run; runs shorter than a block are joined while they follow each
+/// other.
 fn stretches(rows: &[Row]) -> Vec<Vec<u64>> {
     let mut stretches: Vec<Vec<u64>> = Vec::new();
     let mut joined: Vec<u64> = Vec::new();
@@ -132,7 +135,7 @@ fn stretches(rows: &[Row]) -> Vec<Vec<u64>> {
     stretches
 }
 
-/// Whether the window of one row is that of the row before and its reading.
+/// Whether one row's window is the previous row's window and reading.
 fn follows(before: &Row, after: &Row) -> bool {
     let lags = |row: &Row| -> [u32; LAGS] {
         std::array::from_fn(|lag| row.features[NEWEST + lag].to_bits())
@@ -141,7 +144,8 @@ fn follows(before: &Row, after: &Row) -> bool {
     after_lags[0] == before.target_w.to_bits() && after_lags[1..] == before_lags[..LAGS - 1]
 }
 
-/// Rows of a block of a run, of at least [`SHORTEST`] rows: `length`, a power of two, or the largest that fits.
+/// Rows of a block of a run, of at least [`SHORTEST`] rows: `length`, a power of two, or the
+/// largest that fits.
 fn block_rows(run: usize, length: usize) -> usize {
     length.min(1 << run.ilog2())
 }
@@ -155,7 +159,7 @@ fn starts(run: usize, length: usize) -> impl Iterator<Item = usize> {
 
 /// A row's reading, rounded, spread over 64 bits.
 fn element(row: &Row) -> u64 {
-    /// Bits of an f32's mantissa that are dropped: what remains is exact to 1.2e-4.
+    /// Dropped bits of an f32's mantissa. The others are exact to 1.2e-4.
     const DROPPED: u32 = 11;
     // −0 is 0.
     let bits = (row.target_w + 0.0).to_bits();
@@ -172,7 +176,7 @@ fn mixed(x: u64) -> u64 {
 
 /// Hashes of any part of a sequence: polynomials in [`BASE`], from sums over its beginnings.
 struct Sums {
-    /// Of the first n elements, at n.
+    /// The sum of the first n elements, at index n.
     sums: Vec<u64>,
     /// Powers of the base.
     powers: Vec<u64>,

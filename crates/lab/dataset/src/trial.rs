@@ -1,10 +1,10 @@
 //! Recorded trials: reading them, notes on their quality, and their samples.
 //!
-//! A trial is what one robot recorded in one run. Its file has the published layout as a NumPy
-//! array, or the same table as CSV with a header, plain or compressed by gzip; or it is a capture of
-//! joulebus, with the samples of each robot. Units are converted
-//! here, once: everything inside is SI, and values that were not recorded are NaN or a missing
-//! column. A [`Table`] holds the same in the units of the file, for writing it again.
+//! A trial is the recording of one robot in one run. Its file has the published layout as a NumPy
+//! array, or the same table as CSV with a header, plain or compressed by gzip. Or it is a capture
+//! of joulebus, with the samples of each robot. Units are converted here, once: everything inside
+//! is SI, and values that were not recorded are NaN or a missing column. A [`Table`] holds the same
+//! in the units of the file, for writing it again.
 
 mod capture;
 mod error;
@@ -131,8 +131,8 @@ impl Trial {
         self.robot_name.as_deref()
     }
 
-    /// Row of the file that holds row `row` (from 0), from 1, a CSV's header not included: differs
-    /// from `row + 1` where several robots share a file.
+    /// The file's row (from 1, without a CSV's header) of row `row` (from 0). It differs from
+    /// `row + 1` if several robots share a file.
     #[must_use]
     pub fn file_row(&self, row: usize) -> usize {
         self.file_row.get(row).map_or(row + 1, |row| *row as usize)
@@ -156,15 +156,15 @@ impl Trial {
         &self.offset_ns
     }
 
-    /// One value per row in the SI unit of the [`Column`], NaN where none was recorded; `None` if
+    /// One value per row in the SI unit of the [`Column`], NaN if it was not recorded. `None` if
     /// the column is missing or all NaN.
     #[must_use]
     pub fn column(&self, column: Column) -> Option<&[f64]> {
         self.columns[column as usize].as_deref()
     }
 
-    /// Whether the reading of `row` (from 0) equals that of the row before: power, voltage and
-    /// current, to the bit.
+    /// Whether the reading of `row` (from 0) equals the previous row's: power, voltage and current,
+    /// to the bit.
     #[must_use]
     pub fn is_held(&self, row: usize) -> bool {
         table::is_held(&self.columns, row)

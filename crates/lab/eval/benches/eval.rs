@@ -1,7 +1,8 @@
 //! Evaluation of every Robotino recording: reading, building rows, scoring and formatting tables,
 //! on one and two threads.
 //!
-//! `cargo bench -p joulebus-eval --bench eval [FOLDER]`; without a folder, `../shared/data/robotino`.
+//! `cargo bench -p joulebus-eval --bench eval [FOLDER]`; without a folder,
+//! `../shared/data/robotino`.
 #[path = "../tests/all/live.rs"]
 mod live;
 

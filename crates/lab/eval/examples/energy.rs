@@ -1,10 +1,15 @@
-//! The tables of docs/energy.md: energy forecasts of recordings and of simulated robots that neither
-//! the energy model nor the network was trained on.
+//! The tables of docs/energy.md: energy forecasts of recordings and of simulated robots that
+//! neither the energy model nor the network was trained on.
 //!
-//! `cargo run --release -p joulebus-eval --example energy -- [--quick] [--every=ROWS] [--from=ROW] [SIMULATED]`: both halves of
-//! each set of recordings, each scored by what was trained on the other; and each surface, terrain and
-//! platform scored by what was trained on all others. With `--quick` the networks train for two epochs only;
-//! `--every=1` forecasts at every row instead of every tenth, `--from=15` at none before that row.
+//! ```text
+//! cargo run --release -p joulebus-eval --example energy -- \
+//!     [--quick] [--every=ROWS] [--from=ROW] [SIMULATED]
+//! ```
+//!
+//! It does cross-validation on two halves of each set of recordings. It also scores each surface,
+//! terrain and platform with training on all others. With `--quick` the networks train for two
+//! epochs only. `--every=1` forecasts at every row instead of every tenth, `--from=15` at none
+//! before that row.
 
 use std::error::Error;
 use std::path::{Path, PathBuf};
@@ -71,7 +76,7 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// Trains on some trials, and scores others, every so many rows from a row on.
+/// Trains on some trials and scores others, at every n-th row from a row on.
 fn evaluate(
     trials: &[Trial],
     settings: &TrainSettings,

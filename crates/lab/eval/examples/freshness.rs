@@ -92,7 +92,7 @@ fn options() -> std::result::Result<Options, Box<dyn Error>> {
 /// How a real recording is presented.
 #[derive(Clone, Copy)]
 enum Shown {
-    /// As recorded; a reading equal to the last one counts as held.
+    /// The recorded stamps. A reading equal to the last one counts as held.
     Native,
     /// The newest row at every tick of 30 Hz.
     Held,

@@ -25,7 +25,7 @@ use ablation::velocities_known;
 use autocorrelation::LagSums;
 use view::View;
 
-/// What to analyse.
+/// Settings of an analysis.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct AnalysisSettings {
     /// Lags of the autocorrelation, 1 or more, rows.
@@ -117,8 +117,8 @@ pub struct TrialAutocorrelation {
     pub found: Autocorrelation,
 }
 
-/// Analyses recordings, each of which is read four times where it is not in memory. `models` have names and are scored on
-/// the same rows.
+/// Analyses recordings. Each is read four times if it is not in memory. `models` have names and are
+/// scored on the same rows.
 ///
 /// # Errors
 /// [`AnalyzeError`].
@@ -153,14 +153,14 @@ pub fn analyze(
     })
 }
 
-/// Most lags of an autocorrelation: five minutes at 30 Hz are fewer.
-const MOST_LAGS: usize = 10_000;
+/// Maximum number of lags of an autocorrelation: more than five minutes at 30 Hz.
+const MAX_LAGS: usize = 10_000;
 
 fn check(recordings: &[Recording], settings: &AnalysisSettings) -> Result<(), AnalyzeError> {
     if recordings.is_empty() {
         return Err(AnalyzeError::NoTrial);
     }
-    if !(1..=MOST_LAGS).contains(&settings.lags) {
+    if !(1..=MAX_LAGS).contains(&settings.lags) {
         return Err(AnalyzeError::Setting {
             what: "lags",
             found: settings.lags,
@@ -177,7 +177,7 @@ fn check(recordings: &[Recording], settings: &AnalysisSettings) -> Result<(), An
     Ok(())
 }
 
-/// What the first reading of a trial tells.
+/// Facts from the first reading of a trial.
 struct Seen {
     info: SourceInfo,
     rows: usize,

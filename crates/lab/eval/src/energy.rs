@@ -1,5 +1,6 @@
-//! Energy of the next seconds to minutes, given the commands that were really driven: the energy
-//! model's errors and intervals beside those of simpler forecasts and of the network in open loop.
+//! Energy over the next seconds to minutes, given the commands that were really driven. Compares
+//! errors and intervals of the energy model with simpler forecasts and with the network in open
+//! loop.
 
 use std::fmt;
 
@@ -37,8 +38,8 @@ pub struct HorizonErrors {
     pub horizon_s: f32,
     /// Forecasts scored, each with the commands that followed.
     pub origins: usize,
-    /// Sum of the absolute errors through the sum of the energies, of each of [`FORECASTS`]; NaN for
-    /// one that the model does not have.
+    /// Sum of the absolute errors through the sum of the energies, of each of [`FORECASTS`]; NaN
+    /// for one that the model does not have.
     #[serde(serialize_with = "by_name")]
     pub errors: [f64; FORECASTS.len()],
     /// Share of measured energies inside the energy model's 90 % interval; NaN without intervals.
@@ -65,7 +66,7 @@ pub struct EnergyErrors {
     pub horizons: Vec<HorizonErrors>,
 }
 
-/// One forecast of each kind, and what was measured.
+/// One forecast of each kind, and the measured energy.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 struct Scored {
     energy_j: f64,
@@ -81,13 +82,14 @@ pub struct EnergyScores {
 }
 
 impl EnergyScores {
-    /// Adds the forecasts of a recording, every ten rows, by `model` and its energy model. Robots start
-    /// as new ones. Only readings with `true` in `scored` are forecast; those beyond its end are not.
+    /// Adds the forecasts of a recording, every ten rows, by `model` and its energy model. Robots
+    /// start as new ones. Only readings with `true` in `scored` are forecast; those beyond its end
+    /// are not.
     pub fn add(&mut self, model: &Model, trial: &Trial, scored: &[bool]) {
         self.add_every(EVERY, model, trial, scored);
     }
 
-    /// The same, every so many `rows`, at least one.
+    /// Same as `add`, at every n-th row, n at least 1.
     pub fn add_every(&mut self, rows: usize, model: &Model, trial: &Trial, scored: &[bool]) {
         let every = rows.max(1);
         let untrained = EnergyModel::untrained(1.0);
@@ -220,7 +222,7 @@ impl<'a> Recorded<'a> {
         }
     }
 
-    /// The forecasts of the rows after `row`; `None` where they are too few, or have a gap.
+    /// The forecasts of the rows after `row`. `None` if there are too few, or they have a gap.
     fn forecast(
         &self,
         state: &EnergyState,

@@ -59,8 +59,8 @@ pub enum EvaluateError {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Forecast {
-    /// What is learned online for each robot from its last reading, the network and the model's
-    /// autoregression.
+    /// The forecast learned online for each robot from its last reading, the network and the
+    /// model's autoregression.
     Online,
     /// The network's own.
     Network,
@@ -69,7 +69,8 @@ pub enum Forecast {
 }
 
 impl Forecast {
-    /// What a model's platform publishes. `online`: it learns online ([`Platform::online`]).
+    /// The published forecast of a model's platform. `online` states that it learns online
+    /// ([`Platform::online`]).
     #[must_use]
     pub const fn of(model: &Model, online: bool) -> Self {
         match (model, online) {
@@ -118,7 +119,7 @@ pub struct RobotEvaluation {
     pub scores: Scores,
     /// Share of scored readings inside their interval; NaN before the first.
     pub coverage: f32,
-    /// State of online learning after the trial; `None` where the platform learns nothing online.
+    /// State of online learning after the trial. `None` if the platform does not learn online.
     pub learned: Option<Learned>,
     /// Energy ledger.
     pub ledger: Ledger,
@@ -131,7 +132,7 @@ pub struct RobotEvaluation {
 /// Result of one sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
-    /// Number of the sample, equal to that of its row, from 0.
+    /// Number of the sample, equal to its row's number, from 0.
     pub sample_seq: u64,
     /// The sample's stamp relative to the trial's first row, ns.
     pub stamp_ns: u64,
@@ -141,7 +142,8 @@ pub struct Step {
     pub reading_w: Option<f32>,
     /// The reading minus its forecast, W.
     pub residual_w: Option<f32>,
-    /// As in the diagnostics: the reading minus the network's forecast of it, whatever was published, W.
+    /// The reading minus the network's forecast of it, W, whatever was published. Same as in the
+    /// diagnostics.
     pub network_residual_w: Option<f32>,
     /// Whether the residual is scored: its forecast was one step ahead.
     pub scored: bool,
@@ -157,12 +159,14 @@ pub struct Step {
 
 /// Runs each trial through the tick, sample by sample, each robot alone.
 ///
-/// Robot ids determine the platform, as in a live run; `models[i]` is the model of
+/// Robot ids determine the platform, as in a live run. `models[i]` is the model of
 /// `settings.platforms[i]`. A live run of the same trials gives the same forecasts, residuals and
 /// scores to the bit, in a mixed fleet and at any speed, because a robot's results depend neither
-/// on other robots nor on the worker's clock. The exception is a gap in which the live robot leaves
-/// (`leave_after`): here it stays up to the longest gap that ingest takes (`max_jump`), and else leaves at the first
-/// sample after the gap, which is refused.
+/// on other robots nor on the worker's clock.
+///
+/// The exception is a gap in which the live robot leaves (`leave_after`). Here it stays up to the
+/// longest gap that ingest accepts (`max_jump`), and otherwise leaves at the first sample after the
+/// gap, which is refused.
 ///
 /// # Errors
 /// [`EvaluateError`]: no trial, a repeated robot, a robot in no platform, or settings that are
@@ -264,8 +268,9 @@ fn step(fleet: &mut Fleet, sample: &Sample, now_ns: u64) -> Step {
     let accepted = fleet.accepted() > accepted_before;
     let stamp_ns = sample.stamp_ns.saturating_sub(BASE_NS);
     let reading_w = sample.has(sample_flag::POWER).then_some(sample.power_w);
-    // The capacity is 1, and the robot the only one. It leaves when no sample was accepted for too long: after a gap
-    // that ingest refuses, or a long stretch of values that it refuses. It comes back with the next one.
+    // The capacity is 1, and this is the only robot. It leaves if no sample was accepted for too
+    // long: after a gap that ingest refuses, or after a long stretch of refused values. The next
+    // sample brings it back.
     if fleet.is_empty() {
         return Step::of_nobody(sample.seq, stamp_ns, reading_w);
     }
@@ -281,7 +286,7 @@ fn step(fleet: &mut Fleet, sample: &Sample, now_ns: u64) -> Step {
         residual_w: known(has_residual.then_some(diagnostic.residual_w)),
         network_residual_w: known(has_residual.then_some(diagnostic.residual_w)),
         scored: scored(fleet, sample.robot) > scored_before,
-        power_w: known(forecast.power_w()),
+        power_w: known(forecast.expected_w()),
         lo_w: known(interval.map(|(lo_w, _)| lo_w)),
         hi_w: known(interval.map(|(_, hi_w)| hi_w)),
         quality: forecast.quality(),
@@ -289,7 +294,7 @@ fn step(fleet: &mut Fleet, sample: &Sample, now_ns: u64) -> Step {
 }
 
 impl Step {
-    /// That of a refused sample whose robot is not in the fleet.
+    /// The step of a refused sample whose robot is not in the fleet.
     const fn of_nobody(sample_seq: u64, stamp_ns: u64, reading_w: Option<f32>) -> Self {
         Self {
             sample_seq,
@@ -321,7 +326,8 @@ impl RobotEvaluation {
         self.scores = scores;
     }
 
-    /// The scored readings in order: each with the residual of its forecast and the reading before it, W.
+    /// The scored readings in order: each with the residual of its forecast and the reading before
+    /// it, W.
     fn scored_readings_w(&self) -> impl Iterator<Item = [f32; 3]> + '_ {
         let mut previous_w = None;
         let accepted = self.steps.iter().filter(|step| step.accepted);

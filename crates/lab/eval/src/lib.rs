@@ -1,5 +1,5 @@
-//! Offline evaluation: forecasts of recordings by the live code, scores with intervals, and analysis of
-//! datasets.
+//! Offline evaluation: forecasts of recordings by the live code, scores with intervals, and
+//! analysis of datasets.
 #![forbid(unsafe_code)]
 
 pub mod analyze;

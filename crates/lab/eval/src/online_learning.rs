@@ -1,5 +1,5 @@
-//! Gain of online learning over the network alone: the platform option `forecast`, evaluated by the live
-//! tick on recorded trials, compared with persistence and the model file's linear baseline.
+//! Gain of online learning over the network alone: the platform option `forecast`, evaluated by the
+//! live tick on recorded trials, compared with persistence and the model file's linear baseline.
 
 use joulebus_predictor::{FEATURES, FeatureSet, Linear, Model, Network};
 use joulebus_settings::{FleetSettings, Platform};
@@ -10,14 +10,14 @@ use joulebus_dataset::rows::{TrialRows, sample_rows};
 use joulebus_dataset::trial::Trial;
 use joulebus_statistics::metrics::{CoverageTally, Tally};
 
-/// The two ways to forecast with a network, in the order of [`Judged::variants`], and whether each learns
-/// online.
+/// The two ways to forecast with a network, in the order of [`Judged::variants`], and whether each
+/// learns online.
 pub const VARIANTS: [(&str, bool); 2] = [("network", false), ("online", true)];
 
 /// Minimum number of readings of a trial for its coverage to be judged: with fewer, one reading
 /// changes it by half a percent or more.
 pub const FEWEST_READINGS: u64 = 200;
-/// Index of the feature that tells whether a new measurement is due.
+/// Index of the feature that states whether a new measurement is due.
 const DUE: usize = FEATURES + 1;
 /// Allowed deviation of a trial's coverage from the nominal one.
 pub const TOLERANCE: f64 = 0.02;
@@ -42,7 +42,7 @@ pub struct Variant {
     pub forecasts: Tally,
     /// Its intervals, of all trials.
     pub intervals: CoverageTally,
-    /// The intervals of readings where a new measurement was due.
+    /// The intervals of readings for which a new measurement was due.
     pub due: CoverageTally,
     /// Share of readings inside their interval, per trial of at least [`FEWEST_READINGS`] readings.
     pub coverage: Vec<f64>,

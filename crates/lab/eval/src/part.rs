@@ -1,5 +1,5 @@
-//! Parts of an evaluation in files: each is made by a process of its own, on any host, and merged they are what a single
-//! run reports, to the bit.
+//! Parts of an evaluation in files. Processes on any hosts make one each. Merged they give the
+//! report of a single run, to the bit.
 
 use joulebus_wire::fnv1a;
 use serde::{Deserialize, Serialize};
@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 use crate::report::EvalReport;
 use crate::score::{Misfit, Portion, Reported, ScoreError};
 
-/// What a file begins with; the last byte is the version of what follows the hash.
+/// The start of a file. The last byte is the version of the contents after the hash.
 const MAGIC: &[u8; 16] = b"joulebus.eval.1\n";
 /// Bytes of the hash after it: FNV-1a of the rest.
 const HASH_BYTES: usize = 8;
-/// The release that writes and reads parts: sums of another need not be those of this one.
+/// The release that writes and reads parts. Another release may compute other sums.
 const RELEASE: &str = env!("CARGO_PKG_VERSION");
 
 /// One part of an evaluation.
@@ -33,7 +33,7 @@ pub enum PartError {
     /// No part was given.
     #[error("found no part to merge; name the files that `joulebus eval --partition` wrote")]
     None,
-    /// It is another file.
+    /// It is another kind of file.
     #[error(
         "{name}: is no part of an evaluation; allowed are files that `joulebus eval --partition` wrote"
     )]
@@ -116,15 +116,15 @@ pub enum PartError {
         /// Number of the recording, from 1.
         place: usize,
     },
-    /// Nothing can be scored.
+    /// There is nothing to score.
     #[error(transparent)]
     Score(#[from] ScoreError),
 }
 
-/// What parts give when they are merged.
+/// The result of merging all parts.
 #[derive(Debug)]
 pub struct Merged {
-    /// As that of a single run.
+    /// The report of a single run.
     pub report: EvalReport,
     /// Platforms that nothing can be scored of, with the reason, beside others.
     pub refused: Vec<(String, ScoreError)>,
@@ -180,7 +180,8 @@ impl EvalPart {
     /// Merges all parts, each with the name of its file, in any order.
     ///
     /// # Errors
-    /// [`PartError`]: parts are missing, twice there, or of different evaluations; or nothing can be scored.
+    /// [`PartError`]: parts are missing, twice there, or of different evaluations; or nothing can
+    /// be scored.
     pub fn merge(mut parts: Vec<(String, Self)>) -> Result<Merged, PartError> {
         parts.sort_by_key(|(_, part)| part.number);
         check_numbers(&parts)?;

@@ -1,4 +1,4 @@
-//! What `joulebus eval` reports: the live path, and the scores of each platform.
+//! The report of `joulebus eval`: the live path, and the scores of each platform.
 
 use std::fmt;
 
@@ -20,7 +20,7 @@ pub struct EvalReport {
 }
 
 impl EvalReport {
-    /// Of the live path of all trials, and the scores of each platform.
+    /// Creates the report from the live path of all trials and the scores of each platform.
     #[must_use]
     pub fn new(live: &Evaluation, evaluations: Vec<ScoreReport>) -> Self {
         Self {

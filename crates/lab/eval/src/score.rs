@@ -5,16 +5,18 @@
 //! - *Corrected*: each forecast is based on real readings, one tick ahead. Forecasts and intervals
 //!   are those of the live tick, to the bit ([`crate::evaluate`]).
 //! - *Open loop*: from an origin on, a forecaster is fed with its own forecasts and the true
-//!   commands, and is scored at given horizons ([`Horizon`]). One tick ahead, on all rows, it equals
-//!   corrected mode.
+//!   commands, and is scored at given horizons ([`Horizon`]). One tick ahead, on all rows, it
+//!   equals corrected mode.
 //!
-//! Scored is what would be published ([`Forecast`](crate::evaluate::Forecast)); the members of an online
-//! forecast are scored beside it. Open loop is the network's alone.
+//! The scored forecast is the one that would be published
+//! ([`Forecast`](crate::evaluate::Forecast)). The members of an online forecast are scored beside
+//! it. Open loop is the network's alone.
 //!
 //! The baselines are persistence and linear models of the last readings and the velocities
 //! ([`joulebus_train::linear`]), fitted on rows that are not evaluated ([`Design`]).
 //!
-//! A model's file identifies the rows it was trained on: those are scored apart ([`Design::hold_apart`]).
+//! A model's file identifies the rows it was trained on. Those are scored apart
+//! ([`Design::hold_apart`]).
 //!
 //! A row is scored if five gapless readings precede it, a reading follows it, and every model has a
 //! forecast for it, so all forecasters are scored on the same rows. The other rows are counted.

@@ -1,5 +1,5 @@
-//! Rows of recordings to train on: read twice where memory does not hold them, and thinned where they are more than a network
-//! of this size needs.
+//! Rows of recordings to train on. They are read twice if memory does not hold them, and thinned if
+//! there are more than a network of this size needs.
 
 use std::num::NonZeroUsize;
 
@@ -12,8 +12,9 @@ use joulebus_dataset::trial::TrialError;
 
 use crate::score::Recording;
 
-/// Rows that are taken if no other number is asked for: 19 hours of a robot at 30 Hz. Training holds some 400 bytes of each.
-pub const MOST_ROWS: NonZeroUsize = NonZeroUsize::new(1 << 21).unwrap();
+/// Default maximum number of rows: 19 hours of a robot at 30 Hz. Training holds some 400 bytes of
+/// each.
+pub const MAX_ROWS: NonZeroUsize = NonZeroUsize::new(1 << 21).unwrap();
 
 /// Errors of making a dataset.
 #[derive(Debug, thiserror::Error)]
@@ -27,16 +28,17 @@ pub enum TrainingDataError {
     Trial(#[from] TrialError),
 }
 
-/// Which recordings are for which part.
+/// Assignment of recordings to the parts.
 #[derive(Debug, Clone, Copy)]
 pub enum Parts<'a> {
-    /// By a split.
+    /// By a split of the recordings.
     Split(&'a [Recording], Split),
     /// Given: training, validation, held out.
     Given([&'a [Recording]; 3]),
 }
 
-/// The rows of each part, at most about `most_rows` in all ([`Assignment::thin`]), and what was split how.
+/// The rows of each part, at most about `most_rows` in all ([`Assignment::thin`]), and a
+/// description of the split.
 ///
 /// # Errors
 /// [`TrainingDataError`].

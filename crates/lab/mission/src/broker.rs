@@ -1,9 +1,11 @@
-//! The product: the fleet's core on the robots' samples, and what planners read.
+//! The product in a mission: the fleet's core on the robots' samples, and the values that planners
+//! read.
 
 use joulebus_config::Config;
 use joulebus_fleet::Fleet;
 use joulebus_models::load_models;
-use joulebus_plan::{Follower, Frames, Platform, Point, Robot};
+use joulebus_plan::follow::Follower;
+use joulebus_plan::{Frames, Platform, Point, Robot};
 use joulebus_predictor::Model;
 use joulebus_wire::{
     Alarm, Budget, BudgetHeader, PlanState, PlanStateHeader, SCHEMA_VERSION, Sample, SampleHeader,
@@ -12,7 +14,7 @@ use joulebus_wire::{
 use crate::error::MissionError;
 use crate::scenario::{OMEGA_MAX_RADPS, SPEED_MPS, Scenario};
 
-/// Plans are computed in steps of this length, ns; robots are commanded at the platform's rate.
+/// Interval of a plan's steps, ns. Robots are commanded at the platform's rate.
 const PLAN_STEP_NS: u64 = 200_000_000;
 
 /// Settings and models of the fleet.
@@ -21,16 +23,16 @@ pub(crate) struct Product {
     config: Config,
     models: Vec<Model>,
     plans: joulebus_plan::Fleet,
-    /// For driving, at the platform's rate.
+    /// The follower that drives, at the platform's rate.
     pub follower: Follower,
-    /// For planning.
+    /// The follower that plans.
     pub planned: Follower,
-    /// The way home from anywhere.
+    /// The path home from anywhere.
     pub home: [Point; 2],
 }
 
 impl Product {
-    /// Of a scenario, with a share of each battery kept in reserve.
+    /// Creates the broker of a scenario, with a share of each battery kept in reserve.
     pub(crate) fn new(scenario: &Scenario, reserve: f64) -> Result<Self, MissionError> {
         let capacity_wh = scenario.capacity_j / 3600.0;
         let (robots, charge_w) = (scenario.robots, scenario.charge_w);
@@ -110,7 +112,7 @@ pub(crate) struct Broker<'a> {
 }
 
 impl Broker<'_> {
-    /// A tick with the samples of one control step.
+    /// Executes a tick with the samples of one control step.
     pub(crate) fn tick(&mut self, samples: &[Sample], now_ns: u64) {
         let header = SampleHeader {
             schema: SCHEMA_VERSION,
@@ -143,7 +145,8 @@ impl Broker<'_> {
         self.sent - self.fleet.accepted()
     }
 
-    /// What a planner reads of a robot; `None` if it has left or has not reported yet.
+    /// The rows that a planner reads of a robot. `None` if the robot has left or has not reported
+    /// yet.
     pub(crate) fn state(&self, robot: usize) -> Option<(PlanState, Budget)> {
         let place = self.places[robot]?;
         Some((self.fleet.plan_state(place), self.fleet.budget(place)))
@@ -171,7 +174,7 @@ impl Broker<'_> {
         })
     }
 
-    /// Whether the robot's alarm says that it cannot return.
+    /// Whether the robot's `CannotReturn` alarm is raised.
     pub(crate) fn cannot_return(&self, robot: usize) -> bool {
         self.places[robot].is_some_and(|place| {
             let diagnostic = self.fleet.diagnostic(place);

@@ -1,8 +1,8 @@
-//! Missions of simulated robots under several charging policies: what energy forecasts are worth.
+//! Missions of simulated robots under several charging policies: the value of energy forecasts.
 //!
-//! Robots of `joulebus-plant` with true batteries do tasks; the fleet's core reads their power
-//! monitors, and policies decide by what planners read: never by the true state. All of a mission
-//! but the [`Policy`] is the same for all of them; the same seed gives the same bits.
+//! Robots of `joulebus-plant` with true batteries do tasks. The fleet's core reads their power
+//! monitors. Policies decide by the values that planners read, never by the true state. Only the
+//! [`Policy`] of a mission differs between policies, and the same seed gives the same bits.
 #![forbid(unsafe_code)]
 
 mod broker;

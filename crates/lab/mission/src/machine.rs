@@ -1,6 +1,7 @@
 //! A robot with its true battery.
 
-use joulebus_plan::{Follower, Point, Pose};
+use joulebus_plan::Point;
+use joulebus_plan::follow::{Follower, Pose};
 use joulebus_plant::arena::Command;
 use joulebus_plant::driven::Driven;
 use joulebus_wire::{Sample, sample_flag};
@@ -9,19 +10,19 @@ use crate::scenario::{Made, SPEED_MPS};
 
 /// Distance at which a point is reached, m: as in plans.
 const REACH_M: f64 = 0.05;
-/// Longest time that a way is followed ahead, ns.
-const LONGEST_AHEAD_NS: u64 = 600_000_000_000;
+/// Maximum time for which a path is simulated ahead, ns.
+const MAX_AHEAD_NS: u64 = 600_000_000_000;
 
-/// Whether a robot is where it was to go.
+/// Whether a robot has reached its goal.
 pub(crate) fn is_reached(at: Point, goal: Point) -> bool {
     (at.x_m - goal.x_m).hypot(at.y_m - goal.y_m) <= REACH_M
 }
 
-/// What is fed into a robot.
+/// Power supplied to a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Fed {
     Nothing,
-    /// Its own load, at a place where it waits.
+    /// Its own load, at a waiting place.
     Load,
     /// Its own load and this much more.
     Charge {
@@ -83,7 +84,7 @@ impl Machine {
         }
     }
 
-    /// Drives and discharges for `dt_ns`, with what is fed in meanwhile.
+    /// Drives and discharges for `dt_ns`, with the power supplied in that time.
     pub(crate) fn step(&mut self, command: Command, dt_ns: u64, fed: Fed) {
         self.command = self.driven.drive(command, dt_ns);
         let drawn_j = self.driven.drawn_j();
@@ -101,7 +102,7 @@ impl Machine {
         self.is_empty = self.stored_j <= 0.0;
     }
 
-    /// What its controller publishes: command and reading, and whether it charges.
+    /// The sample that its controller publishes: command, reading, and whether it charges.
     pub(crate) fn sample(&mut self, robot: u32, now_ns: u64, is_charging: bool) -> Sample {
         let (v_mps, omega_radps) = (self.command.v_mps as f32, self.command.omega_radps as f32);
         let measured_ns = self.on_ns + self.driven.measured_ns();
@@ -122,7 +123,7 @@ impl Machine {
         self.stored_j - (self.capacity_j + self.charged_j - self.drawn_j)
     }
 
-    /// What the energy drawn so far amounts to on the robot's own monitor, J.
+    /// Energy drawn so far according to the robot's own monitor, J.
     pub(crate) fn shown_j(&self) -> f64 {
         self.gain * self.drawn_j
     }
@@ -132,8 +133,9 @@ impl Machine {
         self.stored_j
     }
 
-    /// Energy that it will really draw on a way and then at rest for a time, J, whatever begins to drag
-    /// meanwhile: the robot itself, driven ahead. Infinite if the end is not reached within ten minutes.
+    /// Energy that it will really draw on a path and then at rest for a time, J, including any drag
+    /// that starts meanwhile. It drives a copy of the robot ahead. Infinite if the end is not
+    /// reached within ten minutes.
     pub(crate) fn draws_j(
         &self,
         way: &[Point],
@@ -143,7 +145,7 @@ impl Machine {
     ) -> f64 {
         let mut ahead = self.clone();
         let (mut next, mut driven_ns) = (0, 0);
-        while driven_ns < LONGEST_AHEAD_NS {
+        while driven_ns < MAX_AHEAD_NS {
             let pose = ahead.pose();
             if way.get(next).is_some_and(|goal| is_reached(pose.at, *goal)) {
                 next += 1;

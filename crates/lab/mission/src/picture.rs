@@ -30,7 +30,8 @@ pub enum PictureError {
     Figure(#[from] FigureError),
 }
 
-/// An SVG of the mission of a seed: what every robot does, and the true state of charge of some.
+/// An SVG of the mission of a seed: the activity of every robot, and the true state of charge of
+/// some.
 ///
 /// # Errors
 /// [`PictureError`].
@@ -66,7 +67,7 @@ pub fn picture(scenario: &Scenario, policy: Policy, seed: u64) -> Result<String,
 fn jobs(looks: &[Look], ends: (f64, f64)) -> Panel {
     let layer = |label: &str, colour: Colour, doing: Doing| {
         let robots = looks.first().map_or(0, |(_, robots)| robots.len());
-        // One line through all robots, with gaps between them and where they do something else.
+        // One line through all robots, with gaps between them and during other activities.
         let points = (0..robots).map(|robot| {
             let at = looks.iter().map(move |(at_s, robots)| {
                 let y = if robots[robot].0 == doing {

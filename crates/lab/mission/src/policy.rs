@@ -1,8 +1,9 @@
-//! What a robot is allowed to do, and when it must go to its charger.
+//! Charging policies: which tasks a robot may do, and when it must go to its charger.
 
 use std::fmt;
 
-use joulebus_plan::{Path, Point, Pose, Robot, Verdict, rank_each};
+use joulebus_plan::follow::Pose;
+use joulebus_plan::{Path, Point, Robot, Verdict, rank_each};
 use joulebus_predictor::{ReadingAge, RolloutStart, Rollouts};
 use joulebus_wire::{Budget, PlanState};
 use serde::Serialize;
@@ -12,15 +13,16 @@ use crate::error::MissionError;
 use crate::machine::Machine;
 use crate::scenario::{SPEED_MPS, Task};
 
-/// Rest of a robot that the oracle adds to a way, ns: it waits up to a second for the next decision, and its load
-/// fluctuates otherwise when it leaves later.
+/// Rest of a robot that the oracle adds to a way, ns: it waits up to a second for the next
+/// decision, and its load fluctuates otherwise when it leaves later.
 const RESTS_NS: u64 = 4_000_000_000;
 
-/// A policy with what was tuned. All but the oracle know the same estimate of the battery, which the fleet counts.
+/// A policy with its tuned settings. All but the oracle use the same estimate of the battery, which
+/// the fleet counts.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Policy {
-    /// Two states of charge, whatever the task.
+    /// Two thresholds of the state of charge, whatever the task.
     Threshold {
         /// A task is begun above this one.
         begin: f64,
@@ -48,12 +50,12 @@ pub enum Policy {
         /// Share of the battery that is kept in reserve, tuned.
         reserve: f64,
     },
-    /// No policy, but what one with perfect forecasts would do: it drives a copy of the robot ahead, and reads the
-    /// true battery. The others cannot do better by knowing more of energies, with the same dispatcher.
+    /// Perfect forecasts: it drives a copy of the robot ahead, and reads the true battery. With the
+    /// same dispatcher, the others cannot do better by better energy forecasts.
     Oracle,
 }
 
-/// A robot that is asked.
+/// A candidate robot for a task.
 #[derive(Clone, Debug)]
 pub(crate) struct Asked {
     pub robot: usize,
@@ -68,7 +70,7 @@ impl Asked {
         self.rows.1.usable_j.into()
     }
 
-    /// What the robot really has, J, and really draws on a way.
+    /// The robot's true energy, J, and its true consumption on a path.
     fn truly_j(&self, broker: &Broker<'_>, way: &[Point]) -> (f64, f64) {
         let Some(machine) = &self.truth else {
             return (0.0, f64::INFINITY);
@@ -79,7 +81,7 @@ impl Asked {
         (machine.stored_j(), draws_j)
     }
 
-    /// From where it is over some points.
+    /// The path from its position over some points.
     fn path(&self, points: &[Point]) -> Path {
         let all: Vec<Point> = [&[self.pose.at], points].concat();
         Path {
@@ -106,10 +108,10 @@ impl Policy {
         }
     }
 
-    /// Share of the battery that is kept in reserve: what the budgets count as usable begins above it.
+    /// Share of the battery kept in reserve. The usable energy of budgets begins above it.
     pub(crate) const fn reserve(&self) -> f64 {
         match self {
-            // Thresholds are states of charge, whatever is usable of them.
+            // Thresholds are states of charge, independent of the usable energy.
             Self::Threshold { .. } | Self::Oracle => 0.0,
             Self::Distance { reserve, .. }
             | Self::Network { reserve, .. }
@@ -117,7 +119,7 @@ impl Policy {
         }
     }
 
-    /// Which of some robots does a task; `None` if it is allowed to none.
+    /// Chooses the robot for a task. `None` if no robot may do it.
     pub(crate) fn choose(
         &self,
         broker: &Broker<'_>,
@@ -177,23 +179,24 @@ impl Policy {
                     .answer
                     .energy
                     .map_or(f32::INFINITY, |energy| energy.hi_j);
-                // A load that has just begun: the mean of the last seconds knows it, the level of the last
-                // minutes not yet.
+                // A load that has just begun: the mean of the last seconds knows it, the level of
+                // the last minutes not yet.
                 let recent_j = recent_w(&robot) * trip.answer.duration_s;
                 Ok(hi_j.max(recent_j).into())
             }
         }
     }
 
-    /// Whether a robot must go to its charger now. `home_j`: [`Policy::needed_j`] of the way home.
+    /// Whether a robot must go to its charger now. `home_j` is [`Policy::needed_j`] of the path
+    /// home.
     pub(crate) fn must_go(&self, broker: &Broker<'_>, one: &Asked, home_j: f64) -> bool {
         match self {
             Self::Threshold { go, .. } => f64::from(one.rows.1.soc) < *go,
             Self::Distance { .. } | Self::Network { .. } => one.usable_j() < home_j,
-            // What is in its samples, the fleet compares with the battery.
+            // The fleet compares the battery with the path home that the samples state.
             Self::Joulebus { .. } => broker.cannot_return(one.robot),
             Self::Oracle => {
-                // `home_j` is from where the robot was up to five seconds ago.
+                // `home_j` is computed for the robot's position up to five seconds ago.
                 let stored_j = one.truth.as_ref().map_or(0.0, Machine::stored_j);
                 let is_short = || {
                     let (stored_j, draws_j) = one.truly_j(broker, &broker.product.home);
@@ -233,7 +236,7 @@ fn ranked(
     Ok(best.map(|best| best.robot as usize))
 }
 
-/// Energy of a way by the network alone, fed with its own forecasts, J; infinite where they diverge.
+/// Energy of a path by the network alone, fed with its own forecasts, J. Infinite if they diverge.
 fn rolled_j(broker: &Broker<'_>, state: &PlanState, path: &Path) -> Result<f64, MissionError> {
     let followed = broker.product.planned.follow(path)?;
     let step_s = broker.product.period_ns() as f64 * 1e-9;

@@ -2,7 +2,8 @@
 
 use std::collections::VecDeque;
 
-use joulebus_plan::{Point, Pose};
+use joulebus_plan::Point;
+use joulebus_plan::follow::Pose;
 use joulebus_plant::arena::Command;
 use joulebus_wire::Sample;
 use serde::Serialize;
@@ -13,9 +14,9 @@ use crate::machine::{Fed, Machine, is_reached};
 use crate::policy::{Asked, Policy};
 use crate::scenario::{SPEED_MPS, SWITCHED_ON_EVERY_S, Scenario, Task};
 
-/// Stamps of 0 are none.
+/// Start of all stamps, because 0 means no stamp.
 const BASE_NS: u64 = 1_000_000_000;
-/// Control steps between two decisions, and between two looks at the way home.
+/// Control steps between two decisions, and between two estimates of the path home.
 const DECIDES: u64 = 30;
 const LOOKS_HOME: u64 = 150;
 /// A robot without a task charges below this state of charge, if a charger is free.
@@ -27,9 +28,9 @@ const AS_GOOD_AS_FULL: f64 = 0.97;
 
 /// Energy from which on the fleet's metering is compared with the monitor's, J: a poll more or less
 /// does not matter then.
-const LEAST_COMPARED_J: f64 = 200.0;
+const MIN_COMPARED_J: f64 = 200.0;
 
-/// What came out of a mission.
+/// The outcome of a mission.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Outcome {
     /// The seed.
@@ -54,14 +55,14 @@ pub struct Outcome {
     pub in_line: f64,
     /// Greatest energy of a battery that is not accounted for, J: 0 but for rounding.
     pub unaccounted_j: f64,
-    /// Greatest difference between what the fleet metered of a robot and what its monitor showed, as
-    /// a share.
+    /// Maximum difference between the energy that the fleet metered of a robot and that of its
+    /// monitor, as a share.
     pub metered_error: f64,
     /// Times that a charger held two robots, which it cannot.
     pub shared_chargers: u64,
 }
 
-/// What a robot does at a time.
+/// The activity of a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Doing {
     Off,
@@ -72,7 +73,7 @@ pub(crate) enum Doing {
     Stranded,
 }
 
-/// Time, and what each robot does, with its true state of charge.
+/// Time, and the activity of each robot with its true state of charge.
 pub(crate) type Look = (f64, Vec<(Doing, f64)>);
 
 #[derive(Clone, Debug)]
@@ -85,7 +86,7 @@ enum Job {
     ToLine,
     Waiting,
     ToCharger(usize),
-    /// Since a control step.
+    /// Charging at a charger since a control step.
     Charging(usize, u64),
 }
 
@@ -194,7 +195,7 @@ impl<'a> Mission<'a> {
         self.machines[robot].is_on(self.now_ns())
     }
 
-    /// One control step of all robots, one tick of the fleet, and decisions once a second.
+    /// Executes one control step of all robots, one tick of the fleet, and decisions once a second.
     fn step(&mut self) -> Result<(), MissionError> {
         self.step += 1;
         self.samples.clear();
@@ -247,7 +248,7 @@ impl<'a> Mission<'a> {
         );
         self.counted[2] += u64::from(in_line);
         self.outcome.charger_use += if is_docked { 1.0 } else { 0.0 };
-        // `CannotReturn` is of the policy that asks for it; the others state nothing.
+        // Only the policy that uses `CannotReturn` states a path home in its samples.
         let states = matches!(self.policy, Policy::Joulebus { .. });
         let home_j = self.home_j[robot];
         let sample = if states && home_j.is_finite() {
@@ -262,12 +263,12 @@ impl<'a> Mission<'a> {
         }
     }
 
-    /// Whether a robot on a charger since a step has made contact.
+    /// Whether a robot that is on a charger since a step has made contact.
     fn is_docked(&self, since: u64) -> bool {
         ((self.step - since) * self.dt_ns) as f64 * 1e-9 >= self.scenario.docking_s
     }
 
-    /// Where a robot drives to; what it reaches on the way changes its job.
+    /// The goal of a robot. A goal that it reaches on the way changes its job.
     fn target(&mut self, robot: usize, pose: &Pose) -> Option<Point> {
         let reached = |goal: Point| is_reached(pose.at, goal);
         match &mut self.jobs[robot] {
@@ -353,7 +354,8 @@ impl<'a> Mission<'a> {
         state.map_or(0.0, |(_, budget)| budget.left_j.into())
     }
 
-    /// Free chargers: to those who wait, then to those on the way; the one with least energy first.
+    /// Assigns free chargers: first to waiting robots, then to those on the way, least energy
+    /// first.
     fn give_chargers(&mut self) {
         for charger in 0..self.chargers.len() {
             if self.chargers[charger].is_some() {
@@ -407,7 +409,7 @@ impl<'a> Mission<'a> {
         Ok(())
     }
 
-    /// The oldest tasks first; robots that may do none of them go to charge.
+    /// Assigns the oldest tasks first. Robots that may do none of them go to charge.
     fn give_tasks(&mut self) -> Result<(), MissionError> {
         let mut idle: Vec<Asked> = (0..self.jobs.len())
             .filter(|robot| matches!(self.jobs[*robot], Job::Idle))
@@ -439,7 +441,7 @@ impl<'a> Mission<'a> {
         Ok(())
     }
 
-    /// Without tasks, robots charge while chargers are free.
+    /// Lets robots without tasks charge while chargers are free.
     fn rest(&mut self, idle: &[Asked]) {
         let mut free = self
             .chargers
@@ -460,7 +462,7 @@ impl<'a> Mission<'a> {
             let state = self
                 .broker
                 .state(robot)
-                .filter(|_| shown_j > LEAST_COMPARED_J);
+                .filter(|_| shown_j > MIN_COMPARED_J);
             state.map_or(0.0, |(_, budget)| (budget.drawn_j() / shown_j - 1.0).abs())
         });
         errors.fold(0.0, f64::max)

@@ -12,18 +12,18 @@ use serde::Serialize;
 pub const SPEED_MPS: f64 = 0.15;
 /// Greatest angular velocity commanded, rad/s: with it no wheel saturates.
 pub(crate) const OMEGA_MAX_RADPS: f64 = 2.0;
-/// One robot is switched on after the other, s: they do not all run empty at once.
+/// Interval at which robots are switched on, s, so that they do not all run empty at once.
 pub(crate) const SWITCHED_ON_EVERY_S: f64 = 10.0;
 /// Distance of points from the walls, m.
 const MARGIN_M: f64 = 0.15;
 /// Points of a task, at least and at most.
 const POINTS: (usize, usize) = (2, 5);
-/// Additional load of the paper's seven robots over that of its trials, W (`sim::scenario`).
+/// Additional load of the paper's seven robots compared with its trials, W (`sim::scenario`).
 const EXTRA_W: [f64; 7] = [0.6, 0.8, 0.5, 0.0, 0.0, 0.4, 0.0];
 /// Relative standard deviation of the friction of wheels.
 const FRICTION_SPREAD: f64 = 0.3;
-/// Relative standard deviation of a battery's true capacity and of a monitor's gain: together what
-/// `counting_sd` says.
+/// Relative standard deviation of a battery's true capacity and of a monitor's gain. Together they
+/// are `counting_sd`.
 const CAPACITY_SD: f64 = 0.02;
 const GAIN_SD: f64 = 0.02;
 /// Both are clamped to this many deviations.
@@ -34,18 +34,18 @@ const TASKS: u64 = 20 << 32;
 const MADE: u64 = 21 << 32;
 const ROBOTS: u64 = 22 << 32;
 
-/// What all policies face alike.
+/// The conditions that are equal for all policies.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Scenario {
     /// Robots.
     pub robots: usize,
-    /// Chargers; each takes one robot.
+    /// Number of chargers. Each takes one robot.
     pub chargers: usize,
     /// Simulated time, s.
     pub duration_s: f64,
     /// Nominal capacity of each battery, J.
     pub capacity_j: f64,
-    /// Power that a charger stores, W; the robot's own load is supplied besides.
+    /// Power that a charger stores, W. It supplies the robot's own load in addition.
     pub charge_w: f64,
     /// Time on a charger before it stores energy, s: the robot aligns itself with the contacts.
     pub docking_s: f64,
@@ -86,23 +86,23 @@ pub(crate) struct Made {
     pub driven: Driven,
     /// True capacity, J.
     pub capacity_j: f64,
-    /// Factor of what its monitor shows.
+    /// Factor of its monitor's readings.
     pub gain: f64,
 }
 
 impl Scenario {
-    /// Where a charger is.
+    /// Position of a charger.
     pub(crate) fn charger(&self, charger: usize) -> Point {
         let y_m = (charger as f64 + 0.5) / self.chargers as f64 * 2.0 - 1.0;
         Point::new(-HALF_ARENA_M.0 + MARGIN_M, 0.8 * HALF_ARENA_M.1 * y_m)
     }
 
-    /// Where robots wait for one.
+    /// Position of the line of waiting robots.
     pub(crate) fn line() -> Point {
         Point::new(-HALF_ARENA_M.0 + 3.0 * MARGIN_M, 0.0)
     }
 
-    /// The way home as plans have it: to the line, and from there to the farthest charger.
+    /// The path home in plans: to the line, and from there to the farthest charger.
     pub(crate) fn home(&self) -> [Point; 2] {
         [Self::line(), self.charger(0)]
     }
@@ -122,7 +122,7 @@ impl Scenario {
         }
     }
 
-    /// A robot of a seed: the same whatever the policy and the number of others.
+    /// Creates a robot from a seed, independent of the policy and of the number of robots.
     pub(crate) fn made(&self, seed: u64, robot: usize) -> Made {
         let mut noise = Noise::new(seed, MADE + robot as u64);
         let mut factor = |sd: f64| 1.0 + sd * noise.normal().clamp(-WIDEST, WIDEST);

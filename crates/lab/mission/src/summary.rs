@@ -17,26 +17,26 @@ const RESAMPLES: u32 = 10_000;
 pub struct Runs {
     /// The policy.
     pub policy: Policy,
-    /// One per seed.
+    /// Outcomes, one per seed.
     pub outcomes: Vec<Outcome>,
 }
 
-/// What came out. `Display` is a table; unknown numbers are null in JSON.
+/// The outcomes of all policies. `Display` is a table. Unknown numbers are null in JSON.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Summary {
-    /// What all policies faced.
+    /// The conditions of all policies.
     pub scenario: Scenario,
     /// The first seed.
     pub first_seed: u64,
     /// Missions of each policy.
     pub missions: usize,
-    /// One per policy.
+    /// One summary per policy.
     pub policies: Vec<PolicySummary>,
     /// The comparison that the benchmark is about.
     pub verdict: Option<Comparison>,
 }
 
-/// One policy.
+/// The outcomes of one policy.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PolicySummary {
     /// Its name.
@@ -49,7 +49,7 @@ pub struct PolicySummary {
     pub stranded: u64,
     /// Stranded robots a mission.
     pub stranded_per_mission: Estimate,
-    /// Tasks of joulebus (the last policy) over those of this one, less 1, paired by seed.
+    /// Relative number of additional tasks of joulebus (the last policy), paired by seed.
     pub joulebus_more: Estimate,
     /// Tasks broken off to charge, a mission.
     pub broken_off: f64,
@@ -61,18 +61,18 @@ pub struct PolicySummary {
     pub soc_before: f64,
     /// Share of the robots' time on tasks.
     pub at_work: f64,
-    /// Share of it on the way to a charger or waiting for one.
+    /// Share of the robots' time on the way to a charger or waiting for one.
     pub in_line: f64,
-    /// Seconds a mission in which a full robot was allowed no task.
+    /// Seconds per mission in which a full robot was allowed no task.
     pub idle_full_s: f64,
     /// Every mission.
     pub outcomes: Vec<Outcome>,
 }
 
-/// Joulebus beside the best baseline that strands at most as many robots.
+/// Joulebus compared with the best baseline that strands at most as many robots.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
-    /// The baseline; `None` if all of them strand more.
+    /// The baseline. `None` if all of them strand more.
     pub baseline: Option<&'static str>,
     /// Tasks of joulebus over its, less 1.
     pub more: Option<Estimate>,
@@ -81,7 +81,8 @@ pub struct Comparison {
 }
 
 impl Summary {
-    /// Of the missions of each policy, all of the same seeds; joulebus last. The oracle is no baseline.
+    /// Summarises the missions of each policy, all of the same seeds, joulebus last. The oracle is
+    /// no baseline.
     #[must_use]
     pub fn of(scenario: Scenario, first_seed: u64, runs: &[Runs]) -> Self {
         let last = runs.last().map(|runs| runs.outcomes.as_slice());

@@ -1,9 +1,10 @@
-//! Settings of the policies: what was tried, and what was chosen.
+//! Settings of the policies: the candidates, and the chosen ones.
 
 use crate::policy::Policy;
 
-/// The settings that are compared, chosen on seeds 1001 to 1016 (`joulebus mission --tune --seeds 16`): of those that
-/// strand at most one of the 320 robots the one with the most tasks.
+/// The settings that are compared, chosen on seeds 1001 to 1016
+/// (`joulebus mission --tune --seeds 16`). Of those that strand at most one of the 320 robots they
+/// do the most tasks.
 pub const CHOSEN: [Policy; 4] = [
     Policy::Threshold {
         begin: 0.55,

@@ -1,4 +1,4 @@
-//! Missions: what all policies share holds, and the comparison is fair.
+//! Missions keep the conditions that all policies share, and the comparison is fair.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use joulebus_mission::{CHOSEN, Outcome, Policy, Runs, Scenario, Summary, mission};
@@ -20,7 +20,7 @@ fn no_charger_takes_two_robots_and_every_joule_is_accounted_for() {
         assert!(outcome.charges >= 20, "{name}: {outcome:?}");
         assert_eq!(outcome.shared_chargers, 0, "{name}");
         assert!(outcome.unaccounted_j < 1e-6, "{name}: {outcome:?}");
-        // What the fleet metered is what the monitors showed.
+        // The fleet meters the energy that the monitors show.
         assert!(outcome.metered_error < 0.01, "{name}: {outcome:?}");
         let shares = [outcome.at_work, outcome.in_line, outcome.charger_use];
         assert!(
@@ -55,7 +55,7 @@ fn robots_of_a_policy_that_believes_in_half_their_power_strand_and_are_counted()
     let careful = mission(&short(), CHOSEN[3], 2001).unwrap();
     assert!(blind.stranded >= 3, "{blind:?}");
     assert!(careful.stranded < blind.stranded, "{careful:?}");
-    // A stranded robot does nothing any more, and what it had not done is done by others.
+    // A stranded robot stays idle, and other robots do the rest of its task.
     assert!(blind.unaccounted_j < 1e-6, "{blind:?}");
 }
 

@@ -4,7 +4,7 @@ use super::names::tokens;
 use super::{Entry, EntryValue, FindError};
 use joulebus_predictor::Activation;
 
-/// What one entry states.
+/// The statement of one entry.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Stated {
     /// GELU, of either form.
@@ -53,7 +53,7 @@ fn shown(entry: &Entry) -> String {
     }
 }
 
-/// What an entry states, if it is about the activation of hidden layers.
+/// The statement of an entry, if it is about the activation of hidden layers.
 fn statement(entry: &Entry) -> Result<Option<Stated>, FindError> {
     let path = entry.path.as_str();
     let unsupported = |found: &str| FindError::Activation {

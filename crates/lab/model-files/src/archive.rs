@@ -12,9 +12,9 @@ pub(super) const MAGIC: &[u8] = b"PK\x03\x04";
 const MAX_MEMBERS: usize = 4_096;
 /// Maximum size of all members, after decompression.
 const MAX_BYTES: u64 = 32 << 20;
-/// End of central directory record; its fields at 8 and 10 count the members.
+/// End of central directory record. Its fields at 8 and 10 count the members.
 const END: &[u8] = b"PK\x05\x06";
-/// The ZIP64 record, for archives of more than 4 GiB; its fields at 24 and 32 count the members.
+/// The ZIP64 record, for archives of more than 4 GiB. Its fields at 24 and 32 count the members.
 /// PyTorch always writes it.
 const END_64: &[u8] = b"PK\x06\x06";
 

@@ -65,9 +65,9 @@ pub enum Derivative {
 /// Computation and normalisation of the magnitudes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Magnitude {
-    /// With statistics of their own.
+    /// Normalised with their own statistics.
     Own,
-    /// By mean and deviation of the velocity.
+    /// Normalised with mean and deviation of the velocity.
     AsVelocity,
     /// Divided by the deviation of the velocity.
     Divided,
@@ -211,16 +211,16 @@ pub enum ChooseError {
         /// The conventions with their R², best first.
         candidates: String,
     },
-    /// The file has no statistics, and those of the published model are not those of this robot.
+    /// The file has no statistics, and the published model's statistics do not fit this robot.
     #[error(
         "the file has no normalisation constants, and the recordings are not of the published \
          model's robot: {found}, published: {published}; add the constants to the file, or take those \
          of the recordings with --normalisation recordings if the network was trained on them"
     )]
     NotPublished {
-        /// What the recordings have.
+        /// The statistics of the recordings.
         found: String,
-        /// What the published model's documentation states.
+        /// The statistics in the published model's documentation.
         published: String,
     },
     /// The requested convention does not match the statistics.

@@ -56,7 +56,7 @@ impl Element {
         known.map_or("", |(.., name)| name)
     }
 
-    /// Bytes of one element.
+    /// Size of one element, bytes.
     pub(super) const fn size(self) -> usize {
         match self {
             Element::I8 | Element::U8 | Element::Bool => 1,
@@ -66,7 +66,7 @@ impl Element {
         }
     }
 
-    /// The element in the first [`size`](Self::size) of `bytes`; NaN if there are fewer. Integers
+    /// The element in the first [`size`](Self::size) of `bytes`, NaN if there are fewer. Integers
     /// beyond 2⁵³ are rounded.
     pub(super) fn decode(self, bytes: &[u8], big_endian: bool) -> f64 {
         let mut word = [0; 8];

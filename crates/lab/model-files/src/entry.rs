@@ -27,7 +27,8 @@ pub enum Container {
 }
 
 impl Container {
-    /// Whether entries come in the order in which they were written, which is that of the layers.
+    /// Whether entries are in the order in which they were written, which is the order of the
+    /// layers.
     pub(crate) fn is_ordered(self) -> bool {
         !matches!(self, Container::StateDict | Container::Arrays)
     }

@@ -26,7 +26,7 @@ pub enum ReadError {
          (.safetensors) or a model that joulebus exported (.onnx)"
     )]
     Kind {
-        /// What was found.
+        /// The arrays found.
         found: String,
     },
     /// A part of the file is corrupt or has an unexpected type.
@@ -36,7 +36,7 @@ pub enum ReadError {
         container: Container,
         /// The part, with its location.
         part: String,
-        /// What was found and what is allowed.
+        /// The problem with the expected value.
         detail: String,
     },
     /// A pickle in the file was refused.
@@ -149,7 +149,7 @@ pub enum FindError {
     Normalisation {
         /// The statistics found.
         found: String,
-        /// Those missing.
+        /// The missing parts.
         missing: String,
     },
     /// A statistic has an invalid value.

@@ -33,9 +33,9 @@ pub enum ExportError {
 ///
 /// - `layers.0.weight` (64, 11) … `layers.3.bias` (1): one row of inputs per output;
 /// - `feature_mean`, `feature_std` (11), `power_mean_w`, `power_std_w` (scalars): the forecast is
-///   the last layer times `power_std_w` plus `power_mean_w`. A feature that was constant in training
-///   has no effect: its deviation is 1 and its weights are 0; the weights that the model file has
-///   instead are in `constant_feature_weight`, only there where needed;
+///   the last layer times `power_std_w` plus `power_mean_w`. A feature that was constant in
+///   training has no effect: its deviation is 1 and its weights are 0; the weights that the model
+///   file has instead are in `constant_feature_weight`, only there where needed;
 /// - `feature_min`, `feature_max` (11): the training range;
 /// - `metadata` (text): the other contents of the model file, as JSON; with it, the arrays are read
 ///   back as the same model;

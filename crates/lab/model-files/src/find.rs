@@ -13,13 +13,13 @@ pub struct Found {
     pub feature_set: FeatureSet,
     /// The activation of the hidden layers.
     pub activation: Activation,
-    /// Why it is taken to be that one.
+    /// Source of the activation.
     pub activation_from: ActivationFrom,
     /// The layers, first to last: one to three hidden ones and the output.
     pub layers: Vec<FoundLayer>,
     /// Whether the file's matrices have one row per input instead of per output.
     pub transposed: bool,
-    /// Whether the biases were assigned by name; otherwise by order.
+    /// Whether the biases were assigned by name. Otherwise they were assigned by order.
     pub paired_by_name: bool,
     /// The statistics of the normalisation.
     pub normalisation: FoundNormalisation,
@@ -186,8 +186,8 @@ fn fits(widths: &[usize]) -> bool {
             .all(|(width, limit)| *width <= limit)
 }
 
-/// The smallest parts of the file that hold a network, in the file's order; of nested parts with
-/// networks of different depth, that of the deeper one.
+/// The smallest parts of the file that hold a network, in the file's order. Of nested parts with
+/// networks of different depth, the deeper one's.
 fn complete_parts(entries: &[Entry], in_order: bool) -> Vec<(String, Arrays<'_>)> {
     let mut parts: Vec<&str> = vec![""];
     for entry in entries {

@@ -25,8 +25,8 @@ pub(super) struct Arrays<'a> {
 }
 
 /// The network of a part of the file: the longest chain of matrices from the features to one
-/// output, if every matrix of such a shape and every vector of such a length belongs to it.
-/// `in_order` tells whether the file's order is that of the layers.
+/// output. Every matrix of such a shape and every vector of such a length must belong to it.
+/// `in_order` states that the file's order is that of the layers.
 pub(super) fn arrays_in<'a>(
     entries: &'a [Entry],
     part: &str,
@@ -113,7 +113,7 @@ struct Group<'a> {
     members: Vec<Named<'a>>,
 }
 
-/// The matrices by shape; none where there are too many for one network.
+/// The matrices by shape. None if there are too many for one network.
 fn groups<'a>(tensors: &[Named<'a>], transposed: bool, in_order: bool) -> Vec<Group<'a>> {
     let mut groups: Vec<Group<'a>> = Vec::new();
     for named in tensors {
@@ -139,8 +139,8 @@ fn groups<'a>(tensors: &[Named<'a>], transposed: bool, in_order: bool) -> Vec<Gr
     groups
 }
 
-/// Sorts arrays of equal shape as their layers: by the numbers in their names, else as in the
-/// file. False where neither says the order.
+/// Sorts arrays of equal shape as their layers: by the numbers in their names, else by the order of
+/// the file. Returns false if neither gives the order.
 fn in_layer_order(members: &mut [Named<'_>], in_order: bool) -> bool {
     if members.len() < 2 {
         return true;

@@ -21,7 +21,7 @@ pub struct FoundNormalisation {
     pub statistics: Statistics,
     /// The source of each, as text.
     pub sources: Vec<String>,
-    /// Where they come from.
+    /// Source of the statistics.
     pub from: StatisticsFrom,
 }
 
@@ -30,12 +30,12 @@ pub struct FoundNormalisation {
 pub enum StatisticsFrom {
     /// The file.
     File,
-    /// The file has none; those of the published model's documentation, if recordings agree with
+    /// The file has none, so those of the published model's documentation, if recordings agree with
     /// them.
     Assumed,
-    /// As named by the caller: those of the published model's documentation.
+    /// Chosen by the caller: those of the published model's documentation.
     Published,
-    /// As named by the caller: those of the recordings.
+    /// Chosen by the caller: those of the recordings.
     Recordings,
 }
 
@@ -45,11 +45,11 @@ pub enum StatisticsFrom {
 pub enum Statistics {
     /// One pair each for `v`, `ω` and power, as in the published model.
     Shared {
-        /// Of `v`: mean and standard deviation.
+        /// Mean and standard deviation of `v`.
         v: (f64, f64),
-        /// Of `ω`.
+        /// Mean and standard deviation of `ω`.
         omega: (f64, f64),
-        /// Of the readings and the forecast.
+        /// Mean and standard deviation of the readings and the forecast.
         power: (f64, f64),
     },
     /// One pair per feature, in the file's order.
@@ -58,7 +58,8 @@ pub enum Statistics {
         mean: Vec<f64>,
         /// Standard deviations, as many.
         std: Vec<f64>,
-        /// Of the forecast, and of the readings unless they have their own.
+        /// Mean and standard deviation of the forecast, and of the readings unless they have their
+        /// own.
         power: (f64, f64),
     },
 }

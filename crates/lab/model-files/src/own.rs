@@ -22,8 +22,8 @@ pub(super) fn is_safetensors(bytes: &[u8]) -> bool {
     bytes.get(8) == Some(&b'{')
 }
 
-/// Whether a file of safetensors is another program's: a sound one without any of a model's
-/// metadata. A damaged file is taken for a model, whose reader says what is wrong.
+/// Whether a safetensors file belongs to another program: a sound one without any of a model's
+/// metadata. A damaged file is treated as a model, whose reader reports the damage.
 pub(super) fn is_foreign(bytes: &[u8]) -> bool {
     let Ok((_, header)) = SafeTensors::read_metadata(bytes) else {
         return false;
@@ -149,7 +149,7 @@ pub(super) fn whole(
                 _ => &[],
             };
             let left_out = left_out.iter().copied().chain(std::iter::repeat(0.0));
-            // By bits: a weight may be a negative zero.
+            // Compared by bits, because a weight may be a negative zero.
             let bytes = tensor
                 .values()
                 .iter()

@@ -53,7 +53,7 @@ fn pass() -> Layer {
     }
 }
 
-/// A layer with this many inputs and outputs: what it lacks is zero. None if it has more.
+/// Pads a layer with zeros to this many inputs and outputs. `None` if it has more.
 fn fill(layer: &Layer, inputs: usize, outputs: usize) -> Option<Layer> {
     let has = layer.weights.len() / layer.bias.len().max(1);
     if has == 0 || has > inputs || layer.bias.len() > outputs {

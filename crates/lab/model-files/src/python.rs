@@ -8,20 +8,22 @@ use super::own;
 use crate::export::ExportError;
 use crate::{Entry, EntryValue};
 
-/// The file, with places for what differs from model to model.
+/// The module, with placeholders for the parts that differ between models.
 const FILE: &str = include_str!("predictor.py");
-/// Time between two steps, s: that of the Robotarium.
+/// Time between two steps of the Robotarium, s.
 const PERIOD_S: &str = "0.033";
 /// Bytes of the model in a line of the file.
 const LINE_BYTES: usize = 48;
 
-/// The model as a Python module with the class `EnergyPredictor(path, period_s)`: `reset`, `step` and
-/// `step_with_correction` in mW by the names of the paper's module (arXiv 2603.13908), and `predict` of
-/// rows in SI units. Computes in double precision: forecasts differ by rounding.
+/// The model as a Python module with the class `EnergyPredictor(path, period_s)`.
+///
+/// `reset`, `step` and `step_with_correction` work in mW and have the names of the paper's module
+/// (arXiv 2603.13908). `predict` takes rows in SI units. It computes in double precision, so
+/// forecasts differ by rounding.
 ///
 /// # Errors
-/// [`ExportError::ReadingAge`]: the network reads how old readings are, which the interface does not
-/// tell it.
+/// [`ExportError::ReadingAge`]: the network reads the readings' age, which the interface does not
+/// have.
 pub fn to_python(network: &Network) -> Result<String, ExportError> {
     let set = network.feature_set();
     if set.needs_freshness() {

@@ -56,7 +56,7 @@ impl Tensor {
         }
     }
 
-    /// From Python numbers.
+    /// Creates a tensor from Python numbers.
     pub(super) fn from_numbers(shape: Vec<usize>, values: Vec<f64>) -> Tensor {
         Tensor {
             shape,
@@ -65,7 +65,7 @@ impl Tensor {
         }
     }
 
-    /// From our own numbers.
+    /// Creates a tensor from our own numbers.
     pub(super) fn from_f32(shape: Vec<usize>, values: &[f32]) -> Tensor {
         Tensor {
             shape,

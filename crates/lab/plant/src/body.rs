@@ -8,12 +8,12 @@ use super::parts::Parts;
 use joulebus_statistics::noise::Noise;
 
 /// Maximum energy drawn from a battery before a run begins, J.
-const MOST_DRAWN_J: f64 = 6_000.0;
+const MAX_DRAWN_J: f64 = 6_000.0;
 
 /// A robot: pose, loads, battery and monitor.
 #[derive(Clone, Debug)]
 pub struct Body {
-    /// Where it is.
+    /// Position and heading.
     pub pose: Pose,
     /// The monitor's output.
     pub measured: Measurement,
@@ -28,8 +28,8 @@ pub struct Body {
 }
 
 impl Body {
-    /// A robot at rest at time 0. `extra_w` is a constant additional load, W; `neighbours` share its
-    /// radio channel; `made` draws its manufacturing variation, `noise` everything else.
+    /// A robot at rest at time 0. `extra_w` is a constant additional load, W; `neighbours` share
+    /// its radio channel; `made` draws its manufacturing variation, `noise` everything else.
     #[must_use]
     pub fn new(
         parts: Parts,
@@ -40,7 +40,7 @@ impl Body {
         mut noise: Noise,
     ) -> Self {
         let mut loads = Loads::new(parts, extra_w, neighbours, made, &mut noise);
-        let mut battery = Battery::new(noise.between(0.0, MOST_DRAWN_J));
+        let mut battery = Battery::new(noise.between(0.0, MAX_DRAWN_J));
         let power_w = loads.poll(&mut noise);
         let measured = battery.measure(power_w, power_w);
         let next_poll_ns = (noise.uniform() * POLL_NS as f64) as u64;

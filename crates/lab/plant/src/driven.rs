@@ -56,7 +56,7 @@ impl Driven {
         command
     }
 
-    /// Where it is.
+    /// Position and heading.
     #[must_use]
     pub fn pose(&self) -> Pose {
         self.body.pose

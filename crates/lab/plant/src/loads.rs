@@ -10,9 +10,9 @@ use super::parts::Parts;
 use joulebus_statistics::noise::Noise;
 
 /// Maximum number of simultaneous bursts of one robot; further ones are dropped.
-const MOST_BURSTS: usize = 8;
+const MAX_BURSTS: usize = 8;
 /// Maximum power of a burst, in multiples of the mean.
-const MOST_OF_A_BURST: f64 = 4.0;
+const MAX_OF_A_BURST: f64 = 4.0;
 /// A wheel slower than this is at rest, m/s.
 const REST_MPS: f64 = 0.005;
 /// A wheel commanded to turn faster than this starts, m/s.
@@ -45,7 +45,7 @@ pub(super) struct Loads {
     wheels_mps: [f64; 2],
     motors_j: f64,
     motors_s: f64,
-    bursts_w: [f64; MOST_BURSTS],
+    bursts_w: [f64; MAX_BURSTS],
     stuck: bool,
 }
 
@@ -81,7 +81,7 @@ impl Loads {
             wheels_mps: [0.0; 2],
             motors_j: 0.0,
             motors_s: 0.0,
-            bursts_w: [0.0; MOST_BURSTS],
+            bursts_w: [0.0; MAX_BURSTS],
             stuck: false,
         }
     }
@@ -157,7 +157,7 @@ impl Loads {
                 *burst_w = 0.0;
             } else if *burst_w == 0.0 && begins {
                 let mean_w = self.parts.burst_w;
-                *burst_w = noise.waiting_s(mean_w).min(MOST_OF_A_BURST * mean_w);
+                *burst_w = noise.waiting_s(mean_w).min(MAX_OF_A_BURST * mean_w);
                 begins = false;
             }
             radio_w += *burst_w;

@@ -46,8 +46,8 @@ pub struct Parts {
     pub burst_w: f64,
     /// Mean length of a burst of a robot alone on the channel, s; exponentially distributed.
     pub burst_time_s: f64,
-    /// Shortening of bursts by other robots on the channel: with n of them the mean length is that
-    /// of a robot alone divided by 1 + n times this.
+    /// Shortening of bursts by other robots on the channel: with n of them the mean length of a
+    /// single robot's bursts is divided by 1 + n times this.
     pub burst_cut_per_neighbour: f64,
     /// Probability that a wheel stalls when it starts from rest, 0 to 1.
     pub stall_chance: f64,

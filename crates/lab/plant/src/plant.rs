@@ -24,7 +24,7 @@ const STREAMS: u64 = 3;
 const FLEET: u64 = 7 << 32;
 const DRIVING: u64 = 8 << 32;
 
-/// What a controller knows at one control tick: the latest reading of a robot and the command that
+/// A controller's knowledge at one control tick: the latest reading of a robot and the command that
 /// it has just issued, which holds until the next tick.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SimReading {
@@ -71,8 +71,8 @@ pub struct Plant {
 
 impl Plant {
     /// A fleet at time 0, each robot at rest. Robot `i` begins with the protocol of trial
-    /// `i % 6 + 1`, at a random segment of it, and goes on to the next after each [`TRIAL_S`]. Robot
-    /// `i` of a seed is the same whatever the size of the fleet.
+    /// `i % 6 + 1`, at a random segment of it, and continues with the next one after each
+    /// [`TRIAL_S`]. Robot `i` of a seed is the same whatever the size of the fleet.
     #[must_use]
     pub fn new(seed: u64, robots: usize) -> Self {
         let protocols = Protocol::ALL.into_iter().cycle().take(robots);
@@ -82,8 +82,8 @@ impl Plant {
         }))
     }
 
-    /// A fleet at time 0 with one robot for each protocol given, which it drives all the time. They
-    /// are other robots than those of [`Plant::new`], also with the same seed.
+    /// A fleet at time 0 with one robot for each given protocol, which it repeats all the time.
+    /// They are other robots than those of [`Plant::new`], also with the same seed.
     #[must_use]
     pub fn driving(seed: u64, protocols: impl IntoIterator<Item = Protocol>) -> Self {
         let protocols = protocols.into_iter().enumerate();
@@ -148,7 +148,7 @@ impl Plant {
     }
 }
 
-/// Which protocols a robot drives.
+/// The protocols of a robot.
 #[derive(Clone, Copy, Debug)]
 enum Turn {
     One,

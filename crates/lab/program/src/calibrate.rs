@@ -23,7 +23,8 @@ use crate::judgement::{AcceptArguments, report};
 use crate::recordings::Recordings;
 use joulebus_program::utc::Utc;
 
-/// Set the limits of a platform's alarms for a rate of false alarms, with the evidence of recordings
+/// Set the limits of a platform's alarms for a rate of false alarms, with the evidence of
+/// recordings
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus calibrate fleet.mcap --false-alarms 1/day --robots 20 -o lab/platforms/robot-alarms.toml\n  \
@@ -53,7 +54,8 @@ pub(crate) struct Args {
     /// False alarms of the whole fleet: a number an hour, a day or a week, such as 1/day
     #[arg(long, value_name = "N/TIME", value_parser = rate)]
     false_alarms: f64,
-    /// Robots of the fleet [default: those of the platform in the capture that has most; 1 without captures]
+    /// Robots of the fleet [default: those of the platform in the capture that has most; 1 without
+    /// captures]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     robots: Option<u32>,
     /// Confidence of the stated rate, 0.5 to 0.999
@@ -136,12 +138,12 @@ impl Args {
         };
         let named = platform(settings, name)?;
         let place = settings.platforms.iter().position(|one| one == named);
-        // It was found among them.
+        // `platform` has found it among them, so there is an index.
         Ok(place.unwrap_or_default())
     }
 
-    /// The recordings of the platform's robots, and the robots of the capture that has most. In other
-    /// recordings, names of robots are no ids: all are of the platform.
+    /// The recordings of the platform's robots, and the robots of the capture that has most. In
+    /// other recordings, names of robots are no ids: all are of the platform.
     fn trials(&self, own: &Platform) -> anyhow::Result<(Vec<Trial>, u32)> {
         let is_own = |trial: &Trial| {
             // `fleet/7` in a capture of several fleets.

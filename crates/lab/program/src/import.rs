@@ -23,7 +23,8 @@ use crate::recordings::ColumnArguments;
 use bag::BagRead;
 use options::ImportArguments;
 
-/// Import recordings (bags of rosbag2, our captures, .npy, .csv, .csv.gz) as datasets or as a capture
+/// Import recordings (bags of rosbag2, our captures, .npy, .csv, .csv.gz) as datasets or as a
+/// capture
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus import bag_0.mcap -o trials/ --current discharge-positive\n  \
@@ -313,7 +314,8 @@ fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>
     Ok(written)
 }
 
-/// The datasets' places in a directory. None is written where one could not be.
+/// The target paths of the datasets in a directory. If one of them is not possible, nothing is
+/// written.
 fn places(directory: &Path, recordings: &[Recording]) -> anyhow::Result<Vec<PathBuf>> {
     let mut places: Vec<PathBuf> = Vec::with_capacity(recordings.len());
     for recording in recordings {

@@ -78,7 +78,7 @@ impl AcceptArguments {
         &self,
         trials: impl IntoIterator<Item = &'a Trial>,
     ) -> anyhow::Result<Vec<Judged>> {
-        self.judge_within(trials.into_iter().map(|trial| (Limits::default(), trial)))
+        self.judge_from(trials.into_iter().map(|trial| (Source::Recording, trial)))
     }
 
     /// The same, each with the remedies of where it comes from.
@@ -92,7 +92,7 @@ impl AcceptArguments {
         self.settle(trials.map(|(source, trial)| judge_from(source, trial, &Limits::default())))
     }
 
-    /// The same, each with the limits of its platform.
+    /// The same, each with the limits of its platform: what is outside is a warning.
     ///
     /// # Errors
     /// As [`AcceptArguments::judge`].
@@ -100,7 +100,16 @@ impl AcceptArguments {
         &self,
         trials: impl Iterator<Item = (Limits, &'a Trial)>,
     ) -> anyhow::Result<Vec<Judged>> {
-        self.settle(trials.map(|(limits, trial)| judge(trial, &limits)))
+        let found = trials.map(|(limits, trial)| {
+            let mut found = judge(trial, &limits);
+            // The worker refuses such samples and counts them.
+            let ranges = found.iter_mut().map(|one| &mut one.finding);
+            for finding in ranges.filter(|finding| finding.kind == Kind::Range) {
+                finding.severity = Severity::Warning;
+            }
+            found
+        });
+        self.settle(found)
     }
 
     /// The same of recordings, which were judged when they were opened.

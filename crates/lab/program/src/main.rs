@@ -41,7 +41,7 @@ struct Cli {
     command: Command,
 }
 
-/// What to do.
+/// The verb to run.
 #[derive(Debug, Subcommand)]
 enum Command {
     Cat(cat::Args),
@@ -63,13 +63,13 @@ enum Command {
     Config(Config),
 }
 
-/// What `joulebus publish` runs this program for.
+/// The parts of `joulebus publish` in this program.
 #[derive(Debug, Subcommand)]
 enum Publish {
     Trial(publish_trial::Args),
 }
 
-/// What `joulebus config` runs this program for.
+/// The parts of `joulebus config` in this program.
 #[derive(Debug, Subcommand)]
 enum Config {
     Init(config_init::Args),

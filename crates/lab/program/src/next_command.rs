@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-/// Most recordings that a proposed command names.
+/// Maximum number of recordings in a proposed command.
 const NAMED: usize = 3;
 
 /// A path as a word of a command.

@@ -92,7 +92,8 @@ pub(crate) fn find_recordings(paths: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>>
     Ok(found.files)
 }
 
-/// Opens recordings: the first rows stay in memory, the others are read when they are needed. Ids are consecutive.
+/// Opens recordings: the first rows stay in memory, the others are read when they are needed. Ids
+/// are consecutive.
 pub(crate) fn open(files: Vec<PathBuf>, map: &ColumnMap) -> Result<Vec<Recording>, TrialError> {
     let files: Vec<(u32, PathBuf)> = (0..).zip(files).collect();
     open_with_ids(&files, map)

@@ -17,8 +17,8 @@ use crate::recordings::{ColumnArguments, find_recordings};
 /// Recordings, one robot each.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct TrialFiles {
-    /// Recordings (.npy, .csv, .csv.gz), captures (.mcap), or directories of them. PATH@ID assigns a robot id,
-    /// PATH@NAME the ids of a platform: a.csv.gz@100, recordings/@husky
+    /// Recordings (.npy, .csv, .csv.gz), captures (.mcap), or directories of them. PATH@ID assigns
+    /// a robot id, PATH@NAME the ids of a platform: a.csv.gz@100, recordings/@husky
     #[arg(required = true, value_name = "PATH[@ROBOT|@PLATFORM]")]
     paths: Vec<OsString>,
     /// Platform of the config whose ids are assigned in ascending order to paths without an @
@@ -200,7 +200,8 @@ pub(crate) fn read_one(file: &Path, map: &ColumnMap) -> anyhow::Result<Trial> {
     Ok(Table::only_of(file, map)?.into_trial()?)
 }
 
-/// The recordings in a directory, sorted by name; those of an archive in the order in which they were exported.
+/// The recordings in a directory, sorted by name. Those of an archive are in the order of their
+/// export.
 pub(crate) fn recordings(directory: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let failed = || format!("cannot read the directory {}", directory.display());
     if is_archive(directory) {

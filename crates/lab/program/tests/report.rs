@@ -132,7 +132,7 @@ fn invalid_requests_are_refused_before_the_evaluation() {
     let recording = recording.to_str().unwrap();
     let out = folder.path().join("report");
     let out = out.to_str().unwrap();
-    for (arguments, says, expected) in [
+    for (arguments, message, expected) in [
         (vec!["-o", out], "PATH", 2),
         (vec![recording, "-o", out], "--model", 2),
         (vec!["--simulated", recording, "-o", out], "--simulated", 2),
@@ -155,8 +155,8 @@ fn invalid_requests_are_refused_before_the_evaluation() {
             refused.errors()
         );
         assert!(
-            refused.errors().contains(says),
-            "{says}: {}",
+            refused.errors().contains(message),
+            "{message}: {}",
             refused.errors()
         );
         assert!(refused.text().is_empty());

@@ -19,7 +19,7 @@ const PARTS: usize = 20;
 /// Window of coverage over time, s.
 const STRETCH_S: f64 = 10.0;
 /// Maximum number of names in a figure.
-const MOST: usize = 24;
+const MAX_SETS: usize = 24;
 
 /// The live intervals of a model at one level.
 #[derive(Debug, Clone, Copy)]
@@ -30,8 +30,8 @@ pub(super) struct Level {
     fixed: CoverageTally,
 }
 
-/// Runs the live path with intervals of every level on every recording, which are in memory; `design` names the rows that are
-/// evaluated, else all are.
+/// Runs the live path with intervals of every level on every recording, which are in memory;
+/// `design` names the rows that are evaluated, else all are.
 ///
 /// # Errors
 /// The settings are refused.
@@ -151,7 +151,7 @@ fn figure(material: &Material<'_>, levels: &[Level], sets: &[Scores], trial: &st
             ),
         ],
     });
-    let shown = &sets[..sets.len().min(MOST)];
+    let shown = &sets[..sets.len().min(MAX_SETS)];
     if shown.len() > 1 {
         panels.push(each(material, shown, nominal));
     }

@@ -159,7 +159,7 @@ fn table(material: &Material<'_>, horizons: &[Horizon]) -> Table {
         caption: format!(
             "Open loop by horizon: the numbers of figure 6. Rollouts overlap, so intervals resample whole \
              trials, and need {} of them.",
-            joulebus_statistics::bootstrap::LEAST_BLOCKS
+            joulebus_statistics::bootstrap::MIN_BLOCKS
         ),
         columns: vec![
             Column::new("ticks", "ticks"),

@@ -95,8 +95,8 @@ impl<'a> Material<'a> {
     }
 }
 
-/// The file name of a trial without folder and extension, and the robot's number where the file has several; in
-/// the published layout robots are numbers.
+/// The file name of a trial without folder and extension, and the robot's number where the file has
+/// several; in the published layout robots are numbers.
 pub(super) fn label(name: &str) -> String {
     let is_number = |text: &str| text.parse::<u32>().is_ok();
     if is_number(name) {

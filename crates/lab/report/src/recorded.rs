@@ -24,8 +24,8 @@ pub struct Recorded<'a> {
     pub models: &'a [Model],
     /// The evaluated recordings.
     pub recordings: &'a [Recording],
-    /// Which of their rows are evaluated, and which the baselines are fitted on. Those that a model was
-    /// trained on are scored apart.
+    /// Which of their rows are evaluated, and which the baselines are fitted on. Those that a model
+    /// was trained on are scored apart.
     pub design: &'a Design,
     /// Whether these are the paper's published recordings, so that its numbers are shown.
     pub published: bool,

@@ -7,7 +7,7 @@ use joulebus_eval::score::{Cell as Scores, ForecasterScore};
 use joulebus_figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
 
 /// Maximum number of names in a figure.
-const MOST: usize = 24;
+const MAX_SETS: usize = 24;
 
 /// Kind of the sets of recordings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -38,18 +38,18 @@ pub(super) fn chosen<'a>(material: &Material<'a>) -> Option<(Grouping, &'a [Scor
     ];
     let readable = sets
         .iter()
-        .find(|(_, sets)| (2..=MOST).contains(&sets.len()));
+        .find(|(_, sets)| (2..=MAX_SETS).contains(&sets.len()));
     let any = readable.or_else(|| sets.iter().find(|(_, sets)| sets.len() > 1));
     any.map(|(kind, sets)| (*kind, sets.as_slice()))
 }
 
 /// The section.
 pub(super) fn section(material: &Material<'_>, kind: Grouping, sets: &[Scores]) -> Section {
-    let shown = &sets[..sets.len().min(MOST)];
+    let shown = &sets[..sets.len().min(MAX_SETS)];
     let what = kind.plural();
     let left_out = if shown.len() < sets.len() {
         format!(
-            " The figure shows the first {MOST} of {}; the table has all.",
+            " The figure shows the first {MAX_SETS} of {}; the table has all.",
             sets.len()
         )
     } else {

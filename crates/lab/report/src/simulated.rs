@@ -32,9 +32,9 @@ pub struct SimulatedReport {
     pub shown_seed: u64,
 }
 
-/// Simulates, for each seed, the six trials, trains on 1 to 4 with 5 for validation, evaluates on all
-/// six and on seven robots; reports mean and deviation of the results with the paper's numbers, and
-/// the figures of the draw nearest to the means. `progress` is called with the seed after each
+/// Simulates, for each seed, the six trials, trains on 1 to 4 with 5 for validation, evaluates on
+/// all six and on seven robots; reports mean and deviation of the results with the paper's numbers,
+/// and the figures of the draw nearest to the means. `progress` is called with the seed after each
 /// epoch, and may end the experiments.
 ///
 /// # Errors

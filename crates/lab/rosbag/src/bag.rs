@@ -1,8 +1,9 @@
-//! A bag's SQLite file, opened so that neither it nor anything beside it is changed.
+//! A bag's SQLite file, opened so that neither it nor any file beside it changes.
 //!
-//! The file may be hostile: only tables are read, never views or virtual tables, whose rows are whatever their
-//! definition computes; values are limited in size, and all together to that of the file, because SQLite follows pages that
-//! name each other; and rows have the types that rosbag2 gives them, or are counted.
+//! The file may be hostile. Only tables are read, never views or virtual tables, whose definitions
+//! may compute anything. Values are limited in size, and their sum to the size of the file, because
+//! SQLite follows pages that refer to each other. Rows must have the types that rosbag2 writes, or
+//! are counted.
 
 use std::fs;
 use std::io::Read as _;
@@ -14,24 +15,24 @@ use rusqlite::types::ValueRef;
 use rusqlite::{Connection, OpenFlags};
 
 /// Largest message or text, bytes. SQLite refuses larger ones.
-pub(crate) const MOST_BYTES: i32 = 256 << 20;
+pub(crate) const MAX_BYTES: i32 = 256 << 20;
 /// Largest text of a topic or a definition, bytes.
-const MOST_TEXT_BYTES: i32 = 1 << 20;
-/// What a rollback journal begins with that has pages.
+const MAX_TEXT_BYTES: i32 = 1 << 20;
+/// The start of a rollback journal with pages.
 const JOURNAL_MAGIC: &[u8] = &[0xd9, 0xd5, 0x05, 0xf9, 0x20, 0xa1, 0x63, 0xd7];
 /// Bytes of a journal's head up to the count of its pages, with it.
 const JOURNAL_HEAD: usize = JOURNAL_MAGIC.len() + 4;
-/// Least bytes of a row: the heads of its cell and of its record.
-const LEAST_ROW_BYTES: u64 = 4;
-/// Most topics of a bag; a file of MCAP has no more channels.
-const MOST_TOPICS: usize = 65_535;
-/// What an SQLite file begins with.
+/// Minimum size of a row, bytes: the headers of its cell and of its record.
+const MIN_ROW_BYTES: u64 = 4;
+/// Maximum number of topics of a bag. An MCAP file has no more channels.
+const MAX_TOPICS: usize = 65_535;
+/// The start of an SQLite file.
 const MAGIC: &[u8] = b"SQLite format 3\0";
 
 /// Errors of opening a bag.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum BagError {
-    /// It cannot be read.
+    /// The file cannot be read.
     #[error("cannot read {path:?}: {source}")]
     Io {
         /// The file.
@@ -71,7 +72,7 @@ pub(crate) enum BagError {
         columns: &'static [&'static str],
     },
     /// More topics than are read.
-    #[error("{path:?} has more than {MOST_TOPICS} topics")]
+    #[error("{path:?} has more than {MAX_TOPICS} topics")]
     TooManyTopics {
         /// The file.
         path: PathBuf,
@@ -116,7 +117,7 @@ pub(crate) struct Definition {
 #[derive(Debug)]
 pub(crate) struct Rows<T> {
     pub(crate) rows: Vec<T>,
-    /// Those whose values are of other types than rosbag2 writes.
+    /// Number of rows with types that rosbag2 does not write.
     pub(crate) odd: u64,
 }
 
@@ -129,7 +130,7 @@ pub(crate) enum Row<'a> {
         time_ns: u64,
         data: &'a [u8],
     },
-    /// A row that is none, and why.
+    /// An unusable row, with the reason.
     Odd(&'static str),
     /// The file cannot be read any further.
     Damage(String),
@@ -139,17 +140,17 @@ pub(crate) enum Row<'a> {
 pub(crate) struct Bag {
     path: PathBuf,
     sqlite: Connection,
-    /// Bytes of the file and of the log beside it: what its rows have together.
+    /// Size of the file and of its log, bytes, which bounds the sum of its rows.
     bytes: u64,
 }
 
-/// What rows may still have.
+/// The size that rows may still have, bytes.
 struct Left(u64);
 
 impl Left {
-    /// Takes a row with so many bytes of values; false if there is no room for it.
+    /// Takes a row with values of that size. Returns false if there is no room for it.
     fn take(&mut self, bytes: usize) -> bool {
-        let needed = (bytes as u64).saturating_add(LEAST_ROW_BYTES);
+        let needed = (bytes as u64).saturating_add(MIN_ROW_BYTES);
         let left = self.0.checked_sub(needed);
         self.0 = left.unwrap_or(0);
         left.is_some()
@@ -183,7 +184,7 @@ impl Bag {
     /// Whether it has a table, no view, with these columns.
     fn has_table(&self, table: &str, columns: &[&str]) -> Result<bool, BagError> {
         let look = || -> rusqlite::Result<bool> {
-            // SQLite's own word, not that of the text in the file.
+            // Asks SQLite itself, not the text in the file.
             let sql = "SELECT 1 FROM pragma_table_list \
                        WHERE schema = 'main' AND lower(name) = ?1 AND type = 'table'";
             if !self.sqlite.prepare(sql)?.exists([table])? {
@@ -214,7 +215,7 @@ impl Bag {
             let bytes = topic.name.len() + topic.type_name.len() + topic.encoding.len();
             Ok((topic, bytes))
         })?;
-        if topics.rows.len() > MOST_TOPICS {
+        if topics.rows.len() > MAX_TOPICS {
             let path = self.path.clone();
             return Err(BagError::TooManyTopics { path });
         }
@@ -239,8 +240,8 @@ impl Bag {
         })
     }
 
-    /// The rows of a table, of which `read` also says how many bytes they have, and that it cannot read a row whose values are
-    /// of other types; one more than topics are allowed at most.
+    /// The rows of a table, at most one more than the allowed number of topics. `read` returns the
+    /// size of a row, or fails for values of other types.
     fn all<T>(
         &self,
         table: &'static str,
@@ -251,7 +252,7 @@ impl Bag {
         let mut query = self.sqlite.prepare(sql).map_err(sqlite)?;
         let mut found = query.query([]).map_err(sqlite)?;
         let (mut rows, mut odd, mut left) = (Vec::new(), 0, Left(self.bytes));
-        while rows.len() <= MOST_TOPICS
+        while rows.len() <= MAX_TOPICS
             && let Some(row) = found.next().map_err(sqlite)?
         {
             let (row, bytes) = match read(row) {
@@ -272,15 +273,14 @@ impl Bag {
         BagError::Repeats { path, table, bytes }
     }
 
-    /// Gives all messages to `take`, in the order in which they were written, until it fails or the file is damaged.
+    /// Gives all messages to `take`, in the order in which they were written, until it fails or the
+    /// file is damaged.
     pub(crate) fn each_row<E: From<BagError>>(
         &self,
         mut take: impl FnMut(Row<'_>) -> Result<(), E>,
     ) -> Result<(), E> {
         let sqlite = |error: rusqlite::Error| refused(&self.path, &error);
-        let length = self
-            .sqlite
-            .set_limit(Limit::SQLITE_LIMIT_LENGTH, MOST_BYTES);
+        let length = self.sqlite.set_limit(Limit::SQLITE_LIMIT_LENGTH, MAX_BYTES);
         length.map_err(sqlite)?;
         let mut left = Left(self.bytes);
         let sql = "SELECT topic_id, timestamp, data FROM messages";
@@ -348,8 +348,8 @@ fn check_journal(path: &Path) -> Result<(), BagError> {
         path: journal.clone(),
         source,
     })?;
-    // A writer that keeps its journal overwrites the head when it has ended a change. The count of pages is 0 until the
-    // journal is on the disk, which comes before the first change of the file.
+    // A writer that keeps its journal overwrites the head when it has ended a change. The count of
+    // pages is 0 until the journal is on the disk, which comes before the first change of the file.
     let (magic, pages) = head.split_at(JOURNAL_MAGIC.len().min(head.len()));
     if magic != JOURNAL_MAGIC || pages.iter().all(|byte| *byte == 0) {
         return Ok(());
@@ -360,11 +360,12 @@ fn check_journal(path: &Path) -> Result<(), BagError> {
 
 fn connect(path: &Path) -> rusqlite::Result<Connection> {
     let has_log = length(&beside(path, "-wal")) > 0;
-    // The index of a log is in memory if nobody else has one: SQLite would leave its file behind. Without locks, because
-    // nobody writes without that file, and a lock of this kind needs the right to write.
+    // Keep the index of the log in memory unless another process has one, because SQLite would
+    // leave its file behind. Use no locks: nobody writes without that file, and such a lock needs
+    // the right to write.
     let has_own_index = has_log && !beside(path, "-shm").exists();
     let end = match (has_log, has_own_index) {
-        // Nothing may change it, and SQLite writes nothing beside it either.
+        // Nothing may change the file. SQLite then writes nothing beside it either.
         (false, _) => "mode=ro&immutable=1",
         (true, false) => "mode=ro",
         (true, true) => "mode=ro&vfs=unix-none",
@@ -383,7 +384,7 @@ fn connect(path: &Path) -> rusqlite::Result<Connection> {
     sqlite.set_db_config(DbConfig::SQLITE_DBCONFIG_TRUSTED_SCHEMA, false)?;
     sqlite.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_VIEW, false)?;
     sqlite.set_db_config(DbConfig::SQLITE_DBCONFIG_ENABLE_TRIGGER, false)?;
-    sqlite.set_limit(Limit::SQLITE_LIMIT_LENGTH, MOST_TEXT_BYTES)?;
+    sqlite.set_limit(Limit::SQLITE_LIMIT_LENGTH, MAX_TEXT_BYTES)?;
     sqlite.pragma_update(None, "cell_size_check", true)?;
     sqlite.pragma_update(None, "query_only", true)?;
     Ok(sqlite)
@@ -396,7 +397,7 @@ fn beside(path: &Path, end: &str) -> PathBuf {
     name.into()
 }
 
-/// Bytes of a file; 0 if there is none.
+/// Size of a file, bytes; 0 if there is none.
 fn length(path: &Path) -> u64 {
     fs::metadata(path).map_or(0, |file| file.len())
 }

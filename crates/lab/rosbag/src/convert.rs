@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 
 use joulebus_capture_format::{RosFile, RosTopic, RosTopicId, WriteError};
 
-use crate::bag::{Bag, BagError, Definition, MOST_BYTES, Row};
+use crate::bag::{Bag, BagError, Definition, MAX_BYTES, Row};
 
-/// What a message that rosbag2 compressed begins with (`--compression-mode message`); CDR begins with 0.
+/// The start of a message that rosbag2 compressed (`--compression-mode message`). CDR starts
+/// with 0.
 const ZSTD_MAGIC: &[u8] = &[0x28, 0xb5, 0x2f, 0xfd];
 
 /// Errors of a conversion.
@@ -27,7 +28,7 @@ struct Written {
     is_imported: bool,
 }
 
-/// What a bag has and the result has not.
+/// Why a part of a bag is not in the result.
 #[derive(Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct LeftOut {
     /// `topics` or `messages`.
@@ -35,8 +36,8 @@ pub(crate) struct LeftOut {
     pub(crate) why: String,
 }
 
-/// Writes the messages of `bag` into `file`. Returns how many of what were left out, by reason; what follows damage counts
-/// as one message.
+/// Writes the messages of `bag` into `file`. Returns the number of omitted messages by reason.
+/// Everything after damage counts as one message.
 ///
 /// # Errors
 /// [`ConvertError`].
@@ -56,7 +57,7 @@ pub(crate) fn convert(
     let unknown = Definition::default();
     for topic in &topics.rows {
         let definition = definitions.get(&topic.type_name).unwrap_or(&unknown);
-        // A definition of another kind is none that could be compared, as one that is missing.
+        // Only ros2msg definitions can be compared. Others count as missing.
         let is_comparable = definition.encoding == "ros2msg";
         let topic_of_file = RosTopic {
             topic: &topic.name,
@@ -112,8 +113,9 @@ pub(crate) fn convert(
     Ok(left_out)
 }
 
-/// Bytes that a compressed message may have: battery states, velocities and odometry have some hundreds, and lists of cells
-/// a few thousand; a thousand times its own size is more than any of them needs.
+/// Bytes that a compressed message may have: battery states, velocities and odometry have some
+/// hundreds, and lists of cells a few thousand; a thousand times its own size is more than any of
+/// them needs.
 fn expanded_bytes(data: &[u8]) -> usize {
-    data.len().saturating_mul(1_000).min(MOST_BYTES as usize)
+    data.len().saturating_mul(1_000).min(MAX_BYTES as usize)
 }

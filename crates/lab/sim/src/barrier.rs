@@ -40,8 +40,8 @@ pub struct Barrier {
 }
 
 impl Default for Barrier {
-    /// The distance is that of two robots of 0.11 m whose points lie 0.05 m ahead of them; the gain
-    /// is the Robotarium's.
+    /// The distance of two robots of 0.11 m whose points lie 0.05 m ahead of them, and the
+    /// Robotarium's gain.
     fn default() -> Self {
         Self {
             distance_m: 0.23,
@@ -55,7 +55,7 @@ impl Default for Barrier {
 /// Allowed velocities.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Allowed {
-    /// One per robot.
+    /// The velocity of each robot.
     pub velocities: Vec<Vector>,
     /// How they were found.
     pub answer: Answer,
@@ -144,11 +144,11 @@ impl Barrier {
         Ok(Allowed { velocities, answer })
     }
 
-    /// As [`Barrier::allowed`], with all conditions and all robots in one program: the slow
+    /// Same as [`Barrier::allowed`], with all conditions and all robots in one program: the slow
     /// reference.
     ///
     /// # Errors
-    /// As [`Barrier::allowed`].
+    /// Same as [`Barrier::allowed`].
     pub fn allowed_by_whole_program(
         &self,
         points: &[Vector],

@@ -29,7 +29,7 @@ pub fn drive(protocol: Protocol, seed: u64) -> Trial {
     drive_with(protocol, Parts::default(), seed, SAMPLES)
 }
 
-/// As [`drive`], with other parameters and length, at least two samples.
+/// Same as [`drive`], with other parameters and length, at least two samples.
 #[must_use]
 pub fn drive_with(protocol: Protocol, parts: Parts, seed: u64, samples: usize) -> Trial {
     let mut made = Noise::new(seed, MADE + u64::from(TRIAL_ROBOT));

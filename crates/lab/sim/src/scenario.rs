@@ -37,7 +37,7 @@ const PLACES: u64 = 6 << 32;
 /// Result of a run of the scenario.
 #[derive(Debug)]
 pub struct Run {
-    /// One trial per robot, in order of their ids, which count from 1.
+    /// One trial per robot, sorted by id. Ids start at 1.
     pub trials: Vec<Trial>,
     /// Minimum distance between the centres of two robots at the end of any step, m.
     pub closest_m: f64,
@@ -49,7 +49,7 @@ pub struct Run {
     pub stopped_steps: usize,
 }
 
-/// The file name without extension of a robot's trial; ids count from 1.
+/// The file name of a robot's trial without extension. Ids start at 1.
 #[must_use]
 pub fn file_stem(robot: u32) -> String {
     format!("energy_data_seven_robots_robot{robot}")
@@ -61,7 +61,7 @@ pub fn seven_robots(seed: u64, steps: usize) -> Vec<Trial> {
     run(Parts::default(), seed, steps).trials
 }
 
-/// As [`seven_robots`], with given parameters, and with statistics of the barriers.
+/// Same as [`seven_robots`], with given parameters, and with statistics of the barriers.
 #[must_use]
 pub fn run(parts: Parts, seed: u64, steps: usize) -> Run {
     let mut fleet = Fleet::new(parts, seed);
@@ -179,7 +179,7 @@ fn direction(angle_rad: f64) -> Vector {
     vector(arena::direction(angle_rad))
 }
 
-/// With what barriers compute.
+/// Converts to the vectors of barriers.
 fn vector(of: arena::Vector) -> Vector {
     Vector::new(of.x, of.y)
 }
@@ -201,8 +201,8 @@ struct Walk {
 }
 
 impl Walk {
-    const LEAST_S: f64 = 1.0;
-    const MOST_S: f64 = 5.0;
+    const MIN_S: f64 = 1.0;
+    const MAX_S: f64 = 5.0;
     const REST_SHARE: f64 = 0.15;
     const MARGIN_M: f64 = 0.25;
 
@@ -224,7 +224,7 @@ impl Walk {
 
     fn draw(&mut self, point: Vector) {
         let noise = &mut self.noise;
-        self.left_s = noise.between(Self::LEAST_S, Self::MOST_S);
+        self.left_s = noise.between(Self::MIN_S, Self::MAX_S);
         let rests = noise.uniform() < Self::REST_SHARE;
         let ahead = direction(noise.between(-PI, PI));
         let speed_mps = noise.between(0.05, V_MAX_MPS);

@@ -7,13 +7,13 @@ use joulebus_predictor::{LAGS, ReadingAge, features};
 use std::collections::VecDeque;
 
 const TICK_S: f64 = 1.0 / 30.0;
-/// Trials that train; the fifth validates and the sixth is held out, as in the paper.
+/// Number of trials that train. The fifth validates and the sixth is held out, as in the paper.
 const TRAINING_TRIALS: usize = 4;
 
 /// Amount of simulated data to record, at 30 Hz.
 ///
-/// Every robot is another one, and drives one trial: those for training trials 1 to 4 in turn, those
-/// for validation trial 5, the held-out ones trial 6.
+/// Every robot is different and drives one trial: the training robots trials 1 to 4 in turn, the
+/// validation robots trial 5, the held-out robots trial 6.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SimulatedData {
     /// Seed of the plant.
@@ -24,7 +24,7 @@ pub struct SimulatedData {
     pub validation_robots: usize,
     /// Held-out robots.
     pub held_out_robots: usize,
-    /// Control ticks recorded per robot; the first five give no rows.
+    /// Control ticks recorded per robot. The first five give no rows.
     pub ticks: usize,
 }
 
@@ -42,7 +42,7 @@ impl SimulatedData {
         }
     }
 
-    /// What each robot drives, in the order of the parts.
+    /// The protocol of each robot, in the order of the parts.
     fn protocols(self) -> impl Iterator<Item = Protocol> {
         let training = Protocol::ALL[..TRAINING_TRIALS].iter().copied().cycle();
         training

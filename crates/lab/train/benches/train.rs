@@ -1,4 +1,5 @@
-//! The paper's full training (32,000 rows, 100 epochs, batches of 256): time on one and two threads.
+//! The paper's full training (32,000 rows, 100 epochs, batches of 256): time on one and two
+//! threads.
 //!
 //! `cargo bench -p joulebus-train --bench train`
 use std::time::Instant;

@@ -27,7 +27,7 @@ impl Adam {
         }
     }
 
-    /// One step against the mean gradient: the sum of `gradients` times `share`.
+    /// Takes one step against the mean gradient: the sum of `gradients` times `share`.
     pub(super) fn step(
         &mut self,
         values: &mut [f32],

@@ -25,7 +25,7 @@ pub(super) struct Example {
     pub target: f32,
 }
 
-/// The weights, with a transposed copy of those of the middle layers.
+/// The weights, with transposed copies of the middle layers' weights.
 pub(super) struct Prepared {
     turned: [Vec<f32>; LAYERS],
 }
@@ -180,8 +180,8 @@ impl Chunk {
         }
     }
 
-    /// From the gradients with respect to the forecasts to those of the last layer's weights and of
-    /// the last hidden layer's pre-activations.
+    /// Backward pass from the gradients of the forecasts to those of the last layer's weights and
+    /// of the last hidden layer's pre-activations.
     #[inline(always)]
     fn turn<S: Simd>(&mut self, simd: S, weights: &Weights, count: usize) {
         let shape = weights.shapes[HIDDEN.len()];
@@ -209,8 +209,8 @@ impl Chunk {
         }
     }
 
-    /// From the gradients with respect to a hidden layer's pre-activations to those of its weights
-    /// and of the pre-activations of the layer before it.
+    /// Backward pass from the gradients of a hidden layer's pre-activations to those of its weights
+    /// and of the previous layer's pre-activations.
     #[inline(always)]
     fn back_through<S: Simd>(
         &mut self,

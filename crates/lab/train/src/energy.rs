@@ -1,7 +1,7 @@
 //! The energy model of a platform, fitted to the rows that the network was trained on.
 //!
-//! Two halves of the recordings, whole runs each, give what is known of errors: the model of one half is
-//! scored on the other. The stored model is fitted to all of them.
+//! Errors are estimated by cross-validation on two halves of the recordings, which have whole runs
+//! each: the model of one half is scored on the other. The stored model is fitted to all of them.
 
 use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_energy::{
@@ -13,16 +13,17 @@ use joulebus_predictor::{FeatureSet, LAGS};
 /// Runs are cut into blocks of about this time, each with a level of its own, when the power of
 /// commands is fitted, s.
 const BLOCK_S: f64 = 20.0;
-/// Seconds of readings that weigh as much as the platform's own level, for all levels but the longest.
+/// Prior of a level, in seconds of readings that weigh as much as the platform's own level. Valid
+/// for all levels but the longest.
 const PRIOR_S: f64 = 0.05;
-/// The same of the longest, to choose from. Not more: recordings may be of one robot, whose level the
-/// platform's is, and a robot of another must not be held to it for long.
+/// Candidate priors of the longest level. There are no longer ones: if all recordings are of one
+/// robot, the platform's level is that robot's, and another robot must not be held to it for long.
 const LONGEST_PRIORS_S: [f64; 4] = [0.05, 1.0, 3.0, 10.0];
 /// Shares of a level that may be a constant power.
 const ADDED_SHARES: [f64; 3] = [0.0, 0.3, 1.0];
 /// Shares of an error's scale that may be the platform's mean.
 const MEAN_SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
-/// Most origins of forecasts per fit.
+/// Maximum number of forecast origins per fit.
 const ORIGINS: usize = 1_500;
 /// Fewest origins, and fewest runs, from which the errors at a horizon are known.
 const FEWEST: (usize, usize) = (30, 4);
@@ -37,7 +38,7 @@ struct Run {
     before_w: [f64; LAGS],
 }
 
-/// Fits the energy model, which reads commands if the network does; `None` where the recordings are
+/// Fits the energy model, which reads commands if the network does. `None` if the recordings are
 /// too short, or their mean power is not above 0.
 #[must_use]
 pub fn energy_model(dataset: &Dataset, feature_set: FeatureSet) -> Option<EnergyModel> {
@@ -134,7 +135,7 @@ fn crossed(
     Some((prior_s, found))
 }
 
-/// What is known at a horizon; beyond the longest one, the same is assumed.
+/// Error estimates at a horizon. Beyond the longest horizon they stay constant.
 struct Known {
     added_share: f32,
     weights: [f32; LEVELS],
@@ -160,9 +161,9 @@ fn ranges(runs: &[&Run]) -> [[f32; 2]; 2] {
     })
 }
 
-/// What the products and changes of velocities reached in at least two runs, so that one wrong stamp, over which
-/// a change is divided, does not count. Not a quantile of all rows: jumps between commands are rare, and
-/// the plans of every follower begin and end with one.
+/// The products and changes of velocities reached in at least two runs. A single wrong stamp, which
+/// divides a change, therefore does not count. A quantile of all rows would not do: jumps between
+/// commands are rare, and the plans of every follower begin and end with one.
 fn combined(runs: &[&Run]) -> [f32; COMBINED_TERMS] {
     let mut highest = [[0.0f32; 2]; COMBINED_TERMS];
     for run in runs {
@@ -227,9 +228,9 @@ struct CommandFit {
 }
 
 impl CommandFit {
-    /// Least squares with weights that are not negative. Each block of a run has a level of its own,
-    /// because a robot's level is measured live: what differs between robots and floors must not be
-    /// attributed to commands. `None` without a mean power above 0.
+    /// Least squares with non-negative weights. Each block of a run has its own level, because a
+    /// robot's level is measured live: differences between robots and floors must not be attributed
+    /// to commands. `None` without a mean power above 0.
     fn of(runs: &[&Run], period_s: f64) -> Option<Self> {
         let rows: usize = runs.iter().map(|run| run.power_w.len()).sum();
         let sum_w: f64 = runs.iter().flat_map(|run| &run.power_w).sum();
@@ -264,7 +265,7 @@ impl CommandFit {
         for term in 0..TERMS {
             model.weights[term] = (weights[term] / scales[term]) as f32;
         }
-        // At rest a robot draws power: a model that says it draws none would divide by zero.
+        // A robot draws power at rest. A model without that would divide by zero.
         model.weights[0] = model.weights[0].max(0.02 * mean_w as f32);
         Some(Self { model })
     }
@@ -340,7 +341,7 @@ struct Normal {
 }
 
 impl Normal {
-    /// Each block is scaled by its level under the weights so far.
+    /// Scales each block by its level under the weights so far.
     fn of(blocks: &[Block], weights: &[f64; TERMS], scales: &[f64; TERMS], mean_w: f64) -> Self {
         /// Against terms that vary together, in shares of the mean square.
         const RIDGE: f64 = 1e-3;
@@ -397,9 +398,9 @@ impl Normal {
     }
 }
 
-/// A forecast's inputs and what was measured.
+/// A forecast's inputs, and the measured energy.
 struct Origin {
-    /// Energy, what the command model says of it, and time, of each level.
+    /// Energy, the command model's energy, and time, of each level.
     levels: [[f64; 3]; LEVELS],
     command_j: f64,
     energy_j: f64,
@@ -494,8 +495,8 @@ impl Origins {
         })
     }
 
-    /// The weights, not negative and 1 in all, with the least absolute error: exponentiated
-    /// gradients with decreasing steps.
+    /// The non-negative weights with sum 1 and least absolute error, by exponentiated gradients
+    /// with decreasing steps.
     fn weights(&self, with: &With) -> [f64; LEVELS] {
         const ROUNDS: usize = 200;
         let experts: Vec<[f64; LEVELS]> = self
@@ -542,7 +543,7 @@ fn weighted(weights: &[f64; LEVELS], experts: &[f64; LEVELS]) -> f64 {
         .sum()
 }
 
-/// Of ascending values, of which there is at least one; linear between them.
+/// The quantile `p` of at least one ascending value, with linear interpolation.
 fn quantile(values: &[f64], p: f64) -> f64 {
     let at = p * (values.len() - 1) as f64;
     let below = (at as usize).min(values.len() - 1);
@@ -556,7 +557,7 @@ struct Pair {
     measured: f64,
 }
 
-/// Each half scored by the model of the other, at one horizon.
+/// Both halves, each scored by the model of the other, at one horizon.
 struct Crossed {
     with: With,
     pairs: Vec<Pair>,
@@ -606,8 +607,8 @@ impl Crossed {
         self.pairs.iter().map(|pair| pair.measured.abs()).sum()
     }
 
-    /// Errors relative to the scale of their forecasts, ascending, and the sum of the scales through
-    /// the mean energy.
+    /// Errors relative to the scale of their forecasts, ascending, and the sum of the scales
+    /// through the mean energy.
     fn relative(&self, mean_share: f64, mean_w: f64) -> (Vec<f64>, f64) {
         let mean_j = mean_w * self.duration_s;
         let mut scales = 0.0;

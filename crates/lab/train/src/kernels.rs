@@ -139,7 +139,7 @@ pub(super) fn gelu_and_slope<S: Simd>(simd: S, x: f32x16<S>) -> (f32x16<S>, f32x
     (x * below, x.mul_add_precise(density, below))
 }
 
-/// exp(−`x`) for `x` ≥ 0; 0 beyond 87.
+/// exp(−`x`) for `x` ≥ 0. It is 0 beyond 87.
 #[inline(always)]
 fn exp_of_minus<S: Simd>(simd: S, x: f32x16<S>) -> f32x16<S> {
     const ROUND: f32 = 12_582_912.0;

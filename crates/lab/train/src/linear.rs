@@ -21,7 +21,7 @@ const COLUMNS: usize = FEATURES + 1;
 const TARGET: usize = FEATURES;
 /// Minimum share of a column's variance that the columns before it do not explain. Features are
 /// single precision, so a share below the square of their rounding error is noise.
-const LEAST_OWN_VARIANCE: f64 = 1e-10;
+const MIN_OWN_VARIANCE: f64 = 1e-10;
 
 type Columns = SVector<f64, COLUMNS>;
 
@@ -58,7 +58,7 @@ impl Terms {
         Terms(Terms::VELOCITIES.0 | Terms::lags(count).0)
     }
 
-    /// The features at these positions in [`Features`]; other positions are ignored.
+    /// The features at these positions in [`Features`]. Other positions are ignored.
     #[must_use]
     pub fn of(features: &[usize]) -> Terms {
         let known = features.iter().filter(|feature| **feature < FEATURES);
@@ -82,7 +82,7 @@ impl Terms {
         self.0.count_ones() as usize
     }
 
-    /// Those of either.
+    /// The union of both.
     #[must_use]
     pub const fn or(self, other: Terms) -> Terms {
         Terms(self.0 | other.0)
@@ -129,7 +129,7 @@ pub enum LinearError {
         terms: Terms,
         /// Usable rows.
         found: usize,
-        /// All rows.
+        /// Number of rows.
         rows: usize,
         /// Rows needed.
         allowed: usize,
@@ -244,13 +244,13 @@ impl Moments {
         Ok(())
     }
 
-    /// All rows.
+    /// Number of rows.
     #[must_use]
     pub const fn rows(&self) -> usize {
         self.rows
     }
 
-    /// Rows in which a feature or the reading is not finite.
+    /// Number of rows in which a feature or the reading is not finite.
     #[must_use]
     pub const fn unusable_rows(&self) -> usize {
         self.rows - self.count
@@ -312,10 +312,10 @@ impl Moments {
             let correlations = others.map(|other| self.correlation(feature, *other));
             let column = DVector::from_iterator(place + 1, correlations.chain([1.0]));
             let grown = cholesky.insert_column(place, column);
-            // NaN where rounding makes it negative.
+            // NaN if rounding makes it negative.
             let own = grown.l_dirty()[(place, place)].powi(2);
-            let says_more = own > LEAST_OWN_VARIANCE;
-            if !says_more {
+            let adds_information = own > MIN_OWN_VARIANCE;
+            if !adds_information {
                 kept.dropped.push((feature, Dropped::Dependent));
                 continue;
             }
@@ -475,15 +475,15 @@ impl Linear {
     }
 }
 
-/// Which features are finite in any of some rows.
+/// Features that are finite in at least one row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct KnownFeatures(Terms);
 
 impl KnownFeatures {
-    /// Of no rows.
+    /// No features.
     pub const NONE: KnownFeatures = KnownFeatures(Terms(0));
 
-    /// Of some rows; of `asked`, the others are not looked at.
+    /// The known features of some rows. Only those of `asked` are checked.
     #[must_use]
     pub fn of(rows: &[Row], asked: Terms) -> KnownFeatures {
         let is_known = |feature: &usize| {
@@ -494,7 +494,7 @@ impl KnownFeatures {
         KnownFeatures(known.fold(Terms(0), Terms::with))
     }
 
-    /// Of both.
+    /// The union of both.
     #[must_use]
     pub const fn or(self, other: KnownFeatures) -> KnownFeatures {
         KnownFeatures(Terms(self.0.0 | other.0.0))
@@ -535,7 +535,7 @@ pub struct LinearReport {
     pub unusable_rows: usize,
 }
 
-/// Values with the names of their features, which are those of [`FEATURE_NAMES`].
+/// Deserialises values with the names of their features, which must be those of [`FEATURE_NAMES`].
 fn of_features<'de, D, T>(from: D) -> Result<Vec<(&'static str, T)>, D::Error>
 where
     D: Deserializer<'de>,

@@ -5,8 +5,8 @@ use serde::Deserialize;
 
 use super::TrainSettings;
 
-/// Settings of the training and of the split; the default is the paper's. `configs/recipes/paper.toml` explains
-/// every key.
+/// Settings of the training and of the split. The default is the paper's.
+/// `configs/recipes/paper.toml` explains every key.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Recipe {
@@ -16,7 +16,7 @@ pub struct Recipe {
     pub split: Split,
 }
 
-/// A recipe is refused: what is wrong, and where.
+/// Why a recipe is refused, with its position.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct RecipeError(String);

@@ -44,7 +44,7 @@ struct HeldOut {
 }
 
 impl TrainReport {
-    /// Of a training that took this long. `path`: the model file, if it was written.
+    /// The report of a training that took this long. `path` is the model file, if it was written.
     #[must_use]
     pub fn new(
         path: Option<&Path>,

@@ -25,7 +25,7 @@ pub enum ResumeError {
     /// The checkpoint was made with other data or settings.
     #[error("the saved run has another {what}: {found}, expected {expected}; start a new run")]
     Differs {
-        /// What differs.
+        /// The part that differs.
         what: &'static str,
         /// The value in the checkpoint.
         found: String,

@@ -71,7 +71,7 @@ fn linear(dataset: &Dataset) -> Option<Linear> {
     linear.check().is_ok().then_some(linear)
 }
 
-/// Scores and residuals of a network on rows, with those of persistence.
+/// Scores and residuals of a network on rows, with the scores of persistence.
 pub fn scored(network: &Network, rows: &[Row]) -> (Scores, ResidualStats) {
     let inputs: Vec<Features> = rows.iter().map(|row| row.features).collect();
     let mut forecasts_w = vec![0.0; rows.len()];

@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::TrainError;
 use super::adam::Hyperparameters;
 
-/// Training settings: the hyperparameters of the paper's recipe (arXiv 2603.13908, section 5), and
-/// those of Adam.
+/// Training settings: the hyperparameters of the paper's recipe (arXiv 2603.13908, section 5) and
+/// of Adam.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TrainSettings {

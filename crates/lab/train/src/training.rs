@@ -21,8 +21,8 @@ use joulebus_statistics::noise::Noise;
 
 /// Minimum number of rows for training and for scoring.
 const FEWEST_ROWS: usize = 2;
-/// Most threads of a run.
-const MOST_THREADS: usize = 256;
+/// Maximum number of threads of a run.
+const MAX_THREADS: usize = 256;
 /// Random streams: initial weights, row order of an epoch, dropout.
 const INITIAL: u64 = 0;
 const ORDER: u64 = 1 << 62;
@@ -96,11 +96,11 @@ impl Training {
         threads: usize,
     ) -> Result<Self, TrainError> {
         settings.check()?;
-        if threads > MOST_THREADS {
-            let reason = format!("allowed are 0, one per core, to {MOST_THREADS}");
+        if threads > MAX_THREADS {
+            let reason = format!("allowed are 0, one per core, to {MAX_THREADS}");
             return Err(TrainError::Threads { threads, reason });
         }
-        // Of all rows: an unusable one would cut the run of readings around it.
+        // Count over all rows: dropping an unusable row would cut the run of readings around it.
         let trained_rows = trained_rows(dataset);
         let (dataset, unusable_rows) = usable(dataset, settings.feature_set);
         check_rows(&dataset, unusable_rows)?;
@@ -226,8 +226,8 @@ impl Training {
         })
     }
 
-    /// One batch: its parts are computed in parallel, their gradients are added in order. Returns
-    /// the summed loss.
+    /// Trains one batch. Its parts are computed in parallel and their gradients added in order.
+    /// Returns the summed loss.
     fn step(&mut self, rows: &[u32], stream: u64) -> f64 {
         let Self {
             training,

@@ -69,7 +69,7 @@ impl Weights {
         Self { values, shapes }
     }
 
-    /// In the predictor's order: output by output.
+    /// The layers in the predictor's order: output by output.
     pub(super) fn layers(&self) -> [Layer; LAYERS] {
         self.shapes.map(|shape| {
             let (matrix, bias) = shape.split(&self.values);

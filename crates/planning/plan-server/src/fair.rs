@@ -1,16 +1,17 @@
-//! Which process is served next. Pure.
+//! The choice of the process that is served next. Pure.
 
 /// Processes without a question whose time is remembered, at most.
-const MOST_REMEMBERED: usize = 64;
+const MAX_REMEMBERED: usize = 64;
 
-/// Start-time fair queueing: the time that each process has used, ns, on a scale that all share.
+/// Start-time fair queueing: the time that each process has used, ns, on a common scale.
 ///
-/// A process that asks again continues at its own time, so that it pays for what it was served last; one that
-/// comes back after a pause at the time of the process served last, so that nobody saves time up.
+/// A process that asks again continues at its own time, so it pays for its last service. One that
+/// returns after a pause starts at the time of the process served last, so that none can save up
+/// time.
 #[derive(Debug, Default)]
 pub(crate) struct Fair {
     used: Vec<(u32, u64)>,
-    /// The time of the process served last, at which its turn began. Nobody who waits has used less.
+    /// The start time of the process served last. No waiting process has used less.
     floor_ns: u64,
 }
 
@@ -22,12 +23,13 @@ impl Fair {
         }
     }
 
-    /// Forgets processes without questions that begin at the floor in any case, and the first of too many.
+    /// Forgets processes without questions that begin at the floor in any case, and the first of
+    /// too many.
     pub(crate) fn keep(&mut self, waits: impl Fn(u32) -> bool) {
         let floor_ns = self.floor_ns;
         self.used
             .retain(|(process, used_ns)| *used_ns > floor_ns || waits(*process));
-        let mut surplus = self.used.len().saturating_sub(MOST_REMEMBERED);
+        let mut surplus = self.used.len().saturating_sub(MAX_REMEMBERED);
         self.used.retain(|(process, _)| {
             let goes = surplus > 0 && !waits(*process);
             surplus -= usize::from(goes);
@@ -61,8 +63,8 @@ impl Fair {
 mod tests {
     use super::*;
 
-    /// Each process asks again as soon as it is answered, and has no question for a moment in between.
-    /// Returns the time that each has used.
+    /// Each process asks again as soon as it is answered, and has no question for a moment in
+    /// between. Returns the time that each has used.
     fn ask_again_and_again(costs_ns: &[u64], rounds: usize) -> Vec<u64> {
         let mut fair = Fair::default();
         let mut used_ns = vec![0; costs_ns.len()];
@@ -124,7 +126,7 @@ mod tests {
             fair.enter(process);
             fair.served(process, 1_000_000_000);
             fair.keep(|_| false);
-            assert!(fair.used.len() <= MOST_REMEMBERED);
+            assert!(fair.used.len() <= MAX_REMEMBERED);
         }
         fair.enter(7);
         for _ in 0..2 {

@@ -1,13 +1,14 @@
 //! A question that waits or is being answered.
 
 use joulebus_bus::{OpenQuery, PeerWatch};
-use joulebus_plan::{Question, Refused, Work};
+use joulebus_plan::answering::Work;
+use joulebus_plan::{Question, Refused};
 use joulebus_wire::{AnswerHeader, QueryHeader, QueryRefusal};
 
 /// A question's process is watched from this age on, ns: most are answered before.
 const WATCHED_FROM_NS: u64 = 1_000_000;
-/// Longest time that a question is kept, whatever its client says, ns.
-const LONGEST_NS: u64 = 10_000_000_000;
+/// Maximum time for which a question is kept, even if its client asks for more, ns.
+const MAX_AGE_NS: u64 = 10_000_000_000;
 /// A question waits this many ticks for a new frame, then it is answered from the old one.
 const FRAME_TICKS: u64 = 3;
 /// A question waits this long for the first frame, then it is refused, ns.
@@ -22,10 +23,10 @@ pub(crate) struct Job {
     /// The process that asked.
     pub(crate) client: u32,
     pub(crate) taken_ns: u64,
-    /// What the answer is computed from; filled when that begins.
+    /// Inputs of the answer. Filled when the computation starts.
     pub(crate) answer: AnswerHeader,
     pub(crate) state: State,
-    /// How often its answer was begun again, because the robots' state had become stale.
+    /// Number of times that its computation restarted because the robots' state had become stale.
     pub(crate) renewals: u32,
     watch: Option<PeerWatch>,
 }
@@ -77,7 +78,7 @@ impl Job {
 
     /// Why it is not worth answering any more, if so.
     pub(crate) fn is_over(&mut self, now_ns: u64) -> Option<Refused> {
-        let limit_ns = self.taken_ns.saturating_add(LONGEST_NS);
+        let limit_ns = self.taken_ns.saturating_add(MAX_AGE_NS);
         if now_ns >= self.header.deadline_ns.min(limit_ns) {
             let waited_s = now_ns.saturating_sub(self.taken_ns) as f64 * 1e-9;
             let text =
@@ -85,7 +86,7 @@ impl Job {
             return Some(Refused::new(QueryRefusal::Deadline, text));
         }
         if now_ns.saturating_sub(self.taken_ns) >= WATCHED_FROM_NS {
-            // One that has ended before costs an answer that nobody reads, until the cleanup finds it.
+            // A client that has already ended costs an unread answer, until the cleanup finds it.
             self.watch = self.watch.take().or_else(|| PeerWatch::open(self.client));
         }
         let is_gone = self.watch.as_ref().is_some_and(PeerWatch::is_gone);

@@ -1,11 +1,12 @@
 //! Answers questions about plans, in a thread beside the tick of `joulebus run`.
 //!
-//! For processes that do not compute for themselves: [`joulebus_planner::PlanClient`] asks, and this
-//! thread answers with the code of `joulebus-plan`, from the plan states and budgets that the worker
-//! writes into shared memory; the tick does nothing for it beyond writing them. It has its own nice value,
-//! takes questions of all clients before it answers any, serves the process that has used least of
-//! its time first, robot by robot, refuses what it cannot answer with a reason, and records
-//! questions and answers for whoever reads them.
+//! It serves processes that do not compute plans themselves. [`joulebus_planner::PlanClient`] asks,
+//! and this thread answers with the code of `joulebus-plan`, from the plan states and budgets that
+//! the worker writes into shared memory. The tick does nothing beyond writing them.
+//!
+//! The thread has its own nice value and takes questions of all clients before it answers any. It
+//! serves the process that has used least of its time first, robot by robot. It refuses what it
+//! cannot answer, with a reason, and records questions and answers for readers.
 #![forbid(unsafe_code)]
 
 mod fair;
@@ -30,11 +31,11 @@ use server::Server;
 
 /// Pause before the ports are opened, and before a failed opening is tried again.
 const OPEN_EVERY: Duration = Duration::from_millis(20);
-/// Longest time that a worker waits for its first opening, and how often it looks.
+/// Timeout of the first opening, for which a worker waits, and the interval of its checks.
 const OPEN_WITHIN: Duration = Duration::from_secs(2);
-const LOOK_EVERY: Duration = Duration::from_millis(1);
+const POLL_INTERVAL: Duration = Duration::from_millis(1);
 /// Failed openings in a row after which one is logged.
-const SAY_AFTER: u32 = 50;
+const LOG_AFTER: u32 = 50;
 
 /// The thread that answers questions. Stopped when dropped.
 #[derive(Debug)]
@@ -74,8 +75,9 @@ pub enum StartError {
 }
 
 impl PlanServer {
-    /// Starts the thread, unless the config says that questions are not answered. To be called before
-    /// the worker is opened, whose CPUs and priority the thread would inherit. It opens nothing yet.
+    /// Starts the thread, unless the config turns questions off. Call it before the worker is
+    /// opened, because the thread would inherit the worker's CPUs and priority. It opens nothing
+    /// yet.
     ///
     /// # Errors
     /// [`StartError`].
@@ -93,8 +95,8 @@ impl PlanServer {
         Ok(Self { thread, shared })
     }
 
-    /// From now on questions are answered: to be called by the process that holds the fleet's worker
-    /// lock, since clients take answers from no other.
+    /// Lets the thread answer questions. Only the process with the fleet's worker lock may call it,
+    /// because clients accept answers from no other.
     pub fn serve(&self) {
         self.shared.serves.store(true, Ordering::Release);
         if let Some(thread) = &self.thread {
@@ -102,15 +104,15 @@ impl PlanServer {
         }
     }
 
-    /// Waits until the ports are open, so that a worker that is ready has all its memory, or could not be
-    /// opened, at most two seconds. To be called after [`PlanServer::serve`].
+    /// Waits until the ports are open, so that a worker that is ready has all its memory, or could
+    /// not be opened, at most two seconds. To be called after [`PlanServer::serve`].
     pub fn wait_until_open(&self) {
         if self.thread.is_none() {
             return;
         }
         let give_up = Instant::now() + OPEN_WITHIN;
         while !self.shared.tried.load(Ordering::Acquire) && Instant::now() < give_up {
-            std::thread::sleep(LOOK_EVERY);
+            std::thread::sleep(POLL_INTERVAL);
         }
     }
 
@@ -172,10 +174,10 @@ impl Answering {
         }
     }
 
-    /// A port of a killed worker is there until it is cleaned up: only what lasts is logged.
+    /// Logs an error that persists. The port of a killed worker stays until it is cleaned up.
     fn failed(&mut self, error: &server::ServerError) {
         self.failures += 1;
-        if self.failures.is_multiple_of(SAY_AFTER) {
+        if self.failures.is_multiple_of(LOG_AFTER) {
             tracing::warn!(%error, "questions about plans are not answered at present");
         }
     }
@@ -211,7 +213,7 @@ impl Steps for Answering {
                 Err(error) => self.failed(&error),
             },
             (Err(error), _) => {
-                // All is opened again: the way that is taken after every kill.
+                // Opens everything again, as after a kill.
                 self.server = None;
                 self.failed(&error);
             }

@@ -5,9 +5,9 @@ use joulebus_wire::{
     Queries, QueriesHeader, QueryCounts, QueryRecord, RECORD_WORDS, SCHEMA_VERSION, push_record,
 };
 
-/// Longest time that a record waits for others, ns: a recorder looks every 10 ms.
+/// Maximum time that a record waits for others, ns. A recorder polls every 10 ms.
 const FLUSH_EVERY_NS: u64 = 3_000_000;
-/// Longest time until counts are sent, ns.
+/// Maximum time until counts are sent, ns.
 const COUNTS_EVERY_NS: u64 = 500_000_000;
 
 /// Gathers records, and sends them.
@@ -23,7 +23,7 @@ pub(crate) struct Records {
 }
 
 impl Records {
-    /// `begun_ns`: when the thread began to answer, whatever ports it has lost since.
+    /// Opens the port. `begun_ns` is when the thread began to answer, before any loss of ports.
     pub(crate) fn open(bus: &Bus, limits: &Limits, begun_ns: u64) -> Result<Self, OpenError> {
         Ok(Self {
             writer: bus.writer(limits)?,
@@ -35,7 +35,7 @@ impl Records {
         })
     }
 
-    /// Adds the record of the question that was counted last, if somebody reads.
+    /// Adds the record of the question counted last, if there is a reader.
     pub(crate) fn add(
         &mut self,
         mut record: QueryRecord,
@@ -56,7 +56,7 @@ impl Records {
         Ok(())
     }
 
-    /// Sends what is due. Returns when the next is, monotonic ns.
+    /// Sends the records that are due. Returns when the next are due, monotonic ns.
     pub(crate) fn flush(&mut self, counts: QueryCounts, last: bool) -> Result<u64, SendError> {
         let now_ns = clock::monotonic_ns();
         if self.words.is_empty() {

@@ -5,8 +5,9 @@ use joulebus_bus::{
     process_id,
 };
 use joulebus_config::Config;
-use joulebus_plan::{Fleet, QuestionError, Refused, Work};
-use joulebus_planner::{OpenPlannerError, Planner, View};
+use joulebus_plan::answering::Work;
+use joulebus_plan::{Fleet, QuestionError, Refused};
+use joulebus_planner::{ConnectError, Planner, View};
 use joulebus_wire::{
     AnswerHeader, QUERY_STEPS, QueryCounts, QueryRecord, QueryRefusal, SCHEMA_VERSION, fnv1a,
 };
@@ -16,10 +17,10 @@ use crate::job::{Job, State};
 use crate::records::Records;
 
 /// Questions of one process that may wait.
-const MOST_OF_A_PROCESS: usize = 4;
-/// Times that an answer is begun again with newer rows, at most: ways are followed once, so that the first is enough
-/// unless the thread is hardly run.
-const MOST_RENEWALS: u32 = 3;
+const MAX_OF_A_PROCESS: usize = 4;
+/// Times that an answer is begun again with newer rows, at most: ways are followed once, so that
+/// the first is enough unless the thread is hardly run.
+const MAX_RENEWALS: u32 = 3;
 /// Pause while a frame of the fleet is awaited, ns.
 const FRAME_POLL_NS: u64 = 1_000_000;
 /// Time after the last client has left until plan states are not read any more, ns.
@@ -35,7 +36,7 @@ pub(crate) enum ServerError {
     #[error(transparent)]
     Open(#[from] OpenError),
     #[error(transparent)]
-    Planner(#[from] OpenPlannerError),
+    Connect(#[from] ConnectError),
     #[error(transparent)]
     Receive(#[from] ReceiveError),
     #[error(transparent)]
@@ -65,7 +66,8 @@ pub(crate) struct Server {
 }
 
 impl Server {
-    /// `begun_ns`, `counts`: when the thread began, and what was answered before ports were lost.
+    /// Opens the ports. `begun_ns` and `counts` are the thread's start and its counts from before
+    /// any loss of ports.
     pub(crate) fn open(
         config: &Config,
         models: &Fleet,
@@ -147,8 +149,8 @@ impl Server {
         taken
     }
 
-    /// Receives as many questions as clients can have in transfer: more come from clients that do not wait
-    /// for answers, and wait until the next round.
+    /// Receives as many questions as clients can have in transfer: more come from clients that do
+    /// not wait for answers, and wait until the next round.
     fn take(&mut self) -> Result<(), ServerError> {
         for _ in 0..self.in_transfer {
             let Some(query) = self.server.receive()? else {
@@ -158,9 +160,9 @@ impl Server {
             let of_process = self.jobs.iter().filter(|other| other.client == job.client);
             if let Err(refused) = checked {
                 self.refuse(job, &refused)?;
-            } else if of_process.count() >= MOST_OF_A_PROCESS {
+            } else if of_process.count() >= MAX_OF_A_PROCESS {
                 let text = format!(
-                    "{MOST_OF_A_PROCESS} questions of process {} wait already: ask when they are answered",
+                    "{MAX_OF_A_PROCESS} questions of process {} wait already: ask when they are answered",
                     job.client
                 );
                 self.refuse(job, &Refused::new(QueryRefusal::Busy, text))?;
@@ -209,7 +211,7 @@ impl Server {
         if jobs.is_empty() {
             return Ok((None, false));
         }
-        // What cannot be read now is read later, or the question is refused.
+        // A view that cannot be read now is read later, or the question is refused.
         let view = self.planner.as_mut().map(Planner::view);
         let view = view.and_then(Result::ok).flatten();
         let (has_frame, is_current) = (view.is_some(), view.is_some_and(|view| view.is_current()));
@@ -230,7 +232,7 @@ impl Server {
 
     /// Works on a question: up to one robot of it, or one way to be followed.
     fn advance(&mut self, place: usize) -> Result<(), ServerError> {
-        // What other threads take from this one is not charged to a client.
+        // Thread time: the time that other threads take is not charged to a client.
         let begun_ns = clock::thread_cpu_ns();
         let mut job = self.jobs.remove(place);
         let client = job.client;
@@ -278,10 +280,10 @@ impl Server {
         self.renew(job, work)
     }
 
-    /// The complete work; where the robots' state has become stale meanwhile, computed again from the newest frames.
-    /// What is left of that if one more way has to be followed stays with the question.
+    /// The finished work. If the robots' state has become stale, it is computed again from the
+    /// newest frames. A part that needs another way to be followed stays with the question.
     fn renew(&mut self, job: &mut Job, work: Work) -> Result<Option<Work>, Refused> {
-        if job.renewals >= MOST_RENEWALS || !work.is_stale(clock::monotonic_ns()) {
+        if job.renewals >= MAX_RENEWALS || !work.is_stale(clock::monotonic_ns()) {
             return Ok(Some(work));
         }
         // Without a newer frame the answer states that.
@@ -339,7 +341,7 @@ impl Server {
         self.record(&job, &words)
     }
 
-    /// `now_ns`: what the answer says of its age depends on it.
+    /// Sends an answer. The age in the answer depends on `now_ns`.
     fn send(&mut self, job: &mut Job, words: &[u64], now_ns: u64) -> Result<(), SendError> {
         job.answer = AnswerHeader {
             schema: SCHEMA_VERSION,
@@ -349,14 +351,10 @@ impl Server {
             sent_ns: now_ns,
             ..job.answer
         };
-        let sent = self
-            .server
-            .answer(&job.query, job.answer, job.listener(), words);
-        match sent {
-            // A client that was not woken finds the answer itself.
-            Err(SendError::Wake(_)) => Ok(()),
-            sent => sent,
-        }
+        // A client that was not woken finds the answer itself.
+        self.server
+            .answer(&job.query, job.answer, job.listener(), words)?;
+        Ok(())
     }
 
     fn record(&mut self, job: &Job, words: &[u64]) -> Result<(), ServerError> {

@@ -1,5 +1,5 @@
-//! While the thread answers questions, the tick of the same process allocates nothing of its own: only iceoryx2
-//! 0.10 does, once for each of the frames of a tick.
+//! While the thread answers questions, the tick of the same process allocates nothing of its own:
+//! only iceoryx2 0.10 does, once for each of the frames of a tick.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::path::PathBuf;
@@ -96,7 +96,7 @@ fn while_questions_are_answered_the_tick_allocates_nothing_of_its_own() {
         let _end = OnDrop(&stop);
         scope.spawn(|| feed(&config, &stop));
         scope.spawn(|| ask(&config, &answered, &stop));
-        // At least so many ticks and answers.
+        // Waits for at least that many ticks and answers.
         let tick = |worker: &mut Worker, ticks: u64, answers: u64| {
             let (begin, mut done) = (Instant::now(), 0);
             let before = answered.load(Ordering::Relaxed);

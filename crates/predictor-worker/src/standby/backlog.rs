@@ -1,17 +1,18 @@
-//! Samples that came while another host's worker serves, and may not be in a state of it that is here.
+//! Samples that arrived while another host's worker leads, and may be missing in its newest state
+//! on this host.
 
 use std::collections::VecDeque;
 
 use joulebus_settings::FleetSettings;
 use joulebus_wire::{Sample, SampleHeader};
 
-/// For how long frames are kept: a state is a second old when it comes, and samples may reach that worker later than this
-/// one.
+/// For how long frames are kept: a state is a second old when it comes, and samples may reach that
+/// worker later than this one.
 pub(crate) const KEEP_NS: u64 = 10_000_000_000;
 /// For how long there is room: that time, and the pause between two looks at the state.
 const ROOM_NS: u64 = KEEP_NS + 2_000_000_000;
-/// Longest time between two samples of a robot for which there is room: sources of slow robots may send more often.
-const LONGEST_PERIOD_NS: u64 = 33_333_333;
+/// Longest sample period for which there is room. Sources of slow robots may send more often.
+const MAX_PERIOD_NS: u64 = 33_333_333;
 
 /// A frame, and when it came.
 #[derive(Debug)]
@@ -29,7 +30,7 @@ pub(crate) struct Backlog {
     most_samples: usize,
 }
 
-/// What a frame takes of the room: without samples it takes some, too.
+/// The room that a frame takes. A frame without samples takes some, too.
 fn size(held: &Held) -> usize {
     held.samples.len().max(1)
 }
@@ -38,7 +39,7 @@ impl Backlog {
     /// For as many robots as `settings` allow, all at the rate of the fastest platform.
     pub(crate) fn new(settings: &FleetSettings) -> Self {
         let periods_ns = settings.platforms.iter().map(|it| it.period_ns);
-        let fastest_ns = periods_ns.fold(LONGEST_PERIOD_NS, u64::min).max(1);
+        let fastest_ns = periods_ns.fold(MAX_PERIOD_NS, u64::min).max(1);
         let samples = usize::try_from(ROOM_NS / fastest_ns).unwrap_or(usize::MAX);
         Self {
             frames: VecDeque::new(),

@@ -1,9 +1,9 @@
-//! What a worker that stands by knows of its robots: the newest state of the worker that serves, and the samples that came
-//! since.
+//! A standby worker's view of its robots: the leader's newest state, and the samples since.
 //!
-//! Frames are kept for some seconds and forgotten then, because a state that came later contains them. Where no state comes
-//! any more, as from a dead host whose lease runs on, or until an operator commands, the fleet is restored from the last one
-//! and takes the frames as they become old, as if it served: the memory is bounded, and the wait is not.
+//! Frames are kept for some seconds and then dropped, because a later state contains them. If
+//! states stop, as from a dead host whose lease runs on, or until an operator chooses a leader, the
+//! fleet is restored from the last state. It then takes the frames as they become old, as if it
+//! led. The memory is bounded, and the wait is not.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -15,9 +15,9 @@ use joulebus_standby::Places;
 use super::backlog::{Backlog, Held};
 use super::restore::{Restored, newest, restore};
 
-/// How often it is looked which state is the newest.
-const LOOK_EVERY_NS: u64 = 1_000_000_000;
-/// A state that was taken so long after a frame came here contains it, or never will.
+/// Interval of checks for a newer state.
+const POLL_INTERVAL_NS: u64 = 1_000_000_000;
+/// Age of a frame, when a state is taken, from which the state contains it or never will.
 const CONTAINED_NS: u64 = 5_000_000_000;
 
 /// The frames that were taken without output.
@@ -39,7 +39,7 @@ pub(crate) struct Following {
     look_ns: u64,
     /// The newest state when one was restored last; it may have been refused.
     tried: Option<Order>,
-    /// Which state the fleet is from.
+    /// The state that the fleet was restored from.
     restored: Option<Restored>,
     replayed: Replayed,
     tick_ns: Option<u64>,
@@ -70,7 +70,7 @@ impl Following {
     pub(crate) fn advance(&mut self, fleet: &mut Fleet, places: &Places) {
         let now_ns = clock::monotonic_ns();
         if now_ns >= self.look_ns {
-            self.look_ns = now_ns.saturating_add(LOOK_EVERY_NS);
+            self.look_ns = now_ns.saturating_add(POLL_INTERVAL_NS);
             self.look(places);
         }
         while let Some(held) = self.backlog.pop_due(now_ns) {
@@ -84,8 +84,9 @@ impl Following {
         }
     }
 
-    /// Has the fleet take all that is here, as if it had been there, without output. Counts each frame in `turns`: of a large
-    /// fleet it takes seconds, in which a watchdog is to see that the worker works.
+    /// Has the fleet take all that is here, as if it had been there, without output. Counts each
+    /// frame in `turns`: of a large fleet it takes seconds, in which a watchdog is to see that the
+    /// worker works.
     pub(crate) fn take_over(
         mut self,
         fleet: &mut Fleet,
@@ -101,8 +102,8 @@ impl Following {
         (self.restored, self.replayed)
     }
 
-    /// Looks which state is the newest. A file that cannot be read any more takes nothing back: what was taken into its state
-    /// is not kept elsewhere.
+    /// Looks for the newest state. If its file cannot be read any more, nothing is undone: the
+    /// samples in its state are not kept elsewhere.
     fn look(&mut self, places: &Places) {
         self.newest = self.newest.max(newest(places));
     }
@@ -136,7 +137,8 @@ impl Following {
     }
 }
 
-/// Whether a state that was taken at `taken_ns` contains a frame, or no later one of that worker will.
+/// Whether a state that was taken at `taken_ns` contains a frame, or no later one of that worker
+/// will.
 const fn is_contained(held: &Held, taken_ns: u64) -> bool {
     held.taken_ns.saturating_add(CONTAINED_NS) <= taken_ns
 }
@@ -219,7 +221,7 @@ mod tests {
         let now_ns = clock::monotonic_ns();
         let taken_ns = save(&places.replica, 1, now_ns - KEEP_NS - 3_000_000_000);
         let mut following = Following::new(config().settings(), PERIOD_NS);
-        // Its clock begins anew, and its runs with it.
+        // Its clock restarts, and its runs with it.
         for seq in 0..20 {
             let _ = following.keep(held(2, seq, taken_ns + 1_000_000_000 + seq * PERIOD_NS));
         }

@@ -1,7 +1,7 @@
-//! A worker that serves with a permit only: of several that can serve the same robots, on several hosts, one does.
+//! A worker that serves only with a permit: of several candidates on several hosts, one leads.
 //!
-//! Who may is decided elsewhere: the link of this host, or whoever writes the permit. Worker and link leave each other
-//! the files of [`joulebus_standby`].
+//! The permit comes from outside: from the link of this host, or from whoever writes its file.
+//! Worker and link communicate through the files of [`joulebus_standby`].
 
 pub(crate) mod backlog;
 pub(crate) mod follow;

@@ -5,7 +5,7 @@ use std::path::Path;
 use joulebus_fleet::{Fleet, FleetState};
 use joulebus_standby::{Places, SavedState};
 
-/// Where a worker's state is from.
+/// The source of a worker's state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Restored {
     /// Term of the worker that had it.
@@ -20,13 +20,13 @@ fn files(places: &Places) -> [&Path; 2] {
 /// Term of the newest state that the files have, and when it was taken.
 pub(crate) fn newest(places: &Places) -> Option<(u64, u64)> {
     let read = files(places).into_iter().map(SavedState::read);
-    // What is damaged is told when it is restored.
+    // Damage is logged when the state is restored.
     read.filter_map(|read| Some(read.ok()??.order())).max()
 }
 
-/// Restores the newest state that the files have: this host's own of before, or that of the worker elsewhere. One that
-/// cannot be used is named, and the other one taken; `None`: neither can or is newer than the one `before`, and the fleet is
-/// unchanged.
+/// Restores the newest state of the files: this host's own earlier one, or that of a worker
+/// elsewhere. If one cannot be used, that is logged and the other one is taken. `None` if neither
+/// is usable or newer than the one `before`. The fleet is then unchanged.
 pub(crate) fn restore(
     fleet: &mut Fleet,
     places: &Places,

@@ -8,7 +8,7 @@ use std::time::Duration;
 use joulebus_bus::{Background, Steps};
 use joulebus_standby::{Permit, PermitError};
 
-/// How often the permit's file is read.
+/// Interval of reading the permit's file.
 pub(crate) const READ_EVERY: Duration = Duration::from_millis(50);
 
 /// The permit has run out, or was withdrawn.
@@ -22,16 +22,16 @@ pub struct PermitOver {
     pub term: u64,
 }
 
-/// What the tick reads before it sends.
+/// The permit as the tick reads it before it sends.
 #[derive(Debug)]
-pub(crate) struct Speaking {
+pub(crate) struct CurrentPermit {
     until_ns: AtomicU64,
     /// 0: of a worker that needs no permit, or has none yet.
     term: AtomicU64,
 }
 
-impl Speaking {
-    /// Of a worker that needs no permit.
+impl CurrentPermit {
+    /// The permit of a worker that needs none.
     pub(crate) const fn always() -> Self {
         Self {
             until_ns: AtomicU64::new(u64::MAX),
@@ -39,7 +39,7 @@ impl Speaking {
         }
     }
 
-    /// Of a worker that waits for one.
+    /// The permit of a worker that waits for one.
     pub(crate) const fn not_yet() -> Self {
         Self {
             until_ns: AtomicU64::new(0),
@@ -68,7 +68,8 @@ impl Speaking {
         self.renew(Some(permit));
     }
 
-    /// What the file says now. A permit of another term is not this worker's: it may not have been alone in between.
+    /// Applies the file's contents. A permit of another term is not this worker's, because another
+    /// may have led in between.
     fn renew(&self, permit: Option<&Permit>) {
         let own = permit.filter(|permit| permit.term == self.term());
         let until_ns = own.map_or(0, |permit| permit.until_ns.unwrap_or(u64::MAX));
@@ -79,22 +80,22 @@ impl Speaking {
 /// Reads the permit's file again and again. A permit that ended is not begun again.
 struct Renewal {
     path: PathBuf,
-    speaking: Arc<Speaking>,
-    is_told: bool,
+    current_permit: Arc<CurrentPermit>,
+    is_logged: bool,
 }
 
-/// Begins to serve by the first permit, and keeps `speaking` up to date with the one in the file: that may have been renewed
-/// since the first was read, by when a large fleet was restored.
+/// Begins to serve by the first permit, and keeps `current_permit` up to date with the one in the
+/// file: that may have been renewed since the first was read, by when a large fleet was restored.
 pub(crate) fn start(
     path: PathBuf,
-    speaking: Arc<Speaking>,
+    current_permit: Arc<CurrentPermit>,
     first: &Permit,
 ) -> std::io::Result<Background> {
-    speaking.begin(first);
+    current_permit.begin(first);
     let mut renewal = Renewal {
         path,
-        speaking,
-        is_told: false,
+        current_permit,
+        is_logged: false,
     };
     renewal.step(false);
     Background::start("joulebus-permit", move || Ok::<_, std::io::Error>(renewal))
@@ -104,24 +105,25 @@ impl Steps for Renewal {
     fn step(&mut self, last: bool) -> Option<Duration> {
         match Permit::read(&self.path) {
             Ok(permit) => {
-                self.speaking.renew(permit.as_ref());
-                if permit.is_none_or(|permit| permit.term != self.speaking.term()) {
+                self.current_permit.renew(permit.as_ref());
+                if permit.is_none_or(|permit| permit.term != self.current_permit.term()) {
                     return None;
                 }
             }
-            Err(error) => self.tell(&error),
+            Err(error) => self.log_failure(&error),
         }
         (!last).then_some(READ_EVERY)
     }
 }
 
 impl Renewal {
-    /// What cannot be read extends nothing: the worker serves for as long as it was told last.
-    fn tell(&mut self, error: &PermitError) {
-        if !self.is_told {
+    /// Logs a read error once. An unreadable file extends nothing: the worker serves until the last
+    /// known end.
+    fn log_failure(&mut self, error: &PermitError) {
+        if !self.is_logged {
             tracing::warn!(%error, "the permit cannot be read");
         }
-        self.is_told = true;
+        self.is_logged = true;
     }
 }
 
@@ -137,31 +139,31 @@ mod tests {
 
     #[test]
     fn a_worker_speaks_until_its_permit_ends_and_never_with_that_of_another_term() {
-        assert!(Speaking::always().holds(u64::MAX));
-        let speaking = Speaking::not_yet();
-        assert!(!speaking.holds(0));
-        speaking.begin(&PERMIT);
-        assert!(speaking.holds(99) && !speaking.holds(100));
-        speaking.renew(Some(&Permit {
+        assert!(CurrentPermit::always().holds(u64::MAX));
+        let current_permit = CurrentPermit::not_yet();
+        assert!(!current_permit.holds(0));
+        current_permit.begin(&PERMIT);
+        assert!(current_permit.holds(99) && !current_permit.holds(100));
+        current_permit.renew(Some(&Permit {
             until_ns: Some(200),
             ..PERMIT
         }));
-        assert!(speaking.holds(199));
-        speaking.renew(Some(&Permit {
+        assert!(current_permit.holds(199));
+        current_permit.renew(Some(&Permit {
             until_ns: None,
             ..PERMIT
         }));
-        assert!(speaking.holds(u64::MAX - 1));
+        assert!(current_permit.holds(u64::MAX - 1));
         for permit in [
             None,
             Some(Permit { term: 5, ..PERMIT }),
             Some(Permit { term: 3, ..PERMIT }),
         ] {
-            speaking.begin(&PERMIT);
-            speaking.renew(permit.as_ref());
-            assert!(!speaking.holds(0), "{permit:?}");
+            current_permit.begin(&PERMIT);
+            current_permit.renew(permit.as_ref());
+            assert!(!current_permit.holds(0), "{permit:?}");
         }
-        assert_eq!(speaking.over().term, 4);
+        assert_eq!(current_permit.over().term, 4);
     }
 
     #[test]
@@ -184,10 +186,10 @@ mod tests {
                 Some(permit) => permit.write(&path).unwrap(),
                 None => Permit::withdraw(&path).unwrap(),
             }
-            let speaking = Arc::new(Speaking::not_yet());
-            let mut thread = start(path.clone(), Arc::clone(&speaking), &PERMIT).unwrap();
-            assert_eq!(speaking.until_ns.load(Ordering::Acquire), until_ns);
-            assert_eq!(speaking.term(), 4);
+            let current_permit = Arc::new(CurrentPermit::not_yet());
+            let mut thread = start(path.clone(), Arc::clone(&current_permit), &PERMIT).unwrap();
+            assert_eq!(current_permit.until_ns.load(Ordering::Acquire), until_ns);
+            assert_eq!(current_permit.term(), 4);
             thread.finish().unwrap();
         }
     }
@@ -196,25 +198,25 @@ mod tests {
     fn a_withdrawn_permit_ends_the_thread_and_one_that_cannot_be_read_extends_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("permit-lab");
-        let speaking = Arc::new(Speaking::not_yet());
-        speaking.begin(&PERMIT);
+        let current_permit = Arc::new(CurrentPermit::not_yet());
+        current_permit.begin(&PERMIT);
         let mut renewal = Renewal {
             path: path.clone(),
-            speaking: Arc::clone(&speaking),
-            is_told: false,
+            current_permit: Arc::clone(&current_permit),
+            is_logged: false,
         };
         std::fs::write(&path, "nonsense").unwrap();
         assert_eq!(renewal.step(false), Some(READ_EVERY));
-        assert!(speaking.holds(99) && !speaking.holds(100));
+        assert!(current_permit.holds(99) && !current_permit.holds(100));
         let later = Permit {
             until_ns: Some(300),
             ..PERMIT
         };
         later.write(&path).unwrap();
         assert_eq!(renewal.step(false), Some(READ_EVERY));
-        assert!(speaking.holds(299));
+        assert!(current_permit.holds(299));
         Permit::withdraw(&path).unwrap();
         assert_eq!(renewal.step(false), None);
-        assert!(!speaking.holds(0));
+        assert!(!current_permit.holds(0));
     }
 }

@@ -5,7 +5,8 @@ use std::time::{Duration, Instant};
 
 use joulebus_config::Config;
 use joulebus_connect::join;
-use joulebus_plan::{Path, Plan, Point, Question, Reply, RobotRows, Verdict, Work};
+use joulebus_plan::answering::Work;
+use joulebus_plan::{Path, Plan, Point, Question, Reply, RobotRows, Verdict};
 use joulebus_planner::{ClientError, PlanClient, Planner, QueryError};
 use joulebus_tests::AskerLine;
 use joulebus_wire::{QUERY_STEPS, QueryHeader, QueryRefusal, fnv1a, query_flag};
@@ -59,8 +60,8 @@ fn named(error: &ClientError) -> String {
     }
 }
 
-/// Asks as fast as it can until its stdin ends: `heavy` questions take milliseconds. Prints when the
-/// first answer has arrived, and again after each failure; failures as they come.
+/// Asks as fast as it can until its stdin ends: `heavy` questions take milliseconds. Prints when
+/// the first answer has arrived, and again after each failure; failures as they come.
 pub(crate) fn flood(config: &Config, heavy: bool) -> Done {
     let stop = stop_with_stdin();
     let mut client = PlanClient::with_config(config, "asker")?;
@@ -112,8 +113,9 @@ pub(crate) fn calm(config: &Config, count: u64) -> Done {
     print_line(&AskerLine::Done { answered: count })
 }
 
-/// Asks whether robots can drive six metres straight on, and until when they can turn back: 64 ways of up to 40 s each.
-/// Until `count` answers were a yes for every robot, each about a state that was at most two ticks old.
+/// Asks whether robots can drive six metres straight on, and until when they can turn back: 64 ways
+/// of up to 40 s each. Until `count` answers were a yes for every robot, each about a state that
+/// was at most two ticks old.
 pub(crate) fn far(config: &Config, count: u64) -> Done {
     let mut client = PlanClient::with_config(config, "far")?;
     let (from, end) = (Point::new(0.0, 0.0), Point::new(6.0, 0.0));

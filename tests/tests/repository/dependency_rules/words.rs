@@ -155,7 +155,7 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         // What a page shows beside its values.
         "serve/src/http/reader.rs",
         // Times that other hosts are told.
-        "bridge/src/telling.rs",
+        "bridge/src/outbound.rs",
         // Captures and their names contain their creation time.
         "capture/recorder/src/attachments.rs",
         "cli/src/demo/capture.rs",

@@ -37,7 +37,8 @@ pub(crate) fn network(path: &Path) -> anyhow::Result<Network> {
     Ok(network)
 }
 
-/// The layers with the normalisation folded into the first and the last: the minimum work for peers.
+/// The layers with the normalisation folded into the first and the last: the minimum work for
+/// peers.
 pub(crate) fn layers(path: &Path) -> anyhow::Result<Vec<Dense>> {
     let network = network(path)?;
     let parameters = network.parameters();

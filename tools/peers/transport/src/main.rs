@@ -2,7 +2,10 @@
 //! run: each from a source to a sink, through a relay process that answers a frame of samples with
 //! a frame of forecasts.
 //!
-//! `cargo run --release --manifest-path tools/peers/transport/Cargo.toml -- --json bench-results/transport.json`
+//! ```text
+//! cargo run --release --manifest-path tools/peers/transport/Cargo.toml -- \
+//!     --json bench-results/transport.json
+//! ```
 #![forbid(unsafe_code)]
 
 mod frame;

@@ -9,24 +9,25 @@ use crate::layout::lanes::{Block, Lanes, put};
 /// Serial correlation above which whitening would only amplify noise.
 const CORRELATION_MAX: f32 = 0.9;
 
-/// Limit of residuals, W, and of standardised residuals: without it, one absurd forecast would turn
+/// Limit of residuals, W, and of standardised residuals. Without it, one absurd forecast would turn
 /// the sums into NaN, and no alarm would ever be raised again.
 const RESIDUAL_MAX: f32 = 1e6;
 
-/// The sums stay within this many times their limit, so that an alarm is cleared soon after its cause ends.
+/// The sums stay within this many times their limit, so that an alarm is cleared soon after its
+/// cause ends.
 const CUSUM_MAX: f32 = 1.2;
 /// Largest squared residual that the noise ratio believes: one step of the load is not noise.
 const NOISE_SQUARE_MAX: f32 = 300.0;
-/// The model is judged over this many times as many readings as the noise: few of them carry the changes
-/// that it is there for.
+/// The model is judged over this many times as many readings as the noise: few of them carry the
+/// changes that it is there for.
 const MISMATCH_MEMORY: f32 = 10.0;
-/// Limit of an error and a change in that judgement, and its least squared error, in standard deviations
-/// of the training's residuals: a model that errs as in training is none the worse for a robot that stands
-/// still, where the last reading is nearly exact.
+/// Limits of an error and of a change in that judgement, and its minimum squared error, in standard
+/// deviations of the training's residuals. A model that errs as in training is not worse for a
+/// robot that stands still, where the last reading is nearly exact.
 const MISMATCH_ERROR_MAX: f32 = 20.0;
 const MISMATCH_SQUARE_MIN: f32 = 3.0;
 
-/// Alarms that are decided here; those of the battery follow.
+/// Number of alarms that are decided here. Those of the battery follow.
 const ALARMS: usize = Alarm::WatchdogStop.code() as usize;
 
 /// Residual statistics of one robot.
@@ -81,7 +82,7 @@ impl Detector {
             z_last: 0.0,
             z_square: 1.0,
             z_product: 0.0,
-            // Equal, until readings say otherwise.
+            // Equal, until there are readings.
             error_square: 1.0,
             persistence_square: 1.0,
             agreeing: [0; ALARMS],
@@ -220,7 +221,7 @@ impl DetectorLanes {
         AlarmSet(self.raised[lane])
     }
 
-    /// As [`Block::set`], for the fields that [`Detector::observe`] changes.
+    /// Same as [`Block::set`], for the fields that [`Detector::observe`] changes.
     #[inline(always)]
     pub(crate) fn set_observed(&mut self, lane: usize, mask: bool, robot: &Detector) {
         put(&mut self.bias_w[lane], mask, robot.bias_w);

@@ -16,7 +16,7 @@ pub(crate) struct EnergyLanes {
     learned: [Lanes<f32>; Learned::FLOATS],
 }
 
-/// What changes with every sample.
+/// The part that changes with every sample.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 struct MeteredLanes([Lanes<f32>; Metered::FLOATS]);
 
@@ -60,9 +60,9 @@ impl Block for EnergyLanes {
 pub(crate) struct EnergySamples<'a> {
     pub power_w: &'a Lanes<f32>,
     pub elapsed_s: &'a Lanes<f32>,
-    /// NaN where unknown.
+    /// NaN if unknown.
     pub v_mps: &'a Lanes<f32>,
-    /// NaN where unknown.
+    /// NaN if unknown.
     pub omega_radps: &'a Lanes<f32>,
 }
 
@@ -79,7 +79,8 @@ impl EnergySamples<'_> {
 }
 
 impl EnergyLanes {
-    /// Takes the samples of the robots in the mask. Unless they learn, no shadow forecasts are made.
+    /// Takes the samples of the robots in the mask. Unless they learn, no shadow forecasts are
+    /// made.
     #[inline(always)]
     pub(crate) fn observe(
         &mut self,

@@ -1,32 +1,33 @@
 //! Weights for forecasters by their squared errors: AdaHedge with a memory.
 //!
 //! Members are weighted by `exp(−η·L)`, where `L` is a member's squared error so far, older errors
-//! counting less. The learning rate is adapted, not configured: `η = ln K / Δ`, where Δ is what averaging
-//! has cost so far (de Rooij, van Erven, Grünwald, Koolen, "Follow the leader if you can, hedge if you
-//! must", JMLR 15, 2014, sections 2.1 and 5), with the loss of the mean forecast in place of the mean
-//! loss, and with a memory.
+//! counting less. The learning rate is adapted, not configured: `η = ln K / Δ`, where Δ is what
+//! averaging has cost so far (de Rooij, van Erven, Grünwald, Koolen, "Follow the leader if you can,
+//! hedge if you must", JMLR 15, 2014, sections 2.1 and 5), with the loss of the mean forecast in
+//! place of the mean loss, and with a memory.
 //!
-//! **Bound**, for any readings and members, an adversary's included. Let λ < 1 be the memory's factor,
-//! `h_t` the squared error of the weighted mean at step t, `ℓ_{i,t}` that of member i, W², and `L_{i,0}` its
-//! initial loss above that of the best. For every member and at every time T
+//! **Bound**, for any readings and members, an adversary's included. Let λ < 1 be the memory's
+//! factor, `h_t` the squared error of the weighted mean at step t, `ℓ_{i,t}` that of member i, W²,
+//! and `L_{i,0}` its initial loss above that of the best. For every member and at every time T
 //!
 //! ```text
 //! Σ λ^(T−t) (h_t − ℓ_{i,t})  ≤  2 Δ_T + λ^T L_{i,0}                                      (1)
 //! Δ_T  ≤  max(F, 2 D² ln K / λ) + D²                                                     (2)
 //! ```
 //!
-//! where D is the largest distance between any two of reading and members' forecasts in one step and F the
-//! largest lower bound that Δ was given. So the mean squared error over a memory of 1/(1−λ) readings
-//! exceeds that of the best member by at most `2 (1−λ) Δ_T` plus the initial term, however many
-//! readings there are.
+//! where D is the largest distance between any two of reading and members' forecasts in one step
+//! and F the largest lower bound that Δ was given. So the mean squared error over a memory of
+//! 1/(1−λ) readings exceeds that of the best member by at most `2 (1−λ) Δ_T` plus the initial term,
+//! however many readings there are.
 //!
 //! *Proof.* The mix loss `m_t = −(λ/η_t) ln Σ w_{i,t} exp(−η_t ℓ_{i,t} / λ)` telescopes: with the
-//! scaled losses `λ^(−t) ℓ` and rates `λ^(t−1) η_t`, which never increase because Δ is a discounted sum of
-//! non-negative terms that a lower bound only raises, Σ of the scaled m is at most the scaled loss of any
-//! member plus `ln K` over the last rate (Lemma 2 there). What remains, `h_t − m_t`, is at most what Δ
-//! takes up. That is (1). The squared error is exp-concave at rates up to 1/(2 D²) (Cesa-Bianchi and
-//! Lugosi, "Prediction, learning, and games", 2006, section 3.3), so that Δ takes up nothing once it has
-//! reached `2 D² ln K / λ`, and never more than D² at a time. That is (2).
+//! scaled losses `λ^(−t) ℓ` and rates `λ^(t−1) η_t`, which never increase because Δ is a discounted
+//! sum of non-negative terms that a lower bound only raises, Σ of the scaled m is at most the
+//! scaled loss of any member plus `ln K` over the last rate (Lemma 2 there). What remains,
+//! `h_t − m_t`, is at most what Δ takes up. That is (1). The squared error is exp-concave at rates
+//! up to 1/(2 D²) (Cesa-Bianchi and Lugosi, "Prediction, learning, and games", 2006, section 3.3),
+//! so that Δ takes up nothing once it has reached `2 D² ln K / λ`, and never more than D² at a
+//! time. That is (2).
 
 use std::f32::consts::{LN_2, LOG2_E};
 
@@ -38,14 +39,14 @@ pub(crate) const MEMBERS: usize = 3;
 
 /// The memory λ: an error's weight halves every 231 readings.
 pub(crate) const MEMORY: f32 = 0.997;
-/// Largest error that is believed, W: without a bound one absurd forecast would turn the sums into
-/// infinity.
+/// Limit of an error, W: without it one absurd forecast would turn the sums into infinity.
 const ERROR_MAX: f32 = 1e6;
 
-/// What the weights follow from, W². A member that does not take part has an infinite loss.
+/// The losses on which the weights are based, W². A member that does not take part has an infinite
+/// loss.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Hedge {
-    /// Discounted squared error of the last reading and of the network above that of the stack.
+    /// Discounted squared error of the last reading and of the network, relative to the stack's.
     pub above: [f32; 2],
     /// Δ; 0 before the first error.
     pub cost: f32,
@@ -70,8 +71,8 @@ impl Hedge {
         raw.map(|raw| raw * share)
     }
 
-    /// Learns each member's error, W; of one that does not take part it must only be finite. `floor`: Δ is
-    /// at least this, W², above 0.
+    /// Learns each member's error, W; of one that does not take part it must only be finite.
+    /// `floor`: Δ is at least this, W², above 0.
     #[inline(always)]
     pub(crate) fn learn(&mut self, error_w: [f32; MEMBERS], floor: f32) {
         let error = error_w.map(|error| error.clamp(-ERROR_MAX, ERROR_MAX));
@@ -85,7 +86,7 @@ impl Hedge {
         ];
     }
 
-    /// Loss of each above that of the best.
+    /// Loss of each member, relative to the best one's.
     #[inline(always)]
     fn losses(&self) -> [f32; MEMBERS] {
         let [last, network] = self.above;
@@ -246,8 +247,8 @@ mod tests {
             }
         }
 
-        /// An adversary that knows the weights: whichever member is trusted most is wrong next, at a
-        /// distance that makes the weights change sides again.
+        /// An adversary that knows the weights: whichever member is trusted most is wrong next, at
+        /// a distance that makes the weights change sides again.
         #[test]
         fn the_regret_stays_below_its_bound_against_an_adversary(
             of_three in any::<bool>(),

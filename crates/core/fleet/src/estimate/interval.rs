@@ -1,20 +1,20 @@
-//! Intervals that hold their coverage: adaptive conformal inference on residuals scaled by the recent
-//! ones.
+//! Intervals that hold their coverage: adaptive conformal inference on residuals scaled by the
+//! recent ones.
 //!
-//! An end lies at the forecast plus or minus the recent mean size of the residuals times a factor of its
-//! own, so a forecast always lies inside its interval. The factor grows whenever a reading falls outside
-//! that end, and shrinks by so much less otherwise that in the long run the wanted fraction of readings lies
-//! inside, whatever the residuals do (Angelopoulos, Candès, Tibshirani, "Conformal PID control", 2023,
-//! section 2: quantile tracking and a scale that follows). Since it moves in equal ratios, after `n`
-//! readings
+//! An end lies at the forecast plus or minus the recent mean size of the residuals times a factor
+//! of its own, so a forecast always lies inside its interval. The factor grows whenever a reading
+//! falls outside that end, and shrinks by so much less otherwise that in the long run the wanted
+//! fraction of readings lies inside, whatever the residuals do (Angelopoulos, Candès, Tibshirani,
+//! "Conformal PID control", 2023, section 2: quantile tracking and a scale that follows). Since it
+//! moves in equal ratios, after `n` readings
 //!
 //! ```text
 //! |missed − tail·n|  ≤  |ln(factor now / factor at the start)| / rate
 //! ```
 //!
-//! holds exactly, for any residuals, as long as both factors stay inside their bounds: at a rate of 0.2
-//! a factor that has doubled has cost 3.5 readings. Where residuals have one sign only, one factor reaches
-//! its lower bound; the other end then answers for both tails.
+//! holds exactly, for any residuals, as long as both factors stay inside their bounds: at a rate of
+//! 0.2 a factor that has doubled has cost 3.5 readings. Where residuals have one sign only, one
+//! factor reaches its lower bound; the other end then answers for both tails.
 //!
 //! Where a reading is held, its residual is next to nothing; where a new measurement is due, it is
 //! not. Sizes and factors are kept separately, so that coverage holds among either.
@@ -31,7 +31,8 @@ const COVERAGE_WEIGHT: f32 = 0.005;
 const TRUST: f32 = 5.0;
 /// Bounds of a factor.
 const FACTOR: (f32, f32) = (1e-3, 1e3);
-/// The least size where a reading is held, as a share of that where one is due: no resolution limits it.
+/// Minimum size for held readings, as a share of that for due ones, because no resolution limits
+/// it.
 const HELD_FLOOR: f32 = 0.01;
 /// Largest residual that is believed, W.
 const RESIDUAL_MAX: f32 = 1e6;
@@ -41,11 +42,11 @@ const RESIDUAL_MAX: f32 = 1e6;
 pub(crate) struct QuantileStep {
     /// With one tail for each end.
     each: EndStep,
-    /// Of an end that answers for both.
+    /// Ratios of an end that answers for both.
     both: EndStep,
 }
 
-/// What the factor of an end is multiplied by.
+/// Factors that multiply an end's factor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct EndStep {
     /// If it was missed. Above 1.
@@ -71,8 +72,8 @@ impl QuantileStep {
 /// The interval of one robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct ConformalInterval {
-    /// Distance of each end from the forecast, in sizes: where a new measurement is due (or nobody
-    /// knows), and where none is.
+    /// Distance of each end from the forecast, in sizes, for readings with a new measurement due
+    /// (or unknown), and without.
     below_due: f32,
     above_due: f32,
     below_held: f32,
@@ -88,7 +89,8 @@ pub(crate) struct ConformalInterval {
 }
 
 impl ConformalInterval {
-    /// From the model's residual quantiles (5 % and 95 %) and the lower bound of any scale, W.
+    /// Starts from the model's residual quantiles (5 % and 95 %) and the lower bound of any scale,
+    /// W.
     pub(crate) fn new(q05_w: f32, q95_w: f32, floor_w: f32, coverage: f32) -> Self {
         // Half of the distance between the quantiles is two mean sizes of a normal distribution.
         let size_w = (0.25 * (q95_w - q05_w)).max(floor_w).max(f32::MIN_POSITIVE);
@@ -131,7 +133,7 @@ impl ConformalInterval {
             (factor * if missed { grow } else { shrink }).clamp(FACTOR.0, FACTOR.1)
         };
         let (moved_above, moved_below) = (moved(above, below, over), moved(below, above, under));
-        // What the training says of the size is soon forgotten.
+        // The size from the training is soon forgotten.
         let seen = if due { self.seen_due } else { self.seen_held };
         let weight = RECENT_WEIGHT.max(1.0 / (1.0 + TRUST + f32::from(seen)));
         let floor_w = if due { floor_w } else { HELD_FLOOR * floor_w };
@@ -148,7 +150,8 @@ impl ConformalInterval {
         put(&mut self.seen_held, !due, seen);
     }
 
-    /// Factors of the ends and size of the residuals, W, where a new measurement is due, or where none is.
+    /// Factors of the ends and size of the residuals, W, for readings with or without a new
+    /// measurement due.
     #[inline(always)]
     fn phase(&self, due: bool) -> (f32, f32, f32) {
         let of = |if_due: f32, if_held: f32| if due { if_due } else { if_held };
@@ -159,7 +162,7 @@ impl ConformalInterval {
         )
     }
 
-    /// Sizes and factors, where a new measurement is due and where none is.
+    /// Sizes and factors, for readings with and without a new measurement due.
     #[inline(always)]
     pub(crate) fn scale(&self) -> IntervalScale {
         let of = |due| {
@@ -176,8 +179,8 @@ impl ConformalInterval {
         }
     }
 
-    /// Share of the readings inside, over all and recently; NaN before the first. `share`: that of one reading,
-    /// infinite before the first.
+    /// Share of the readings inside, over all and recently. NaN before the first. `share` weighs
+    /// one reading, infinite before the first.
     #[inline(always)]
     pub(crate) fn coverage(&self, share: f64) -> (f32, f32) {
         let over_all = (self.covered as f64 * share) as f32;
@@ -197,7 +200,7 @@ impl ConformalInterval {
     }
 }
 
-/// What an interval is made from, where a new measurement is due and where none is.
+/// Inputs of an interval, for readings with and without a new measurement due.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct IntervalScale {
     pub due: EndScale,

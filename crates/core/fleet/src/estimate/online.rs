@@ -1,7 +1,7 @@
 //! Forecasts that learn online: the model's members combined per robot by its own readings.
 //!
-//! With A the model's autoregression, P the last reading, N the network, M the mean of the robot's readings
-//! and r the mean size of their changes,
+//! With A the model's autoregression, P the last reading, N the network, M the mean of the robot's
+//! readings and r the mean size of their changes,
 //!
 //! ```text
 //! u = (P − A, N − A, M − A, r)
@@ -9,8 +9,8 @@
 //! F = w_P P + w_N N + w_S S                            the forecast
 //! ```
 //!
-//! θ follows the readings y by recursive least squares with a bounded innovation and a covariance that is
-//! pulled back to its start, so that it neither winds up nor stops learning:
+//! θ follows the readings y by recursive least squares with a bounded innovation and a covariance
+//! that is pulled back to its start, so that it neither winds up nor stops learning:
 //!
 //! ```text
 //! g = Σu / (r² + uᵀΣu)
@@ -18,20 +18,22 @@
 //! Σ ← Σ − g (Σu)ᵀ,   Σ ← Σ + 0.002 (Σ₀ − Σ)
 //! ```
 //!
-//! The weights w are those of [`Hedge`], whose documentation states and proves the bound on F against each
-//! member. They are kept separately for readings with and without a new measurement due: where none is, the
-//! last reading is nearly always exact, and only it and the stack take part.
+//! The weights w are those of [`Hedge`], whose documentation states and proves the bound on F
+//! against each member. They are kept separately for readings with and without a new measurement
+//! due: where none is, the last reading is nearly always exact, and only it and the stack take
+//! part.
 //!
-//! Coefficients are dimensionless and sizes are the robot's own, so that a model of another robot and
-//! another power is corrected as well. The start, the same for every model, is that of a network that is
-//! nearly right. Where the mean power lies outside the range that the model was trained on, or is small
-//! beside the model's own error, the network cannot be nearly right: such a robot starts from its last reading, and the
-//! network and the stack must earn their weights.
+//! Coefficients are dimensionless and sizes are the robot's own, so that a model of another robot
+//! and another power is corrected as well. The start, the same for every model, is that of a
+//! network that is nearly right. Where the mean power lies outside the range that the model was
+//! trained on, or is small beside the model's own error, the network cannot be nearly right: such a
+//! robot starts from its last reading, and the network and the stack must earn their weights.
 
-// Terms and lanes are counted: those are the loops that the compiler makes vectors of.
+// Index loops: the compiler vectorises them.
 #![allow(clippy::needless_range_loop)]
 
-use joulebus_predictor::{FeatureSet, LAGS, Linear, Model, canonical};
+use joulebus_predictor::nan::canonical;
+use joulebus_predictor::{FeatureSet, LAGS, Linear, Model};
 use serde::{Deserialize, Serialize};
 
 use crate::estimate::hedge::{Hedge, MEMBERS, dot};
@@ -70,7 +72,7 @@ const COVARIANCE: [f32; PAIRS] = {
     }
     all
 };
-/// Share of the way back to Σ₀ that Σ goes with each reading.
+/// Share of the distance to Σ₀ that Σ returns with each reading.
 const PULL: f32 = 0.002;
 /// Largest innovation that θ follows, and largest deviation, in r.
 const INNOVATION_MAX: f32 = 2.5;
@@ -79,34 +81,34 @@ const DEVIATION_MAX: f32 = 30.0;
 const COEFFICIENT_MAX: f32 = 100.0;
 /// Readings that the model's own error counts for in r.
 const TRUST: f32 = 8.0;
-/// Initial losses where a new measurement is due, in r²: the last reading is a fallback.
+/// Initial losses for readings with a new measurement due, in r². The last reading is a fallback.
 const LOSS_LAST: f32 = 300.0;
 const LOSS_NETWORK: f32 = 1.0;
-/// Initial losses of the network and the stack where the mean power is unlike any in the training, where a
-/// measurement is due and where none is, in r²: there the last reading has none.
+/// Initial losses of the network and the stack for a mean power unlike any in the training, with
+/// and without a new measurement due, in r². The last reading's is then 0.
 const LOSS_UNLIKE: f32 = 20.0;
 const LOSS_UNLIKE_HELD: f32 = 40.0;
-/// How far the mean power may lie outside the training range, in the model's own error, and its least
-/// share of that error.
+/// How far the mean power may lie outside the training range, in the model's own error, and its
+/// least share of that error.
 const OUTSIDE_MAX: f32 = 0.5;
 const SHARE_MIN: f32 = 0.125;
 /// Δ is at least this, in r².
 const COST: f32 = 2.0;
-/// Where no measurement is due, the share of the stack's forecast in that of the last reading: some
+/// Share of the stack in the last reading's forecast if no measurement is due, because some
 /// measurements come early.
 const EARLY: f32 = 0.02;
 /// Largest size that is believed, W.
 const SIZE_MAX: f32 = 1e6;
 
-/// What the robots of a platform combine, prepared for the tick.
+/// The members that a platform's robots combine, prepared for the tick.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Members {
     /// The autoregression A: bias, W, and weights of the last readings, newest first.
     bias_w: f32,
     lags: [f32; LAGS],
-    /// r of a robot of which nothing is known, W.
+    /// r of an unknown robot, W.
     change_w: f32,
-    /// The least r, W.
+    /// Minimum r, W.
     floor_w: f32,
     /// Range of mean power for which the network is nearly right, W.
     least_w: f32,
@@ -117,8 +119,8 @@ pub(crate) struct Members {
 const MEAN_OF_NORMAL: f32 = 0.8;
 
 impl Members {
-    /// `None` where there is no network. `sigma_w`: deviation of its residuals, W; `resolution_w`: of the
-    /// power monitor; both above 0.
+    /// `None` without a network. `sigma_w` is the deviation of its residuals, `resolution_w` the
+    /// power monitor's, both above 0, W.
     pub(crate) fn new(model: &Model, sigma_w: f32, resolution_w: f32) -> Option<Self> {
         let Model::Network(_) = model else {
             return None;
@@ -166,7 +168,8 @@ impl Members {
     }
 }
 
-/// `value` within ±`most`. Without the check of `clamp`, whose branch would keep loops from becoming vectors.
+/// `value` within ±`most`. Without the check of `clamp`, whose branch would keep loops from
+/// becoming vectors.
 #[inline(always)]
 fn within(value: f32, most: f32) -> f32 {
     value.max(-most).min(most)
@@ -181,13 +184,13 @@ pub struct Learned {
     pub mean_w: f32,
     /// Mean size of the changes between new measurements, W.
     pub change_w: f32,
-    /// Weights of the last reading, the network and the stack where a new measurement is due: not
-    /// negative, 1 in all.
+    /// Weights of the last reading, the network and the stack if a new measurement is due:
+    /// non-negative, with sum 1.
     pub weights: [f32; 3],
-    /// Weights of the last reading and the stack where the last reading will be held.
+    /// Weights of the last reading and the stack if the last reading will be held.
     pub held_weights: [f32; 2],
-    /// Gains within the stack, on the deviations of the last reading, the network and the mean of the
-    /// readings from the model's autoregression.
+    /// Gains within the stack, on the deviations of the last reading, the network and the mean of
+    /// the readings from the model's autoregression.
     pub gains: [f32; 3],
     /// Level that the stack adds, W.
     pub level_w: f32,
@@ -206,7 +209,7 @@ impl Learned {
     };
 }
 
-/// As in [`Learned`], where a new measurement is due and where none is.
+/// Weights as in [`Learned`], with and without a new measurement due.
 pub(crate) type Weights = ([f32; 3], [f32; 2]);
 
 /// One robot's.
@@ -214,13 +217,13 @@ pub(crate) type Weights = ([f32; 3], [f32; 2]);
 pub(crate) struct Online {
     theta: [f32; TERMS],
     covariance: [f32; PAIRS],
-    /// The network's forecast of the next reading, W, where the robot has a forecast.
+    /// The network's forecast of the next reading, W, if the robot has a forecast.
     pub network_w: f32,
     /// Mean of the readings so far, W; the newest counts 1/256 at least.
     pub mean_w: f32,
     /// r: mean size of their changes, W.
     change_w: f32,
-    /// [`Hedge`] where a measurement is due, and where none is.
+    /// [`Hedge`] for readings with a measurement due, and without.
     due_above: [f32; 2],
     due_cost: f32,
     held_above: f32,
@@ -229,16 +232,16 @@ pub(crate) struct Online {
     seen: u8,
 }
 
-/// The members' forecasts and what the stack's was made of.
-struct Said {
+/// The members' forecasts, and the stack's inputs.
+struct MemberForecasts {
     members_w: [f32; MEMBERS],
     u: [f32; TERMS],
     unlike: bool,
 }
 
-/// What a reading teaches the stack.
+/// The update of the stack by a reading.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Lesson {
+pub(crate) struct RlsUpdate {
     u: [f32; TERMS],
     innovation_w: f32,
     /// r².
@@ -246,15 +249,15 @@ pub(crate) struct Lesson {
     due: bool,
 }
 
-/// [`Lesson`]s of a block.
-pub(crate) struct LessonLanes {
+/// [`RlsUpdate`]s of a block.
+pub(crate) struct RlsUpdateLanes {
     u: [Lanes<f32>; TERMS],
     innovation_w: Lanes<f32>,
     square: Lanes<f32>,
     due: Lanes<bool>,
 }
 
-impl LessonLanes {
+impl RlsUpdateLanes {
     pub(crate) const NONE: Self = Self {
         u: [[0.0; LANES]; TERMS],
         innovation_w: [0.0; LANES],
@@ -263,8 +266,8 @@ impl LessonLanes {
     };
 
     #[inline(always)]
-    pub(crate) fn get(&self, lane: usize) -> Lesson {
-        Lesson {
+    pub(crate) fn get(&self, lane: usize) -> RlsUpdate {
+        RlsUpdate {
             u: [
                 self.u[0][lane],
                 self.u[1][lane],
@@ -278,18 +281,18 @@ impl LessonLanes {
     }
 
     #[inline(always)]
-    pub(crate) fn set(&mut self, lane: usize, lesson: &Lesson) {
+    pub(crate) fn set(&mut self, lane: usize, update: &RlsUpdate) {
         for term in 0..TERMS {
-            self.u[term][lane] = lesson.u[term];
+            self.u[term][lane] = update.u[term];
         }
-        self.innovation_w[lane] = lesson.innovation_w;
-        self.square[lane] = lesson.square;
-        self.due[lane] = lesson.due;
+        self.innovation_w[lane] = update.innovation_w;
+        self.square[lane] = update.square;
+        self.due[lane] = update.due;
     }
 }
 
 impl Online {
-    /// Of no robot.
+    /// Empty lanes.
     pub(crate) const NONE: Self = Self {
         theta: START,
         covariance: COVARIANCE,
@@ -310,8 +313,8 @@ impl Online {
         }
     }
 
-    /// The forecast after the readings `lag_w`, newest first, where the network, finite, says `network_w`;
-    /// `due`: whether a new measurement is.
+    /// The forecast after the readings `lag_w`, newest first, given the network's finite forecast
+    /// `network_w`. `due` states whether a new measurement is due.
     #[inline(always)]
     pub(crate) fn forecast(
         &self,
@@ -320,12 +323,21 @@ impl Online {
         network_w: f32,
         due: bool,
     ) -> f32 {
-        let said = self.say(members, lag_w, network_w, due);
-        dot(&self.hedge(said.unlike, due).weights(), &said.members_w)
+        let forecasts = self.member_forecasts(members, lag_w, network_w, due);
+        dot(
+            &self.hedge(forecasts.unlike, due).weights(),
+            &forecasts.members_w,
+        )
     }
 
     #[inline(always)]
-    fn say(&self, members: &Members, lag_w: &[f32; LAGS], network_w: f32, due: bool) -> Said {
+    fn member_forecasts(
+        &self,
+        members: &Members,
+        lag_w: &[f32; LAGS],
+        network_w: f32,
+        due: bool,
+    ) -> MemberForecasts {
         let a_w = members.autoregression(lag_w);
         let (last_w, most_w) = (lag_w[0], DEVIATION_MAX * self.change_w);
         let deviation = |watts: f32| within(watts - a_w, most_w);
@@ -343,7 +355,7 @@ impl Online {
         } else {
             EARLY * (stack_w - last_w)
         };
-        Said {
+        MemberForecasts {
             members_w: [last_w + early_w, network_w, stack_w],
             u,
             unlike,
@@ -359,23 +371,23 @@ impl Online {
         due: bool,
         reading_w: f32,
     ) {
-        let lesson = self.weigh(members, lag_w, due, reading_w);
-        self.follow(&lesson);
+        let update = self.update_weights(members, lag_w, due, reading_w);
+        self.update_rls(&update);
     }
 
-    /// The part of [`Online::learn`] that moves the weights; [`Online::follow`] is the other.
+    /// Updates the weights: the first part of [`Online::learn`], before [`Online::update_rls`].
     #[inline(always)]
-    pub(crate) fn weigh(
+    pub(crate) fn update_weights(
         &mut self,
         members: &Members,
         lag_w: &[f32; LAGS],
         due: bool,
         reading_w: f32,
-    ) -> Lesson {
-        let said = self.say(members, lag_w, self.network_w, due);
-        let (members_w, u) = (said.members_w, said.u);
+    ) -> RlsUpdate {
+        let forecasts = self.member_forecasts(members, lag_w, self.network_w, due);
+        let (members_w, u) = (forecasts.members_w, forecasts.u);
         let square = self.change_w * self.change_w;
-        let mut hedge = self.hedge(said.unlike, due);
+        let mut hedge = self.hedge(forecasts.unlike, due);
         hedge.learn(
             members_w.map(|member_w| member_w - reading_w),
             COST * square,
@@ -386,7 +398,7 @@ impl Online {
         put(&mut self.held_above, !due, hedge.above[0]);
         put(&mut self.held_cost, !due, hedge.cost);
         let most_w = INNOVATION_MAX * self.change_w;
-        Lesson {
+        RlsUpdate {
             u,
             innovation_w: within(reading_w - members_w[2], most_w),
             square,
@@ -396,13 +408,13 @@ impl Online {
 
     /// A step of the recursive least squares, if a measurement was due.
     #[inline(always)]
-    pub(crate) fn follow(&mut self, lesson: &Lesson) {
-        let Lesson {
+    pub(crate) fn update_rls(&mut self, update: &RlsUpdate) {
+        let RlsUpdate {
             u,
             innovation_w,
             square,
             due,
-        } = *lesson;
+        } = *update;
         let c = &self.covariance;
         let product = [
             (c[0] * u[0] + c[1] * u[1]) + (c[2] * u[2] + c[3] * u[3]),
@@ -425,8 +437,8 @@ impl Online {
         }
     }
 
-    /// Takes a reading into mean and size; `last_w` is the one before, NaN where there is none that it
-    /// follows on; `due`: whether a new measurement was.
+    /// Updates mean and size with a reading. `last_w` is the previous reading, NaN if it does not
+    /// directly precede this one. `due` states whether a new measurement was due.
     #[inline(always)]
     pub(crate) fn read(&mut self, members: &Members, last_w: f32, due: bool, reading_w: f32) {
         let seen = f32::from(self.seen);
@@ -438,8 +450,8 @@ impl Online {
         self.seen = self.seen.saturating_add(1);
     }
 
-    /// The weights' state where a measurement is due, or where none is; as at the start if nothing was
-    /// learned there. `unlike`: [`Members::is_unlike`].
+    /// The weights' state for readings with or without a measurement due. It is the initial state
+    /// if nothing was learned there. `unlike` is [`Members::is_unlike`].
     #[inline(always)]
     fn hedge(&self, unlike: bool, due: bool) -> Hedge {
         let square = self.change_w * self.change_w;
@@ -469,8 +481,8 @@ impl Online {
         }
     }
 
-    /// Weights of last reading, network and stack where a new measurement is due, and of last reading and
-    /// stack where none is.
+    /// Weights of last reading, network and stack if a new measurement is due, and of last reading
+    /// and stack if none is.
     #[inline(always)]
     pub(crate) fn weights(&self, unlike: bool) -> Weights {
         let [last, _, stack] = self.hedge(unlike, false).weights();
@@ -572,8 +584,8 @@ mod tests {
         most_w: 1e9,
     };
 
-    /// A robot that draws what `power_w` says, beside a network that says `network_w`; the mean squared error
-    /// of the forecasts over the last fifth, of all that count.
+    /// A robot that draws `power_w`, beside a network that forecasts `network_w`. Returns the mean
+    /// squared error of the forecasts over the last fifth, and over all that count.
     fn run(
         online: &mut Online,
         steps: u32,
@@ -607,7 +619,7 @@ mod tests {
             let error = run(&mut online, 5_000, power_w, |step| {
                 gain * power_w(step) + level
             });
-            // The readings alone say next to nothing: their variance is 32.
+            // The readings alone hardly help: their variance is 32.
             assert!(
                 error < 1.0,
                 "gain {gain}, level {level}: {error}, {online:?}"
@@ -615,8 +627,9 @@ mod tests {
         }
     }
 
-    /// A robot of 3 W under a model whose network is hundreds of watts off, be it that the power lies outside
-    /// the training range or is tiny beside the model's error: the first forecasts are the last reading.
+    /// A robot of 3 W under a model whose network is hundreds of watts off, because the power is
+    /// outside the training range or tiny beside the model's error. The first forecasts are the
+    /// last reading.
     #[test]
     fn a_robot_unlike_any_in_the_training_starts_from_its_last_reading() {
         let power_w = |step: u32| 3.0 + 0.05 * (step as f32 * 0.37).sin();
@@ -670,8 +683,8 @@ mod tests {
     /// The quantities in the bound of [`Hedge`], of the readings with or without a measurement due.
     #[derive(Default)]
     struct Phase {
-        /// Squared error of the published forecast above that of each member that takes part, the newest
-        /// counting 1, minus what is left of the initial losses.
+        /// Squared error of the published forecast relative to each participating member's, the
+        /// newest with weight 1, minus the remaining initial losses.
         regret: Option<[f64; 3]>,
         largest: f64,
         floor: f64,
@@ -682,7 +695,7 @@ mod tests {
             &mut self,
             hedge: &Hedge,
             square: f32,
-            said: &Said,
+            forecasts: &MemberForecasts,
             forecast_w: f32,
             reading_w: f32,
         ) {
@@ -696,7 +709,7 @@ mod tests {
             let start = [last, network, 0.0].map(|loss| -f64::from(loss - least));
             let before = self.regret.unwrap_or(start);
             let mut regret = [f64::NEG_INFINITY; 3];
-            for (place, member_w) in said.members_w.iter().enumerate() {
+            for (place, member_w) in forecasts.members_w.iter().enumerate() {
                 if hedge.weights()[place] > 0.0 {
                     regret[place] = memory * before[place] + wrong(forecast_w) - wrong(*member_w);
                     // Between two members, or one and the reading.
@@ -723,8 +736,8 @@ mod tests {
         }
     }
 
-    /// Plays a robot against readings and network of `next`, which knows everything, and checks the bound of
-    /// what is published, where a measurement is due and where none is.
+    /// Plays a robot against readings and a network of `next`, which knows everything, and checks
+    /// the bound of the published forecast, with and without a measurement due.
     fn holds_its_bound(
         steps: usize,
         mut next: impl FnMut(usize, &Online, &[f32; LAGS]) -> (bool, f32, f32),
@@ -738,13 +751,13 @@ mod tests {
             let (due, network_w, reading_w) = next(step, &online, &lag_w);
             online.network_w = network_w;
             let forecast_w = online.forecast(&MEMBERS, &lag_w, network_w, due);
-            let said = online.say(&MEMBERS, &lag_w, network_w, due);
+            let forecasts = online.member_forecasts(&MEMBERS, &lag_w, network_w, due);
             let (hedge, square) = (
-                online.hedge(said.unlike, due),
+                online.hedge(forecasts.unlike, due),
                 online.change_w * online.change_w,
             );
             let phase = &mut phases[usize::from(due)];
-            phase.take(&hedge, square, &said, forecast_w, reading_w);
+            phase.take(&hedge, square, &forecasts, forecast_w, reading_w);
             online.learn(&MEMBERS, &lag_w, due, reading_w);
             let cost = if due {
                 online.due_cost
@@ -773,8 +786,9 @@ mod tests {
             })?;
         }
 
-        /// An adversary that sees weights and forecasts: in bursts it takes the reading that the most trusted
-        /// member is farthest from, or the one on the other side of what is published.
+        /// An adversary that sees weights and forecasts. In bursts it chooses the reading that the
+        /// most trusted member is farthest from, or the one on the other side of the published
+        /// forecast.
         #[test]
         fn what_is_published_holds_its_bound_against_an_adversary(
             period in 1usize..5,
@@ -786,11 +800,11 @@ mod tests {
             holds_its_bound(3_000, |step, online, lag_w| {
                 let due = step % period == 0;
                 let network_w = lag_w[0] + if step % 2 == 0 { distance } else { -distance };
-                let said = online.say(&MEMBERS, lag_w, network_w, due);
-                let weights = online.hedge(said.unlike, due).weights();
+                let forecasts = online.member_forecasts(&MEMBERS, lag_w, network_w, due);
+                let weights = online.hedge(forecasts.unlike, due).weights();
                 let trusted = (0..3).max_by(|a, b| weights[*a].total_cmp(&weights[*b])).unwrap_or(0);
-                let forecast_w = dot(&weights, &said.members_w);
-                let trusted_w = said.members_w[trusted];
+                let forecast_w = dot(&weights, &forecasts.members_w);
+                let trusted_w = forecasts.members_w[trusted];
                 let reading_w = if step % (burst + wait) >= burst {
                     lag_w[0]
                 } else if mirrored {

@@ -1,6 +1,6 @@
 //! Running scores of the forecasts and of persistence.
 
-use joulebus_predictor::canonical_f64;
+use joulebus_predictor::nan::canonical_f64;
 use serde::{Deserialize, Serialize};
 
 use crate::layout::lanes::block;
@@ -34,8 +34,8 @@ impl Scores {
         self.scatter_w2 += from_mean * (reading - self.mean_w);
     }
 
-    /// Share of one reading; infinite before the first. A division takes as long as all else that is done with it,
-    /// here and below.
+    /// Share of one reading; infinite before the first. A division takes as long as all else that
+    /// is done with it, here and below.
     #[inline(always)]
     pub(crate) fn share(&self) -> f64 {
         1.0 / self.count as f64
@@ -69,7 +69,7 @@ impl Scores {
         explained(self.persistence_sum_sq_w2, self.scatter_w2)
     }
 
-    /// 1 − squared error over that of persistence; NaN for constant readings.
+    /// 1 − ratio of the squared error to persistence's. NaN for constant readings.
     #[must_use]
     #[inline(always)]
     pub fn skill(&self) -> f64 {

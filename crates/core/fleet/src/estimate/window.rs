@@ -48,7 +48,7 @@ pub(crate) struct Window {
     closed: Lags,
     /// After `open_steps` further periods without a sample.
     open: Lags,
-    /// The last command, m/s and rad/s, where `commanded`.
+    /// The last command, m/s and rad/s, if `commanded`.
     v_mps: f32,
     omega_radps: f32,
     open_steps: u16,
@@ -96,8 +96,8 @@ impl Window {
         }
     }
 
-    /// Whether the next sample's reading is scored if no gap lies before it: only forecasts one step ahead
-    /// are.
+    /// Whether the next sample's reading is scored if no gap precedes it. Only forecasts one step
+    /// ahead are.
     #[inline(always)]
     pub(crate) fn is_scored(&self) -> bool {
         (self.unread_steps == 0) & self.closed.forecast_w.is_finite()
@@ -127,7 +127,7 @@ impl Window {
         )
     }
 
-    /// What a plan made now starts from.
+    /// The start of a plan made now.
     #[inline(always)]
     pub(crate) fn plan_start(&self) -> PlanStart {
         let (power_w, steps) = self.shown();
@@ -202,7 +202,7 @@ impl Window {
     }
 
     /// Makes the open-loop steps up to the arriving sample part of the window. Returns the forecast
-    /// for that sample, W; NaN if there is none.
+    /// for that sample, W, or NaN.
     #[inline(always)]
     pub(crate) fn close(&mut self, gap: Gap) -> f32 {
         match gap {
@@ -241,7 +241,7 @@ impl Window {
         self.reading_age.is_due().unwrap_or(true)
     }
 
-    /// As [`Window::due`], for the forecast that [`Window::shown`] returns.
+    /// Same as [`Window::due`], for the forecast that [`Window::shown`] returns.
     pub(crate) fn shown_due(&self) -> bool {
         let reading_age = self.reading_age.after(self.open_steps.into());
         reading_age.is_due().unwrap_or(true)
@@ -269,9 +269,9 @@ impl Window {
         self.unread_steps += 1;
     }
 
-    /// Takes a sample's command, `elapsed_s` after the last one, and returns the row for the
-    /// forecast of the next reading, and whether the forecast can be made: the window is full, and
-    /// command and reading age are known where they are `required`.
+    /// Takes a sample's command, `elapsed_s` after the last one. Returns the row for the forecast
+    /// of the next reading, and whether the forecast can be made: the window is full, and command
+    /// and reading age are known if they are `required`.
     #[inline(always)]
     pub(crate) fn next_row(
         &mut self,
@@ -300,11 +300,11 @@ impl Window {
     }
 }
 
-/// What a plan made now starts from, open-loop steps included.
+/// The start of a plan made now, open-loop steps included.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PlanStart {
     pub lag_w: [f32; LAGS],
-    /// The forecast published now, W; NaN if there is none.
+    /// The forecast published now, W. NaN if there is none.
     pub power_w: f32,
     pub v_mps: f32,
     pub omega_radps: f32,

@@ -18,10 +18,13 @@ use crate::ledger::departed;
 use crate::ledger::energy::Ledger;
 
 impl Fleet {
-    /// Continues with the account of a robot that an earlier run wrote down. Call before the robot's
-    /// first sample. `charged`: it has been on its charger since. `battery`: what was known of its
-    /// battery; `None` if it was not written down. As many accounts as the capacity are kept, of robots that are not in the fleet: the
-    /// oldest is given up for another. Returns whether none was.
+    /// Continues with the account of a robot that an earlier run saved. Call it before the robot's
+    /// first sample.
+    ///
+    /// `charged` states that the robot has been on its charger since. `battery` is the saved state
+    /// of its battery, `None` if it was not saved. As many accounts as the capacity are kept, of
+    /// robots that are not in the fleet. The oldest is given up for another. Returns whether none
+    /// was.
     pub fn restore(
         &mut self,
         robot: u32,
@@ -100,7 +103,8 @@ impl Fleet {
         (robot <= *end).then_some(*platform)
     }
 
-    /// Frees the slots of robots that have been silent for too long; accounts that have begun are kept.
+    /// Frees the slots of robots that have been silent for too long; accounts that have begun are
+    /// kept.
     pub(super) fn release_departed(&mut self) {
         let leave_after_ns = self.tick.settings.intake.leave_after_ns;
         for slot in 0..self.columns.admissions.len() {
@@ -117,10 +121,11 @@ impl Fleet {
             let admissions = &self.columns.admissions;
             self.slot_of
                 .remove(robot, |slot| admissions[slot as usize].id);
-            self.columns.slots.free(slot);
+            self.slots.free(slot);
             let ledger = lanes::get(&self.columns.ledgers, slot);
             if ledger.stamp_ns().is_none() {
-                // No sample of it was ever accepted: there is no account to keep in place of another's.
+                // No sample of it was ever accepted: there is no account to keep in place of
+                // another's.
                 continue;
             }
             let platform = &self.tick.platforms[usize::from(platform)].platform;

@@ -20,10 +20,10 @@ use crate::ingest::refused::Refused;
 use crate::ingest::sources::Sources;
 use crate::layout::index::Index;
 use crate::layout::lanes::{self, LANES};
-use crate::layout::slots::WORD;
+use crate::layout::slots::{Slots, WORD};
 use crate::ledger::departed::Departed;
 use crate::ledger::energy::Ledger;
-use crate::state::columns::{BlockRef, Columns, ColumnsMut};
+use crate::state::columns::{BlockRef, Columns, ColumnsMut, Needed};
 use crate::tick::batch::Batch;
 use crate::tick::context::TickContext;
 use crate::tick::features::build_rows;
@@ -47,6 +47,8 @@ pub struct Fleet {
     /// Ranges of robot ids, ascending, with their platform.
     ranges: Vec<(u32, u32, u16)>,
     columns: Columns,
+    /// The slots in use.
+    slots: Slots,
     slot_of: Index,
     departed: Departed,
     /// Expected slot of the next sample: sources list their robots in the same order.
@@ -75,15 +77,18 @@ impl Fleet {
         settings.check()?;
         let tick = TickContext::new(settings, models)?;
         let settings = &tick.settings;
-        let learning = tick.platforms.iter().any(|it| it.members.is_some());
-        let batteries = settings.has_batteries();
+        let needed = Needed {
+            online: tick.platforms.iter().any(|it| it.members.is_some()),
+            batteries: settings.has_batteries(),
+        };
         let capacity = settings.capacity as usize;
         Ok(Self {
             settings_hash: settings.fingerprint(),
             ranges: tick.robot_ranges(),
-            columns: Columns::new(capacity, tick.platforms.len(), (learning, batteries)),
+            columns: Columns::new(capacity.next_multiple_of(LANES), needed),
+            slots: Slots::new(capacity, tick.platforms.len()),
             slot_of: Index::new(settings.capacity),
-            departed: Departed::new(settings.capacity, batteries),
+            departed: Departed::new(settings.capacity, needed.batteries),
             likely_slot: 0,
             single: Batch::of_slots(WORD),
             batch: Batch::default(),
@@ -102,7 +107,7 @@ impl Fleet {
     #[must_use]
     pub fn complete(&self, now_ns: u64) -> bool {
         self.reported == self.len()
-            || self.columns.slots.iter().all(|slot| {
+            || self.slots.iter().all(|slot| {
                 let admission = &self.columns.admissions[slot];
                 let platform = &self.tick.platforms[usize::from(admission.platform)].platform;
                 let silent_ns = now_ns.saturating_sub(admission.taken_ns);
@@ -131,7 +136,7 @@ impl Fleet {
     }
 
     /// Begins a tick: robots that have been silent for too long leave, and the remaining
-    /// [`Fleet::len`] robots are to be ticked as a [`Fleet::shard`], once. Returns the intake.
+    /// [`Fleet::len`] robots have to be ticked as a [`Fleet::shard`], once. Returns the intake.
     pub fn begin(&mut self, now_ns: u64, deadline_missed: bool) -> TickIntake {
         self.tick.now_ns = now_ns;
         self.tick.deadline_missed = deadline_missed;
@@ -153,7 +158,7 @@ impl Fleet {
     fn shard_and_batch(&mut self) -> (Shard<'_>, &mut Batch) {
         let shard = Shard {
             tick: &self.tick,
-            columns: self.columns.view_mut(),
+            columns: self.columns.view_mut(self.slots.words()),
             oldest_ns: &self.oldest_ns,
         };
         (shard, &mut self.batch)
@@ -162,7 +167,7 @@ impl Fleet {
     /// Robots in the fleet: the length of every output frame.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.columns.slots.used()
+        self.slots.used()
     }
 
     /// Whether no robot is in the fleet.
@@ -189,8 +194,8 @@ impl Fleet {
         self.drops
     }
 
-    /// Accounts of robots that have left, given up since for those of other robots: as many as the
-    /// capacity are kept.
+    /// Number of accounts of departed robots that were given up for those of other robots. As many
+    /// as the capacity are kept.
     #[must_use]
     pub fn accounts_given_up(&self) -> u64 {
         self.departed.given_up()
@@ -202,7 +207,7 @@ impl Fleet {
         self.refused.places()
     }
 
-    /// Hash of the model of all platforms; where they use different models, a combination of their
+    /// Hash of the model of all platforms. If they use different models, a combination of their
     /// hashes in the order of the platforms.
     #[must_use]
     pub fn model_hash(&self) -> u64 {
@@ -245,15 +250,15 @@ impl Fleet {
         Some(online.learned(weights))
     }
 
-    /// What is known of a robot for the energy of its plans, if it is in the fleet.
+    /// A robot's state for the energy of its plans, if it is in the fleet.
     #[must_use]
     pub fn energy(&self, robot: u32) -> Option<EnergyState> {
         let slot = self.find(robot)?;
         Some(lanes::get(&self.columns.energy, slot))
     }
 
-    /// The energy model of the platform at `index` of the settings; one
-    /// [without training](EnergyModel::untrained) where its model has none.
+    /// The energy model of the platform at `index` of the settings. One [without
+    /// training](EnergyModel::untrained) if its model has none.
     #[must_use]
     pub fn energy_model(&self, index: usize) -> Option<&EnergyModel> {
         Some(&self.tick.platforms.get(index)?.energy)
@@ -267,8 +272,8 @@ impl Fleet {
         live.or_else(|| self.departed.ledger(robot).copied())
     }
 
-    /// The forecast of the robot at `place` (0 to [`Fleet::len`] − 1), as of the last tick. A
-    /// [`Shard`] writes those of all robots faster.
+    /// The forecast of the robot at `place` (0 to [`Fleet::len`] − 1) in the last tick. A [`Shard`]
+    /// writes those of all robots faster.
     #[must_use]
     pub fn forecast(&self, place: usize) -> Forecast {
         let (block, lane) = self.block_of(place);
@@ -290,7 +295,7 @@ impl Fleet {
         Budgets::of(&self.tick, block).get(&self.tick, lane)
     }
 
-    /// What a plan of the robot at `place` starts from, as of the last tick.
+    /// The start of a plan of the robot at `place`, in the last tick.
     #[must_use]
     pub fn plan_state(&self, place: usize) -> PlanState {
         let (block, lane) = self.block_of(place);
@@ -300,7 +305,7 @@ impl Fleet {
 
     /// The block of the robot at a place, and its lane.
     fn block_of(&self, place: usize) -> (BlockRef<'_>, usize) {
-        let slot = self.columns.slots.at(place);
+        let slot = self.slots.at(place);
         let slot = slot.expect("a place is below the number of robots");
         (self.columns.block(slot / LANES), slot % LANES)
     }
@@ -310,7 +315,7 @@ impl Fleet {
     fn catch_up(&mut self, slot: usize) {
         let tick = &self.tick;
         let alone = [1 << (slot % WORD)];
-        let (_, from) = self.columns.view_mut().split(slot / WORD);
+        let (_, from) = self.columns.view_mut(self.slots.words()).split(slot / WORD);
         let mut columns = ColumnsMut {
             words: &alone,
             ..from.split(1).0

@@ -12,8 +12,8 @@ const SOC: RangeInclusive<f32> = -0.05..=1.05;
 /// Energy to return, J: up to the largest battery.
 const RETURN_J: RangeInclusive<f32> = 0.0..=3.6e9;
 
-/// Who may speak for the robot, and once: refuses other sources, and numbers that do not rise. The frame
-/// is of the run that its source has now: another one than the robot's has taken over.
+/// Checks that the source owns the robot, and that its numbers rise. The frame belongs to its
+/// source's present run: another one than the robot's has taken over.
 pub(crate) fn sender(
     admission: &mut AdmissionState,
     header: &SampleHeader,
@@ -106,7 +106,7 @@ pub(crate) fn time(
     Ok(!in_time)
 }
 
-/// The effect of a refused value on the robot; `None` where the robot is not affected.
+/// The effect of a refused value on the robot. `None` if the robot is not affected.
 pub(crate) fn invalid(reason: DropReason) -> Option<InvalidReason> {
     match reason {
         DropReason::NotFinite => Some(InvalidReason::NotFinite),

@@ -20,7 +20,8 @@ pub(crate) struct Last {
     pub equal_since_ns: u64,
     pub refused: u64,
     pub reading_w: f32,
-    /// The reading minus the network's forecast of it, W; NaN if there was no forecast or no reading.
+    /// The reading minus the network's forecast of it, W; NaN if there was no forecast or no
+    /// reading.
     pub residual_w: f32,
     pub mean_power_w: f32,
     /// [`Quality`], encoded as in shared memory.
@@ -41,8 +42,8 @@ impl Last {
         quality_detail: 0,
     };
 
-    /// Takes a sample with a reading, `elapsed_s` after the one before; `network_w`: what the
-    /// network forecast for it.
+    /// Takes a sample with a reading, `elapsed_s` after the previous one. `network_w` is the
+    /// network's forecast of it.
     #[inline(always)]
     pub(crate) fn read(&mut self, sample: &Pending, network_w: f32, elapsed_s: f32) {
         self.residual_w = sample.power_w - network_w;

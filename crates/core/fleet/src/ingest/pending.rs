@@ -20,11 +20,11 @@ pub(crate) struct Pending {
     pub broken: bool,
 }
 
-// The flags that the tick looks at fit; what samples say of the battery is kept with the battery.
+// The flags that the tick reads fit. The battery's values of samples are kept with the battery.
 const _: () = assert!(sample_flag::DISCONTINUITY <= u8::MAX as u32);
 
 impl Pending {
-    /// From a sample whose flags are all known; `broken` adds to the sample's own flag.
+    /// Creates it from a sample whose flags are all known. `broken` adds to the sample's own flag.
     #[inline(always)]
     pub(crate) fn new(sample: &Sample, broken: bool) -> Self {
         Self {
@@ -66,7 +66,7 @@ pub(crate) enum PendingState {
     Waiting,
     /// A sample was absorbed, and is waiting to be scored.
     Absorbed,
-    /// As `Absorbed`, for a sample that breaks the sequence.
+    /// Same as `Absorbed`, for a sample that breaks the sequence.
     Broken,
 }
 

@@ -15,7 +15,8 @@ struct Run {
 }
 
 impl Run {
-    /// Accounts for a frame; what was lost before it is counted. False for a frame seen before.
+    /// Accounts for a frame, and counts the samples lost before it. Returns false for a frame seen
+    /// before.
     fn account(&mut self, header: &SampleHeader, samples: u64, drops: &mut DropCounts) -> bool {
         let Some(lost) = header.samples_before.checked_sub(self.accounted) else {
             return false;
@@ -36,7 +37,7 @@ impl Run {
 pub(crate) struct Source {
     id: u64,
     run: Run,
-    /// The run before: should it be the newer one, what it has sent is not counted again.
+    /// The previous run. If it turns out to be the newer one, its samples are not counted again.
     other: Option<Run>,
     /// When a frame of it was last taken, monotonic ns of the worker.
     taken_ns: u64,
@@ -56,8 +57,8 @@ impl Source {
         }
     }
 
-    /// Takes a frame or refuses it; `silent`: the run that is taken has been silent for so long that
-    /// whatever comes is believed instead.
+    /// Takes a frame or refuses it. `silent` states that the accepted run has been silent for so
+    /// long that any frame is believed instead.
     fn frame(
         &mut self,
         header: &SampleHeader,
@@ -81,7 +82,7 @@ impl Source {
         if !silent {
             return Err(DropReason::Duplicate);
         }
-        // The number that is far ahead was false: what this frame says is the truth again.
+        // The number far ahead was false, so this frame's number is correct again.
         self.run.accounted = header.samples_before.saturating_add(samples);
         Ok(())
     }
@@ -104,9 +105,11 @@ impl Source {
     }
 }
 
-/// The sources that have sent a frame. One that has been silent for as long as makes a robot leave gives
-/// its place to another; a run that has been silent for as long as makes a robot stale, to whatever run
-/// speaks: one false frame shuts a source out for that long.
+/// The sources that have sent a frame.
+///
+/// A source that has been silent for the time after which a robot leaves gives its slot to another.
+/// A run that has been silent for the time after which a robot is stale is replaced by any run that
+/// sends. One false frame therefore shuts a source out for that time.
 #[derive(Debug)]
 pub(crate) struct Sources {
     sources: Vec<Source>,
@@ -130,9 +133,9 @@ impl Sources {
         }
     }
 
-    /// Takes the header of a frame that came at `now_ns`, and the number of samples in it. Counts what
-    /// was lost before it, and refuses a frame of an older run, a frame seen before, and a source too
-    /// many.
+    /// Takes the header of a frame that came at `now_ns`, and the number of samples in it. Counts
+    /// the samples lost before it, and refuses a frame of an older run, a frame seen before, and a
+    /// source too many.
     pub(crate) fn frame(
         &mut self,
         header: &SampleHeader,
@@ -148,7 +151,7 @@ impl Sources {
             }
             None => {
                 let at = self.silent(now_ns).ok_or(DropReason::TooManySources)?;
-                // It may have been here before, or refused: no sample is counted twice.
+                // It may have been here before, or was refused. No sample is counted twice.
                 self.sources[at] = Source::new(header, header.samples_before, now_ns);
                 at
             }
@@ -160,9 +163,12 @@ impl Sources {
         Ok(())
     }
 
-    /// Whether a frame that came at `now_ns` has been taken, refused, or counted as lost: it, or a later one of its source. One
-    /// of a run that has been replaced counts as refused, unless the later run is silent, as [`Sources::frame`] has it: the
-    /// clock of a host that has booted begins anew, and with it the numbers of its runs.
+    /// Whether a frame that came at `now_ns`, or a later one of its source, has been taken,
+    /// refused, or counted as lost.
+    ///
+    /// A frame of a replaced run counts as refused, unless the later run is silent, as in
+    /// [`Sources::frame`]: the clock of a host that has booted restarts, and with it the numbers of
+    /// its runs.
     pub(crate) fn has_accounted(&self, header: &SampleHeader, now_ns: u64) -> bool {
         let source = self.sources.iter().find(|it| it.id == header.source_id);
         source.is_some_and(|source| {
@@ -176,12 +182,13 @@ impl Sources {
         })
     }
 
-    /// Whether the run that is taken gives way to whatever comes.
+    /// Whether the accepted run gives way to any other.
     const fn is_silent(&self, source: &Source, now_ns: u64) -> bool {
         now_ns.saturating_sub(source.taken_ns) > self.yield_after_ns
     }
 
-    /// The place of the source that has been silent longest, if that is long enough to give it to another.
+    /// The place of the source that has been silent longest, if that is long enough to give it to
+    /// another.
     fn silent(&self, now_ns: u64) -> Option<usize> {
         let sources = self.sources.iter().enumerate();
         let (at, oldest) = sources.min_by_key(|(_, source)| source.taken_ns)?;
@@ -314,7 +321,7 @@ mod tests {
         }
         let now_ns = 1_001 + STALE_NS;
         assert!(!sources.has_accounted(&booted, now_ns));
-        // What was taken is not taken again, however late it comes.
+        // A taken frame is not taken again, however late it comes.
         assert!(sources.has_accounted(&header(1, 7, 0), now_ns));
         assert_eq!(sources.frame(&booted, 10, now_ns, &mut drops), Ok(()));
         assert!(sources.has_accounted(&booted, now_ns));

@@ -1,4 +1,4 @@
-//! Instants of one monotonic clock as those of another.
+//! Converts instants of one monotonic clock to those of another.
 
 /// An offset between two monotonic clocks.
 #[derive(Debug, Clone, Copy)]
@@ -7,8 +7,8 @@ pub(crate) struct Shift {
 }
 
 impl Shift {
-    /// Moves an instant; 0 is none, and stays so. Returns the time by which it would lie before the beginning of
-    /// the clock, ns.
+    /// Moves an instant. 0 means none, and stays. Returns by how much it would be before the start
+    /// of the clock, ns.
     pub(crate) fn instant(self, stamp_ns: &mut u64) -> u64 {
         if *stamp_ns == 0 {
             return 0;
@@ -20,7 +20,7 @@ impl Shift {
         }
         let before_ns = offset_ns.saturating_sub(*stamp_ns - 1);
         *stamp_ns = stamp_ns.saturating_sub(offset_ns).max(1);
-        // As many as are missing to 1, the first instant.
+        // The distance to 1, the first instant.
         before_ns.min(offset_ns)
     }
 

@@ -21,8 +21,8 @@ pub(crate) struct Slots {
     used: usize,
     /// Upper bound of the slots ever used.
     reach: usize,
-    /// By platform: lower bound of the blocks of this platform with a free slot. An optimisation of
-    /// the search only.
+    /// By platform, the lower bound of the platform's blocks with a free slot. It only speeds up
+    /// the search.
     look: Vec<usize>,
 }
 

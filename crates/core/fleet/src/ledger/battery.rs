@@ -1,8 +1,9 @@
-//! State of charge of a robot's battery: counted from the ledger, and what is known of it otherwise.
+//! State of charge of a robot's battery, counted from the ledger and corrected by other
+//! information.
 //!
-//! Everything is a share of the capacity. What a robot drew is counted from an anchor: the state of the
-//! battery at some account of the ledger. The anchor moves when something other than drawn energy is
-//! known of the battery: it is charged, measured, or exchanged.
+//! Everything is a share of the capacity. The consumption is counted from an anchor: the state of
+//! the battery at some account of the ledger. The anchor moves when there is other information than
+//! drawn energy: the battery is charged, measured, or exchanged.
 
 use joulebus_settings::{Battery, ChargeReading, Platform};
 use joulebus_wire::{Budget, Sample, budget_flag, sample_flag};
@@ -13,7 +14,7 @@ use crate::layout::shift::Shift;
 use crate::ledger::energy::Ledger;
 use crate::ledger::measured::{Measured, Seen};
 
-/// Bounds of an estimate lie so many standard deviations from it: 95 % of a normal distribution.
+/// Distance of the bounds from an estimate in standard deviations: 95 % of a normal distribution.
 pub(crate) const SIGMAS: f64 = 2.0;
 /// Standard deviation of the state of charge that a charger reports as full.
 const FULL_SD: f64 = 0.01;
@@ -23,7 +24,7 @@ const ANY_W: f64 = 1e30;
 const FULL: u8 = 1;
 const SWAPPED: u8 = 2;
 
-/// What a platform's config says of counting.
+/// A platform's settings for counting.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Counting {
     /// 1 / J.
@@ -79,8 +80,8 @@ pub(crate) struct Charging {
     pub unmetered: bool,
 }
 
-/// State of charge at one moment. The truth lies within `below` and `above` of `soc`, whatever was drawn in
-/// unmetered time, but for an error of standard deviation `sd`.
+/// State of charge at one moment. The truth is within `below` and `above` of `soc`, whatever was
+/// drawn in unmetered time, except for an error of standard deviation `sd`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Estimate {
     pub soc: f64,
@@ -103,7 +104,7 @@ impl Estimate {
     }
 }
 
-/// What is known of a robot's battery.
+/// The state of a robot's battery.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct BatteryState {
     /// [`Estimate`] at the anchor.
@@ -115,7 +116,8 @@ pub(crate) struct BatteryState {
     drawn_uj: i64,
     metered_ns: u64,
     unmetered_ns: u64,
-    /// Metered change of the state of charge since the robot joined: measured values are compared with it.
+    /// Metered change of the state of charge since the robot joined: measured values are compared
+    /// with it.
     pub counted: f64,
     /// Error of the measured state of charge, its variance, and its covariance with `soc`.
     pub bias: f64,
@@ -123,11 +125,11 @@ pub(crate) struct BatteryState {
     pub covariance: f64,
     /// Stamp of the last measured value that was looked at, ns; 0 before the first.
     pub measured_ns: u64,
-    /// That value; `counted` when it last changed.
+    /// That value. `counted` is the counted one when it last changed.
     pub measured: f64,
     pub equal_counted: f64,
-    /// Measured minus estimated, while measured values contradict the estimate; else NaN. Since which stamp,
-    /// and with which measured value.
+    /// Measured minus estimated, while measured values contradict the estimate; else NaN. Since
+    /// which stamp, and with which measured value.
     pub jump: f64,
     pub jump_ns: u64,
     pub jump_measured: f64,
@@ -141,8 +143,8 @@ pub(crate) struct BatteryState {
     pub charging: bool,
     /// Whether measured values are part of the estimate.
     pub fused: bool,
-    /// Of the newest sample: measured state of charge and energy to return, J (NaN if unknown), whether the first
-    /// follows from a voltage, and events.
+    /// Inputs of the newest sample: measured state of charge and energy to return, J (NaN if
+    /// unknown), whether the first is derived from a voltage, and events.
     input: f64,
     pub return_j: f64,
     input_by_voltage: bool,
@@ -184,7 +186,7 @@ block! {
 }
 
 impl BatteryLanes {
-    /// As [`BatteryState::shift`], of all.
+    /// Same as [`BatteryState::shift`], for all.
     pub(crate) fn shift(&mut self, shift: Shift) {
         for lane in 0..LANES {
             let mut battery = self.get(lane);
@@ -193,7 +195,7 @@ impl BatteryLanes {
         }
     }
 
-    /// Keeps what a sample says of the battery of the robot in a lane until the tick. Writes only
+    /// Keeps a sample's values of the battery of the robot in a lane until the tick. Writes only
     /// these columns: samples come in any order, and each column is another line of the cache.
     #[inline(always)]
     pub(crate) fn note(&mut self, lane: usize, sample: &Sample, battery: &Battery) {
@@ -255,7 +257,7 @@ impl BatteryState {
         }
     }
 
-    /// A battery of which nothing is known at `at`.
+    /// A battery that is unknown at `at`.
     pub(crate) fn unknown(battery: &Battery, at: At) -> Self {
         let mut unknown = Self {
             soc: 0.5,
@@ -308,8 +310,8 @@ impl BatteryState {
             (at.drawn_uj, at.metered_ns, at.unmetered_ns);
     }
 
-    /// The estimate at `at`, whose unmetered time may include the present silence. `mean_w`: what the robot
-    /// draws on average.
+    /// The estimate at `at`, whose unmetered time may include the present silence. `mean_w` is the
+    /// robot's mean consumption.
     #[inline(always)]
     pub(crate) fn after(
         &self,
@@ -382,8 +384,8 @@ impl BatteryState {
         measured | charging | self.charging | broken | (self.events != 0)
     }
 
-    /// Takes the newest sample, after which the ledger is at `at`. `stale_after_ns`: silence after which it does
-    /// not continue the sample before.
+    /// Takes the newest sample, after which the ledger is at `at`. `stale_after_ns`: silence after
+    /// which it does not continue the sample before.
     pub(crate) fn take(
         &mut self,
         (battery, platform): (&Battery, &Platform),
@@ -504,7 +506,7 @@ fn counted(counting: &Counting, drawn: f64, charging: bool) -> f64 {
     if charging { part * stored } else { -drawn }
 }
 
-/// What an earlier run wrote down of a battery, from a [`Budget`].
+/// A battery's state from an earlier run, from a [`Budget`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SavedBattery {
@@ -548,7 +550,7 @@ impl SavedBattery {
         self.changes
     }
 
-    /// The same battery after a time that nobody knows: anything may be left.
+    /// The same battery after an unknown time, when anything may be left.
     #[must_use]
     pub const fn without_bounds(self) -> Self {
         Self {
@@ -558,7 +560,7 @@ impl SavedBattery {
         }
     }
 
-    /// `None` if it is none that can have been written.
+    /// `None` if no worker can have written it.
     fn estimate(&self) -> Option<Estimate> {
         let [soc, lo, hi] = [self.soc, self.soc_lo, self.soc_hi].map(f64::from);
         let (sd, bias_sd) = (f64::from(self.soc_sd), f64::from(self.sensor_bias_sd));
@@ -575,7 +577,7 @@ impl SavedBattery {
     }
 }
 
-/// What is known of the battery of a robot that is not in the fleet.
+/// The known state of the battery of a robot that is not in the fleet.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[allow(clippy::large_enum_variant, reason = "kept in place, one per robot")]
 pub(crate) enum Known {

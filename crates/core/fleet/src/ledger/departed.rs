@@ -52,7 +52,7 @@ pub(crate) struct Departed {
 }
 
 impl Departed {
-    /// Bytes of an account in addition to its [`Ledger`], where no platform has a battery.
+    /// Size of an account in addition to its [`Ledger`], if no platform has a battery, bytes.
     pub(crate) const BYTES: usize = size_of::<u32>() + size_of::<bool>();
 
     /// `batteries`: whether a platform has a battery.

@@ -26,11 +26,11 @@ pub struct Ledger {
     stamp_ns: u64,
     /// Remainder of the integral below one µJ, in µW·ns · 2, from 0 to 1,999,999,999.
     pub drawn_remainder: u32,
-    /// As `drawn_remainder`.
+    /// Same as `drawn_remainder`.
     forecast_remainder: u32,
-    /// Bits of the last reading in W; of NaN if there is none.
+    /// Bits of the last reading in W, NaN's if there is none.
     last_power: u32,
-    /// Whether `stamp_ns` is that of a sample.
+    /// Whether `stamp_ns` belongs to a sample.
     begun: bool,
 }
 
@@ -79,8 +79,8 @@ impl Ledger {
         self.begun.then_some(self.stamp_ns)
     }
 
-    /// Moves the newest stamp to another clock. Time before that clock began is unmetered at once, so that none is
-    /// lost.
+    /// Moves the newest stamp to another clock. Time before that clock began is unmetered at once,
+    /// so that none is lost.
     pub(crate) fn shift(&mut self, shift: Shift) {
         let Self {
             drawn_uj: _,
@@ -100,8 +100,8 @@ impl Ledger {
     /// Records a sample: its stamp, the reading in W if there is one, and its forecast. Time counts
     /// as metered between two readings at most `longest_ns` apart.
     ///
-    /// A stamp before the last one (after a reboot, or of another source) adds no time, and what follows
-    /// adds none up to the last one: each moment is counted once.
+    /// A stamp before the last one (after a reboot, or of another source) adds no time, and later
+    /// ones add none up to the last one: each moment is counted once.
     pub fn meter(
         &mut self,
         stamp_ns: u64,
@@ -145,9 +145,9 @@ const SPLIT: f64 = (1u64 << 20) as f64;
 const ROUND: f64 = 1.5 * (1u64 << 52) as f64;
 
 impl Ledger {
-    /// As [`Ledger::meter`], with NaN for a missing reading or forecast, and without branches: in
-    /// double precision, exact for everything that a robot can draw in a sample period. Returns
-    /// whether it was exact; otherwise the ledger is invalid.
+    /// Same as [`Ledger::meter`], with NaN for a missing reading or forecast, and without branches.
+    /// It uses double precision, which is exact for everything that a robot can draw in a sample
+    /// period. Returns whether it was exact. Otherwise the ledger is invalid.
     #[inline(always)]
     pub(crate) fn meter_narrow(
         &mut self,
@@ -193,14 +193,14 @@ impl Ledger {
     }
 }
 
-/// As [`microwatts`], as an integer.
+/// Same as [`microwatts`], as an integer.
 #[inline(always)]
 fn whole_microwatts(power_w: f32) -> f64 {
     let exact_uw = f64::from(power_w) * 1e6;
     (exact_uw + 0.5f64.copysign(exact_uw)).trunc()
 }
 
-/// As [`integral`], of twice a power in µW and a time in ns, both integers within bounds.
+/// Same as [`integral`], for twice a power in µW and a time in ns, both integers within bounds.
 #[inline(always)]
 fn integral_narrow(remainder: u32, twice_uw: f64, elapsed_ns: f64) -> (i64, u32) {
     let high = (twice_uw * (1.0 / SPLIT) + ROUND) - ROUND;
@@ -284,7 +284,7 @@ block! {
 }
 
 impl LedgerLanes {
-    /// As [`Ledger::shift`], of all.
+    /// Same as [`Ledger::shift`], for all.
     pub(crate) fn shift(&mut self, shift: Shift) {
         for lane in 0..LANES {
             let mut ledger = self.get(lane);
@@ -300,15 +300,15 @@ mod tests {
 
     use super::*;
 
-    const LONGEST_NS: u64 = 50_000_000;
+    const MAX_NS: u64 = 50_000_000;
 
     #[test]
     fn time_between_an_earlier_stamp_and_the_last_one_is_not_counted_again() {
         let (mut wide, mut narrow) = (Ledger::default(), Ledger::default());
         let stamps_ms = [1_000, 1_020, 1_005, 1_015, 1_040, 1_040, 1_060];
         for stamp_ns in stamps_ms.map(|ms: u64| 1_000_000 * ms) {
-            wide.meter(stamp_ns, Some(3.0), None, LONGEST_NS);
-            assert!(narrow.meter_narrow(stamp_ns, 3.0, f32::NAN, LONGEST_NS));
+            wide.meter(stamp_ns, Some(3.0), None, MAX_NS);
+            assert!(narrow.meter_narrow(stamp_ns, 3.0, f32::NAN, MAX_NS));
         }
         for ledger in [wide, narrow] {
             assert_eq!(ledger.stamp_ns(), Some(1_060_000_000));
@@ -329,10 +329,10 @@ mod tests {
             let (start_ns, mut before) = (stamp_ns + samples[0].0, None);
             for (index, (step_ns, power_w)) in samples.iter().enumerate() {
                 stamp_ns += step_ns;
-                ledger.meter(stamp_ns, *power_w, None, LONGEST_NS);
+                ledger.meter(stamp_ns, *power_w, None, MAX_NS);
                 let now = power_w.map(|watts| (f64::from(watts) * 1e6).round() as i128);
                 if let (Some(a), Some(b)) = (before, now)
-                    && index > 0 && *step_ns <= LONGEST_NS
+                    && index > 0 && *step_ns <= MAX_NS
                 {
                     exact += (a + b) * i128::from(*step_ns);
                     metered_ns += step_ns;
@@ -356,13 +356,13 @@ mod tests {
             let mut stamp_ns = 7;
             for power_w in &powers[..cut] {
                 stamp_ns += 33_000_000;
-                ledger.meter(stamp_ns, Some(*power_w), None, LONGEST_NS);
+                ledger.meter(stamp_ns, Some(*power_w), None, MAX_NS);
             }
             let mut again = Ledger::restored(
                 (ledger.drawn_uj, ledger.drawn_remainder.into()), ledger.forecast_uj,
                 ledger.metered_ns, ledger.unmetered_ns, stamp_ns);
             stamp_ns += gap_ns;
-            again.meter(stamp_ns, Some(powers[cut]), None, LONGEST_NS);
+            again.meter(stamp_ns, Some(powers[cut]), None, MAX_NS);
             prop_assert_eq!(again.drawn_uj, ledger.drawn_uj);
             prop_assert_eq!(again.unmetered_ns, ledger.unmetered_ns + gap_ns);
             prop_assert_eq!(again.metered_ns, ledger.metered_ns);
@@ -405,7 +405,7 @@ mod tests {
         #[test]
         fn the_branchless_ledger_is_the_same_or_reports_that_it_is_not(
             samples in prop::collection::vec((watts(), watts(), 0u32..64, any::<u64>()), 1..60),
-            longest_ns in prop_oneof![4 => Just(LONGEST_NS), 1 => any::<u64>()],
+            longest_ns in prop_oneof![4 => Just(MAX_NS), 1 => any::<u64>()],
         ) {
             let (mut ledger, mut stamp_ns) = (Ledger::default(), 5u64);
             for (power_w, forecast_w, shift, step_ns) in samples {

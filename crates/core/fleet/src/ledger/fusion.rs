@@ -1,21 +1,22 @@
-//! A measured state of charge, fused with the counted one.
+//! Fusion of a measured state of charge with the counted one.
 //!
-//! A Kalman filter of two numbers: the state of charge, and the error of the sensor, which lasts. Without the
-//! second, thirty readings a second of one sensor would be taken for as many sensors, and the uncertainty for
-//! nothing after a minute. Sums, products and square roots only: the same bits on every machine.
+//! A Kalman filter of two numbers: the state of charge, and the persistent error of the sensor.
+//! Without the second, thirty readings a second of one sensor would count as many sensors, and the
+//! uncertainty would vanish after a minute. It uses only sums, products and square roots: the same
+//! bits on every machine.
 
 use joulebus_wire::{Alarm, AlarmSet};
 
 use crate::ledger::battery::BatteryState;
 use crate::ledger::measured::Measured;
 
-/// Least time between two measured values that are used, ns: more often they say the same.
+/// Minimum time between two measured values that are used, ns. More frequent ones are redundant.
 const EVERY_NS: u64 = 1_000_000_000;
 /// Time constant of the sensor's error, s.
 const BIAS_S: f64 = 3600.0;
 /// A measured value this many standard deviations off contradicts the estimate.
 const GATE: f64 = 4.0;
-/// Steps by which a measured value must fall before a rise that came out of nothing is believed.
+/// Steps by which a measured value must fall before an unexplained rise is believed.
 const FALLS: f64 = 2.0;
 /// Steps, and share beyond them, within which contradicting values agree with each other.
 const AGREES: (f64, f64) = (2.0, 0.02);
@@ -30,12 +31,12 @@ impl BatteryState {
     #[inline(always)]
     pub(crate) fn is_due(&self, stamp_ns: u64) -> bool {
         let since_ns = stamp_ns.wrapping_sub(self.measured_ns);
-        // Also where stamps began again.
+        // Also if stamps began again.
         (self.measured_ns == 0) | (since_ns >= EVERY_NS)
     }
 
-    /// Fuses a measured value with the estimate, unless it is stuck or contradicts the estimate. The anchor is at
-    /// the sample.
+    /// Fuses a measured value with the estimate, unless it is stuck or contradicts the estimate.
+    /// The anchor is at the sample.
     pub(crate) fn fuse(&mut self, measured: Measured, stamp_ns: u64) {
         self.age(measured.sd, stamp_ns);
         let implausible = self.is_stuck(measured) || self.contradicts(measured, stamp_ns);
@@ -46,7 +47,7 @@ impl BatteryState {
         };
     }
 
-    /// Whether the last measured value says that less is left than is counted, and is not believed.
+    /// Whether the last measured value is below the counted one, and is not believed.
     pub(crate) fn is_contradicted(&self) -> bool {
         AlarmSet(self.raised).has(Alarm::SocImplausible) && self.jump < 0.0
     }
@@ -77,13 +78,13 @@ impl BatteryState {
         (self.counted - self.equal_counted).abs() > allowed
     }
 
-    /// Fuses the value if it agrees with the estimate. If not, it replaces the estimate once it has agreed
-    /// with the energy drawn for long enough: the battery is another one.
+    /// Fuses the value if it agrees with the estimate. If not, it replaces the estimate once it has
+    /// agreed with the energy drawn for long enough: the battery is another one.
     fn contradicts(&mut self, measured: Measured, stamp_ns: u64) -> bool {
         let width = self.below + self.above;
         let soc = self.soc + 0.5 * (self.above - self.below);
-        // Deviations are added, not variances: the robot may draw, or be charged with, the same unknown power for
-        // hours.
+        // Deviations are added, not variances: the robot may draw, or be charged with, the same
+        // unknown power for hours.
         let sd = self.sd + width / 12f64.sqrt();
         let var = sd * sd;
         let off = measured.soc - soc - self.bias;
@@ -108,7 +109,7 @@ impl BatteryState {
     fn doubt(&mut self, measured: Measured, stamp_ns: u64) -> bool {
         let jump = measured.soc - self.soc;
         let agrees = (jump - self.jump).abs() <= AGREES.0 * measured.step + AGREES.1;
-        // Also false where there was none, which is NaN.
+        // Also false without a measured value, which is NaN.
         if !agrees {
             (self.jump, self.jump_ns, self.jump_measured) = (jump, stamp_ns, measured.soc);
         }
@@ -118,11 +119,11 @@ impl BatteryState {
         let believed = match (interrupted, jump < 0.0 || falls) {
             (true, _) => lasted_ns >= AFTER_GAP_NS,
             (false, true) => lasted_ns >= LASTS_NS,
-            // No battery fills while it is driven; a sensor that fails may say so.
+            // No battery fills while it is driven. Only a failing sensor reports that.
             (false, false) => false,
         };
         if believed {
-            // What was there before the first measured value was only assumed.
+            // The state before the first measured value was only assumed.
             self.changes = self.changes.saturating_add(u32::from(self.fused));
             self.believe(measured);
         }

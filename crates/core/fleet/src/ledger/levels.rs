@@ -9,8 +9,8 @@ const fn bit(alarm: Alarm) -> u32 {
     AlarmSet(0).with(alarm).0
 }
 
-/// The battery's alarms after those `raised` before, at an estimate: raised below a threshold, cleared a band above
-/// it. `return_j`: energy to return that the sample states, NaN if none.
+/// The battery's alarms after those `raised` before, at an estimate: raised below a threshold,
+/// cleared a band above it. `return_j`: energy to return that the sample states, NaN if none.
 #[inline(always)]
 pub(crate) fn judge(raised: u32, battery: &Battery, estimate: &Estimate, return_j: f64) -> u32 {
     let band = battery.level_band;
@@ -32,6 +32,6 @@ pub(crate) fn judge(raised: u32, battery: &Battery, estimate: &Estimate, return_
     (raised & bit(Alarm::SocImplausible))
         | below(Alarm::BatteryLow, estimate.soc, battery.low)
         | below(Alarm::BatteryCritical, estimate.soc, battery.critical)
-        // What is certainly left; without a stated need nothing is below it.
+        // The energy that is certainly left. Without a stated need nothing is below it.
         | below(Alarm::CannotReturn, estimate.lo(), needed)
 }

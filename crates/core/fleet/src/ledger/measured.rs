@@ -1,9 +1,10 @@
-//! What a sample says of the battery: a measured state of charge, and how it continues the samples before.
+//! The battery's values in a sample: a measured state of charge, and how it continues the previous
+//! samples.
 
 use joulebus_settings::Battery;
 
-/// Steps that the variance of a rounded value stands for: while the charge crosses one step, some hundred values
-/// in a row are rounded alike.
+/// Steps that the variance of a rounded value stands for: while the charge crosses one step, some
+/// hundred values in a row are rounded alike.
 const ROUNDING: f64 = 10.0;
 
 /// A measured state of charge with its errors.
@@ -31,7 +32,7 @@ impl Measured {
     }
 }
 
-/// What a sample says of the time before it.
+/// A sample's information about the time before it.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Seen {
     pub stamp_ns: u64,

@@ -23,8 +23,8 @@ pub(crate) struct Remaining {
 }
 
 impl Remaining {
-    /// From the state of charge. `ends_w`: the interval around the mean power `mean_w`; `charging`: nothing
-    /// is drawn from the battery.
+    /// Computes it from the state of charge. `ends_w` is the interval around the mean power
+    /// `mean_w`. `charging` states that nothing is drawn from the battery.
     #[inline(always)]
     pub(crate) fn of(
         battery: &Battery,
@@ -38,7 +38,8 @@ impl Remaining {
         let (lo, hi) = (estimate.lo(), estimate.hi());
         let above = |share: f64| capacity_j * (share - battery.reserve).max(0.0);
         let (usable_j, usable_lo_j, usable_hi_j) = (above(estimate.soc), above(lo), above(hi));
-        // Under persistent bias the interval may exclude the forecast; the bounds stay conservative.
+        // Under persistent bias the interval may exclude the forecast; the bounds stay
+        // conservative.
         let lo_w = f64::from(ends_w.0).min(mean_w);
         let hi_w = f64::from(ends_w.1).max(mean_w);
         let lasts_s = |joules: f64, watts: f64, positive: bool, otherwise: f32| {

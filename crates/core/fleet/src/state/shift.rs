@@ -1,17 +1,20 @@
-//! Moving a state to the monotonic clock of another host.
+//! Moves a state to the monotonic clock of another host.
 //!
-//! Every struct with instants names all of its fields where it moves them, so that a new field is looked at before
-//! anything compiles. What counts periods, durations, sequence numbers and runs stays.
+//! Every struct with instants names all of its fields when it moves them. The compiler therefore
+//! demands a decision for each new field. Counts of periods, durations, sequence numbers and runs
+//! stay.
 
 use crate::layout::shift::Shift;
-use crate::state::snapshot::{Counters, FleetState, SavedColumns};
+use crate::state::columns::Columns;
+use crate::state::snapshot::{Counters, FleetState};
 
 impl FleetState {
-    /// Moves all instants by `offset_ns`: what is added to the monotonic clock of the host that the state was taken on
-    /// to get that of this one. A fleet continues from it as one would whose samples had been stamped here.
+    /// Moves all instants by `offset_ns`, the number to add to the monotonic clock of the state's
+    /// host to get this host's. A fleet continues from it as if its samples had been stamped here.
     ///
-    /// An instant from before this host's clock began is moved to its beginning: such a state looks as old as this
-    /// host has been running, and the accounts of energy count the rest as unmetered time at once.
+    /// An instant from before this host's clock started is moved to its start. Such a state looks
+    /// as old as this host has been running, and the accounts of energy count the rest as unmetered
+    /// time at once.
     #[must_use]
     pub fn shifted(mut self, offset_ns: i64) -> Self {
         let shift = Shift { offset_ns };
@@ -54,7 +57,7 @@ impl Counters {
     }
 }
 
-impl SavedColumns {
+impl Columns {
     fn shift(&mut self, shift: Shift) {
         let Self {
             admissions,
@@ -62,7 +65,7 @@ impl SavedColumns {
             // Counts periods.
             windows: _,
             lasts,
-            // Of values, not of times.
+            // Intervals of values, not of times.
             intervals: _,
             ledgers,
             scores: _,

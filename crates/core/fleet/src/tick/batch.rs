@@ -110,7 +110,8 @@ impl Batch {
     pub(crate) fn infer(&mut self, model: &Model) {
         let rows = self.slots.len();
         let columns = self.columns.each_ref().map(|column| &column[..rows]);
-        model.predict_columns(columns, &mut self.forecasts_w[..rows]);
+        let predicted = model.predict_columns(columns, &mut self.forecasts_w[..rows]);
+        predicted.expect("every column has as many rows as there are forecasts");
     }
 
     /// Marks the rows that have a feature outside the training range, or NaN.
@@ -122,8 +123,8 @@ impl Batch {
         }
     }
 
-    /// The rows from `row` on that are of one block, after [`Batch::infer`] and [`Batch::mark_outside`];
-    /// and the row behind them.
+    /// The rows from `row` on that are of one block, after [`Batch::infer`] and
+    /// [`Batch::mark_outside`]; and the row behind them.
     #[inline(always)]
     pub(crate) fn of_block(&self, row: usize) -> Option<(Inferred, usize)> {
         let slots = self.slots.get(row..)?;
@@ -169,7 +170,7 @@ impl Batch {
     }
 }
 
-/// What was inferred for the robots of a block.
+/// Results of inference for the robots of a block.
 pub(crate) struct Inferred {
     pub block: usize,
     /// Lanes with a row.
@@ -190,7 +191,7 @@ impl Inferred {
     }
 }
 
-/// Whether the first slots are those of a whole block, in their order.
+/// Whether the first slots are a whole block's, in their order.
 #[inline(always)]
 fn is_block(slots: &[u32]) -> bool {
     let Some(slots) = slots.first_chunk::<LANES>() else {

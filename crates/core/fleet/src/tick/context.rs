@@ -2,7 +2,8 @@
 
 use std::ops::RangeInclusive;
 
-use joulebus_predictor::{Model, SimdLevel};
+use joulebus_predictor::Model;
+use joulebus_predictor::simd::SimdLevel;
 use joulebus_settings::{FleetSettings, SettingsError};
 
 use crate::ingest::admission::AdmissionState;
@@ -13,7 +14,7 @@ use crate::tick::platform_context::PlatformContext;
 pub(crate) struct TickContext {
     pub settings: FleetSettings,
     pub platforms: Vec<PlatformContext>,
-    /// Instruction set of everything except the models: that of the first platform's model.
+    /// Instruction set of everything except the models, taken from the first platform's model.
     pub simd_level: SimdLevel,
     pub now_ns: u64,
     pub deadline_missed: bool,

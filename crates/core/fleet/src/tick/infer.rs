@@ -1,10 +1,11 @@
 //! Inference: rows through the model, forecasts into windows; and open loop for robots whose next
 //! sample is overdue.
 
-// Lanes are counted: that is the loop that the compiler makes vectors of.
+// Index loops: the compiler vectorises them.
 #![allow(clippy::needless_range_loop)]
 
-use joulebus_predictor::{SimdTask, missing_steps};
+use joulebus_predictor::missing_steps;
+use joulebus_predictor::simd::SimdTask;
 use joulebus_wire::{InvalidReason, Quality};
 
 use crate::estimate::online::{Members, OnlineLanes};
@@ -53,7 +54,7 @@ pub(crate) fn infer_open(
     true
 }
 
-/// Stores what was inferred, a block at a time.
+/// Stores the results of inference, a block at a time.
 struct Store<'a, 'b> {
     members: Option<Members>,
     possible: PossiblePower,
@@ -140,8 +141,8 @@ fn refuse(columns: &mut ColumnsMut<'_>, slot: usize) {
     lanes::set(columns.lasts, slot, last);
 }
 
-/// Forecasts robots whose sample is overdue open loop: provisional, and discarded where the sample says
-/// otherwise.
+/// Forecasts robots whose sample is overdue in open loop. The forecast is provisional, and
+/// discarded if the sample disagrees.
 pub(crate) fn run_overdue(
     tick: &TickContext,
     context: &PlatformContext,

@@ -28,7 +28,7 @@ pub(crate) struct PlatformContext {
     pub trained: Option<Trained>,
     /// Step of the intervals' adaptation.
     pub quantile_step: QuantileStep,
-    /// What the robots' forecasts combine, where they learn online.
+    /// The members of the robots' forecasts, if they learn online.
     pub members: Option<Members>,
     /// The energy of longer plans.
     pub energy: EnergyModel,
@@ -73,7 +73,7 @@ impl PlatformContext {
         }
     }
 
-    /// What a platform can draw, W.
+    /// The range of power that a platform can draw, W.
     pub(crate) const fn possible(&self) -> PossiblePower {
         PossiblePower {
             min_w: self.platform.power_min_w,
@@ -82,8 +82,9 @@ impl PlatformContext {
     }
 }
 
-/// What a platform can draw: readings outside are refused, so a forecast outside is further from the next reading
-/// than the limit is. In open loop, where a network's error may feed itself, forecasts stay bounded.
+/// The range of power that a platform can draw. Readings outside are refused, so a forecast outside
+/// is farther from the next reading than the limit is. In open loop, where a network's error may
+/// amplify, forecasts stay bounded.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct PossiblePower {
     min_w: f32,

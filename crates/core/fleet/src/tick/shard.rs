@@ -52,7 +52,8 @@ pub struct Shard<'a> {
     pub(crate) oldest_ns: &'a AtomicU64,
 }
 
-/// Output of [`Shard::run`]: slices of the shard's length, or empty where an output is left out.
+/// Output of [`Shard::run`]: slices of the shard's length, or empty ones for outputs that are left
+/// out.
 #[derive(Debug, Default)]
 pub struct Outputs<'a> {
     /// Forecasts.
@@ -61,14 +62,15 @@ pub struct Outputs<'a> {
     pub accounts: Accounts<'a>,
 }
 
-/// Output of [`Shard::account`]: slices of the shard's length, or empty where an output is left out.
+/// Output of [`Shard::account`]: slices of the shard's length, or empty ones for outputs that are
+/// left out.
 #[derive(Debug, Default)]
 pub struct Accounts<'a> {
     /// Diagnostics.
     pub diagnostics: &'a mut [Diagnostic],
     /// Budgets.
     pub budgets: &'a mut [Budget],
-    /// What plans start from.
+    /// Starts of plans.
     pub plan_states: &'a mut [PlanState],
 }
 
@@ -163,8 +165,8 @@ impl<'a> Shard<'a> {
         });
     }
 
-    /// Scores what [`Shard::forecast`] absorbed, and writes the accounts; an empty slice is not
-    /// written.
+    /// Scores the samples that [`Shard::forecast`] absorbed, and writes the accounts. Empty slices
+    /// are not written.
     pub fn account(
         &mut self,
         batch: &mut Batch,

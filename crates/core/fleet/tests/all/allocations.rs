@@ -31,7 +31,7 @@ fn fill(frame: &mut Vec<Sample>, step: u64, now_ns: u64) {
                 earlier.measured_ns = earlier.measured_ns.min(earlier.stamp_ns);
                 frame.push(earlier);
             }
-            6 => sample = sample.soc(0.5).return_energy(100.0),
+            6 => sample = sample.state_of_charge(0.5).return_energy(100.0),
             7 => sample = sample.with(sample_flag::CHARGING),
             _ => {}
         }
@@ -98,8 +98,8 @@ fn taken(settings: joulebus_settings::FleetSettings) -> u64 {
     taken
 }
 
-/// Additional memory where a platform has a battery, with that of the account of a departed robot, per robot of the
-/// capacity.
+/// Additional memory if a platform has a battery, including a departed robot's account, per robot
+/// of the capacity.
 #[test]
 fn batteries_take_at_most_380_bytes_a_robot_more() {
     let more = taken(settings(10_000)) - taken(without_batteries(10_000));
@@ -108,7 +108,7 @@ fn batteries_take_at_most_380_bytes_a_robot_more() {
     assert!(each > 0.0 && each <= 380.0, "{each:.1} bytes a robot more");
 }
 
-/// A robot in the fleet, plus the account of a departed one, of which there may be as many.
+/// Memory of a robot in the fleet and of a departed one's account, of which there may be as many.
 #[test]
 fn a_robot_takes_at_most_672_bytes_with_the_account_of_a_departed_one() {
     let bytes = |capacity: u32| taken(without_batteries(capacity));

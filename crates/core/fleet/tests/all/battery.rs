@@ -1,5 +1,5 @@
-//! Batteries over a day: charged, measured, exchanged, left alone. The stated bounds hold the truth as often as
-//! they say, and what a sensor says is believed only where it can be true.
+//! Batteries over a day: charged, measured, exchanged, left alone. The stated bounds contain the
+//! truth with the stated frequency, and a sensor's value is believed only if it can be true.
 
 use joulebus_fleet::{Fleet, SavedBattery};
 use joulebus_predictor::{Model, Persistence, ResidualStats};
@@ -54,13 +54,13 @@ fn fleet(battery: Battery, robots: u32) -> Fleet {
     Fleet::new(settings(battery, robots), vec![model]).expect("the settings are consistent")
 }
 
-/// Of a normal distribution.
+/// A draw of a normal distribution.
 fn normal(noise: &mut Noise) -> f64 {
     let uniform = |noise: &mut Noise| (noise.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
     (0..12).map(|_| uniform(noise)).sum::<f64>() - 6.0
 }
 
-/// A true battery, and what its robot's instruments say of it.
+/// A true battery, and the readings of its robot's instruments.
 #[derive(Debug, Clone, Copy)]
 struct Truth {
     soc: f64,
@@ -79,7 +79,8 @@ impl Truth {
         }
     }
 
-    /// Draws `power_w` from the battery over a step; negative charges it. Returns what the monitor reads.
+    /// Draws `power_w` from the battery over a step. Negative power charges it. Returns the
+    /// monitor's reading.
     fn step(&mut self, power_w: f64, efficiency: f64) -> f32 {
         let part = if power_w < 0.0 { efficiency } else { 1.0 };
         self.soc = (self.soc - part * power_w * STEP_S / CAPACITY_J).clamp(0.0, 1.0);
@@ -152,7 +153,7 @@ fn plain(sample: Sample, _: &Truth) -> Sample {
 }
 
 fn with_soc(sample: Sample, truth: &Truth) -> Sample {
-    sample.soc(truth.measured())
+    sample.state_of_charge(truth.measured())
 }
 
 fn assert_in_order(budget: &Budget) {
@@ -166,8 +167,9 @@ fn assert_in_order(budget: &Budget) {
     assert_eq!(budget.flags & known, known, "{budget:?}");
 }
 
-/// Share of robots and hours whose truth lies within the bounds, and the mean width of these, of robots with random
-/// errors over a day of driving, charging, silence, an exchanged battery, and a restarted worker.
+/// Share of robots and hours whose truth is within the bounds, and the bounds' mean width, for
+/// robots with random errors over a day of driving, charging, silence, an exchanged battery, and a
+/// restarted worker.
 fn day(battery: Battery, robots: u32, measures: bool) -> (f64, f64) {
     let mut noise = Noise(7);
     let mut fleet = fleet(battery, robots);
@@ -209,7 +211,7 @@ fn day(battery: Battery, robots: u32, measures: bool) -> (f64, f64) {
                 sample = sample.with(sample_flag::FULL);
             }
             if measures {
-                sample = sample.soc(truth.measured());
+                sample = sample.state_of_charge(truth.measured());
             }
             samples.push(sample);
         }
@@ -236,7 +238,7 @@ fn day(battery: Battery, robots: u32, measures: bool) -> (f64, f64) {
     (inside / judged, width / judged)
 }
 
-/// A fleet that has what a worker writes down of this one.
+/// A fleet with the state that a worker saves of this one.
 fn restarted(before: &Fleet, battery: Battery, robots: u32) -> Fleet {
     let mut after = fleet(battery, robots);
     for place in 0..before.len() {
@@ -337,7 +339,7 @@ fn a_measured_state_of_charge_narrows_the_bounds_but_not_below_its_own_error() {
         width(&with) < 0.8 * width(&without),
         "{with:?}, {without:?}"
     );
-    // A prior and a sensor of 5 % each are worth 3.5 %, however often the sensor speaks.
+    // A prior and a sensor of 5 % each give 3.5 %, however often the sensor reports.
     assert!(with.soc_sd > 0.03, "{with:?}");
     assert!(
         (f64::from(with.soc) - measured.truth.soc).abs() < 0.02,
@@ -377,7 +379,7 @@ fn a_measured_state_of_charge_out_of_range_is_refused_and_counted() {
     ] {
         let mut bench = Bench::new(battery());
         let before = bench.drive(10, with_soc);
-        let shown = bench.send(4.0, |sample, _| sample.soc(soc));
+        let shown = bench.send(4.0, |sample, _| sample.state_of_charge(soc));
         let drops: Vec<_> = bench
             .fleet
             .drops()
@@ -394,7 +396,7 @@ fn a_measured_state_of_charge_out_of_range_is_refused_and_counted() {
         assert_eq!(bench.fleet.drops().total(), 1, "{return_j}");
     }
     let mut bench = Bench::new(battery());
-    bench.drive(10, |sample, _| sample.soc(1.04));
+    bench.drive(10, |sample, _| sample.state_of_charge(1.04));
     assert_eq!(
         bench.fleet.drops().total(),
         0,
@@ -407,7 +409,7 @@ fn a_stuck_sensor_is_noticed_and_the_count_goes_on() {
     for stuck in [0.9, 0.6, 1.0] {
         let mut bench = Bench::new(battery());
         bench.drive(100, with_soc);
-        bench.drive(5 * HOUR / 2, |sample, _| sample.soc(stuck));
+        bench.drive(5 * HOUR / 2, |sample, _| sample.state_of_charge(stuck));
         let shown = bench.budget();
         let truth = bench.truth.soc as f32;
         assert!(truth < 0.1, "the battery is nearly empty: {truth}");
@@ -429,7 +431,7 @@ fn a_jumping_sensor_is_not_followed() {
         bench.drive(HOUR, |sample, truth| {
             jump.set(jump.get() + 1);
             let off = [0.0, 0.4, -0.4, 0.2, -0.3][(jump.get() / every % 5) as usize];
-            sample.soc((truth.measured() + off).clamp(0.0, 1.0))
+            sample.state_of_charge((truth.measured() + off).clamp(0.0, 1.0))
         });
         let (shown, truth) = (bench.budget(), bench.truth.soc as f32);
         assert!(
@@ -447,15 +449,15 @@ fn a_sensor_that_jumps_up_and_stays_is_doubted_one_that_jumps_down_is_believed_a
     let mut bench = Bench::new(battery());
     bench.drive(HOUR, with_soc);
     let (before, truth) = (bench.budget(), bench.truth.soc as f32);
-    let shown = bench.drive(100, |sample, _| sample.soc(1.0));
+    let shown = bench.drive(100, |sample, _| sample.state_of_charge(1.0));
     assert!(bench.raised(Alarm::SocImplausible));
     assert!(shown.soc_hi < before.soc_hi, "{shown:?}, {truth}");
-    // What is counted is less, and safe to plan with.
+    // The counted charge is lower, and safe to plan with.
     assert_eq!(shown.flags & budget_flag::CONTRADICTED, 0);
-    let shown = bench.drive(3, |sample, _| sample.soc(0.1));
+    let shown = bench.drive(3, |sample, _| sample.state_of_charge(0.1));
     assert!(shown.soc > 0.3, "{shown:?}");
     assert_ne!(shown.flags & budget_flag::CONTRADICTED, 0);
-    let shown = bench.drive(30, |sample, _| sample.soc(0.1));
+    let shown = bench.drive(30, |sample, _| sample.state_of_charge(0.1));
     assert!(shown.soc < 0.15, "{shown:?}");
     assert_eq!(shown.flags & budget_flag::CONTRADICTED, 0);
     assert_eq!(shown.battery_changes, 1);
@@ -517,7 +519,7 @@ fn a_voltage_gives_the_state_of_charge_where_nothing_else_does() {
         shown.soc_sd > 0.04 && shown.flags & budget_flag::MEASURED != 0,
         "{shown:?}"
     );
-    // Far outside the table it tells nothing.
+    // Far outside the table a voltage gives no charge.
     let before = bench.budget();
     let shown = bench.drive(10, |sample, _| sample.battery(3.0, 0.3));
     assert!((shown.soc - before.soc).abs() < 0.01, "{shown:?}");
@@ -594,7 +596,7 @@ fn a_robot_cannot_return_when_less_than_it_needs_is_certainly_left() {
     assert!(!bench.raised(Alarm::CannotReturn));
     bench.send(4.0, |sample, _| sample.return_energy(30_000.0));
     assert!(bench.raised(Alarm::CannotReturn));
-    // Without either nothing is said.
+    // Without either there is no statement.
     let mut bench = Bench::new(battery());
     bench.drive(3 * HOUR, plain);
     assert!(bench.raised(Alarm::BatteryCritical) && !bench.raised(Alarm::CannotReturn));
@@ -624,7 +626,7 @@ fn levels_of_a_silent_robot_are_raised_as_its_budget_falls() {
         })
         .collect();
     assert!(!raised[5] && raised[19], "{raised:?}");
-    // It is heard of again, and has drawn nobody knows what.
+    // The robot is back, and its consumption in between is unknown.
     bench.send(4.0, |sample, _| sample.return_energy(needed_j as f32));
     assert!(bench.raised(Alarm::CannotReturn));
 }
@@ -647,7 +649,7 @@ fn a_restarted_worker_continues_and_the_gap_is_charged_at_maximum_power() {
     assert!(after.soc_hi <= before.soc_hi + 1e-6 + 0.1, "{after:?}");
     assert_eq!(after.flags & budget_flag::MEASURED, budget_flag::MEASURED);
     assert_eq!(after.sensor_bias, before.sensor_bias);
-    // What was written down by something that cannot have been a worker is not believed.
+    // A saved state that no worker can have written is not believed.
     let mut nonsense = before;
     nonsense.soc_lo = 0.99;
     let mut fleet = fleet(battery(), 1);

@@ -285,7 +285,7 @@ fn a_robot_without_a_slot_gets_one_when_another_leaves() {
         assert!(place(&fleet, 1).is_none() || step < 31 || forecast(&fleet, 1).quality() == stale);
     }
     assert!(place(&fleet, 1).is_none());
-    assert!(forecast(&fleet, 2).power_w().is_some());
+    assert!(forecast(&fleet, 2).expected_w().is_some());
 }
 
 #[test]
@@ -303,11 +303,11 @@ fn a_robots_output_in_a_fleet_of_several_tiles_is_the_same_as_alone() {
         for step in 0..30 {
             let now_ns = START_NS + step * PERIOD_NS;
             // A gap in the middle, silence at the end.
-            let speaks =
+            let sends =
                 |robot: &&u32| !((12..15).contains(&step) && robot.is_multiple_of(5) || step > 25);
             let frame: Vec<Sample> = robots
                 .iter()
-                .filter(speaks)
+                .filter(sends)
                 .map(|robot| healthy(*robot, step, now_ns, PERIOD_NS))
                 .collect();
             source.send(fleet, &frame, now_ns);

@@ -71,7 +71,7 @@ fn impossible_samples_of_any_number_of_robots_cost_no_departed_robot_its_account
     }
     let account = fleet.ledger(LIVING).unwrap();
     assert_eq!(account.metered_ns, 19 * PERIOD_NS);
-    // It leaves, and so do many others of which no sample is accepted.
+    // It leaves, as do many others without an accepted sample.
     let mut liar = Source::new(2, 1);
     for step in 0..200 {
         now_ns += LEAVE_AFTER_NS + PERIOD_NS;

@@ -6,7 +6,8 @@ use std::process::Command;
 
 use joulebus_config::{Config, builtin_model};
 use joulebus_energy::{Commands, EnergyModel, EnergyState};
-use joulebus_plan::{Fleet, Follower, Path, PathError, Point, Pose};
+use joulebus_plan::follow::{Follower, Pose};
+use joulebus_plan::{Fleet, Path, PathError, Point};
 use joulebus_predictor::{Model, Network, Persistence, ResidualStats};
 use proptest::prelude::*;
 
@@ -72,8 +73,9 @@ fn shipped() -> EnergyModel {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
 
-    /// Robots of the Robotarium have been commanded to start, to stop and to turn as suddenly as a follower
-    /// does: of its steps only those are outside the training data whose velocities are.
+    /// Robots of the Robotarium have been commanded to start, to stop and to turn as suddenly as a
+    /// follower does. Of its steps, only those with velocities outside the training data are
+    /// outside.
     #[test]
     fn changes_of_a_followers_commands_are_inside_the_shipped_models_training_data(
         corners in prop::collection::vec((-1.6f64..1.6, -1.0f64..1.0), 2..6),
@@ -157,7 +159,8 @@ fn infinite_speed_is_as_fast_as_the_platform_can() {
     assert_eq!(fastest, follower.follow(&Path::new(&points, 0.2f32.into())));
 }
 
-/// Commands of the simulator for poses and goals, and a drive with them: its controllers, in Python.
+/// Commands of the simulator for poses and goals, and a drive with them: its controllers, in
+/// Python.
 const SCRIPT: &str = r#"
 import sys, json, numpy as np
 sys.path.insert(0, sys.argv[1])
@@ -185,12 +188,12 @@ for pose, goal in given["cases"]:
 print(json.dumps({"commands": commands, "drives": drives}))
 "#;
 
-/// A Python; that of `tools/python.sh` has NumPy.
+/// A Python. The one of `tools/python.sh` has NumPy.
 fn python() -> String {
     std::env::var("JOULEBUS_PYTHON").unwrap_or_else(|_| "python3".to_owned())
 }
 
-/// The simulator, where it is there with Python and NumPy.
+/// The simulator, if it is installed with Python and NumPy.
 fn simulator() -> Option<PathBuf> {
     let here = FilePath::new(env!("CARGO_MANIFEST_DIR"));
     let folder = here.join("../../../shared/rps");
@@ -255,9 +258,13 @@ fn commands_and_drives_are_those_of_the_robotarium_simulator() {
         .arg(&given)
         .output()
         .expect("Python runs");
-    let (told, said) = (&output.stdout, &output.stderr);
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(said));
-    let theirs: Theirs = serde_json::from_slice(told).expect("its answer is JSON");
+    let (stdout, stderr) = (&output.stdout, &output.stderr);
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(stderr)
+    );
+    let theirs: Theirs = serde_json::from_slice(stdout).expect("its answer is JSON");
     for (place, (pose, goal)) in cases.into_iter().enumerate() {
         let here = Pose {
             at: Point::new(pose[0], pose[1]),
@@ -270,7 +277,7 @@ fn commands_and_drives_are_those_of_the_robotarium_simulator() {
             (f64::from(omega_radps) - omega).abs() < 1e-5,
             "{place}: {omega_radps} {omega}"
         );
-        // The simulator takes the heading at the beginning of a step, the follower that of its middle.
+        // The simulator takes the heading at the beginning of a step, the follower in its middle.
         let followed = followed_by(pose, goal);
         let (steps, travelled_m) = theirs.drives[place];
         let mine_m: f64 = followed

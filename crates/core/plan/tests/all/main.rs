@@ -1,4 +1,4 @@
-//! The tests of plans: what a path needs, what a fleet answers, and what both cost.
+//! Tests of plans: the energy of a path, a fleet's answers, and the cost of both.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod allocations;

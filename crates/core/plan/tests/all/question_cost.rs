@@ -1,9 +1,10 @@
-//! What a question costs whose ways are followed once for all robots.
+//! The cost of a question whose paths are followed once for all robots.
 
 use std::time::Instant;
 
 use crate::world::{Rows, fleet};
-use joulebus_plan::{Path, Plan, Point, Question, RobotRows, Work};
+use joulebus_plan::answering::Work;
+use joulebus_plan::{Path, Plan, Point, Question, RobotRows};
 use joulebus_wire::QUERY_STEPS;
 
 fn rows(robot: u32) -> RobotRows {

@@ -1,9 +1,9 @@
-//! Questions and replies survive their payloads, and what is false is refused.
+//! Questions and replies survive their payloads, and invalid ones are refused.
 
 use crate::world::{Rows, fleet};
+use joulebus_plan::answering::Work;
 use joulebus_plan::{
-    Path, Plan, Point, Question, QuestionError, Refused, Reply, RobotRows, Unknown, Verdict, Work,
-    rank,
+    Path, Plan, Point, Question, QuestionError, Refused, Reply, RobotRows, Unknown, Verdict, rank,
 };
 use joulebus_wire::{
     AnswerHeader, QUERY_STEPS, QueryHeader, QueryRefusal, SCHEMA_VERSION, plan_state_flag,
@@ -118,7 +118,7 @@ fn a_yes_whose_state_is_stale_when_the_answer_is_sent_is_unknown() {
     let rich = Rows::with_usable(20_000.0);
     let of = |robot| Some(rows(if robot == 3 { &rich } else { &poor }, robot));
     let stale_ns = rich.header.sent_ns + 2 * rich.header.period_ns + 1;
-    // Straight on: no command lies outside the training data.
+    // Straight ahead: all commands are inside the training data.
     let end = Point::new(1.0, 0.0);
     let reply = |sent_ns| {
         let question = Question {
@@ -138,7 +138,7 @@ fn a_yes_whose_state_is_stale_when_the_answer_is_sent_is_unknown() {
     let yes = fresh.rows[0];
     assert_eq!((yes.robot, yes.answer.verdict), (3, Verdict::Yes));
     assert!(yes.turn_back_s.is_some());
-    // Behind those of which something is known.
+    // Sorted behind robots with known energy.
     let row = stale.rows[2];
     let age_ns = stale_ns - rich.header.sent_ns;
     assert_eq!(row.robot, 3);
@@ -153,7 +153,7 @@ fn a_yes_whose_state_is_stale_when_the_answer_is_sent_is_unknown() {
     assert_eq!(stale.rows[0].answer, fresh.rows[1].answer);
 }
 
-/// Straight on, so that no command lies outside the training data.
+/// Straight ahead, so that all commands are inside the training data.
 fn straight(robots: &[u32]) -> Question {
     let end = Point::new(1.0, 0.0);
     Question {

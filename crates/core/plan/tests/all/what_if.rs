@@ -1,4 +1,4 @@
-//! Answers: right where everything is known, never yes where something is not.
+//! Answers are right if everything is known, and never yes if something is not.
 
 use crate::world::{PERIOD_NS, Rows, fleet, model, platform};
 use joulebus_energy::{Commands, EnergyModel, HORIZONS_S};
@@ -289,7 +289,7 @@ fn wrong_questions_are_refused_with_the_value() {
         omega[3] = value;
         let candidates = Candidates::new(2, 0.1, &four, &omega).expect("the shape is right");
         let error = robot.what_if(&candidates, 0.9).expect_err("no command");
-        let told = matches!(
+        let is_expected = matches!(
             error,
             AskError::Command {
                 column: "omega_radps",
@@ -298,7 +298,7 @@ fn wrong_questions_are_refused_with_the_value() {
                 ..
             }
         );
-        assert!(told, "{error}");
+        assert!(is_expected, "{error}");
     }
     let candidates = Candidates::new(2, 0.1, &four, &four).expect("the shape is right");
     for coverage in [0.0, 0.4, 1.0, f32::NAN] {
@@ -416,7 +416,8 @@ proptest! {
         }
     }
 
-    /// Whatever lies in shared memory: no panic, and a yes only with finite numbers that say so.
+    /// Whatever shared memory contains: no panic, and a yes only with finite numbers that support
+    /// it.
     #[test]
     fn arbitrary_rows_never_panic_and_never_say_yes_without_a_reason(
         state in prop::array::uniform32(any::<u8>()),
@@ -510,7 +511,8 @@ fn a_trip_that_fits_is_answered_though_the_way_back_from_its_middle_does_not() {
     let robot = Rows::with_usable(30_000.0).robot(&fleet);
     let dock = Point::new(0.0, 0.0);
     let points = [dock, Point::new(2.0, 0.0), Point::new(0.1, 0.0), dock];
-    // The last leg, and so the way back, is slow: from the middle it takes more than three minutes.
+    // The last leg, and so the path back, is slow: from the middle it takes more than three
+    // minutes.
     let path = Path {
         speed_mps: vec![0.2, 0.2, 0.2, 0.01],
         ..Path::new(&points, 0.2)

@@ -57,7 +57,8 @@ pub(crate) struct Rows {
 }
 
 impl Rows {
-    /// Of a robot that has drawn 3.6 W at rest for 20 s, with this much energy above its reserve.
+    /// The rows of a robot that has drawn 3.6 W at rest for 20 s, with this much energy above its
+    /// reserve.
     pub(crate) fn with_usable(usable_j: f64) -> Self {
         let mut energy = EnergyState::new(7);
         for _ in 0..600 {

@@ -131,7 +131,7 @@ impl Source for Columns<'_> {
 pub(crate) struct Batch<'a, S: Source, const R: usize, const C: usize, const N: usize> {
     pub(crate) packed: &'a Packed,
     pub(crate) tiling: Tiling,
-    /// As many rows as `out_w` has elements.
+    /// Source of as many rows as `out_w` has elements.
     pub(crate) source: S,
     pub(crate) out_w: &'a mut [f32],
 }

@@ -308,8 +308,8 @@ pub(crate) fn pairwise(sums: [f32; LINE]) -> f32 {
     tree(Scalar, sums)
 }
 
-/// As [`pairwise`], for every lane. Unrolled by hand, because the compiler does not unroll the loop
-/// over the halves.
+/// Same as [`pairwise`], for every lane. Unrolled by hand, because the compiler does not unroll the
+/// loop over the halves.
 #[inline(always)]
 fn tree<L: Lanes>(lanes: L, mut sums: [L::Vector; LINE]) -> L::Vector {
     for i in 0..8 {

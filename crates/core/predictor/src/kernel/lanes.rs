@@ -26,7 +26,7 @@ pub(crate) unsafe trait Lanes: Copy {
     fn load(self, values: &[f32]) -> Self::Vector;
     /// Stores into the first `WIDTH` elements; panics if there are fewer.
     fn store(self, vector: Self::Vector, places: &mut [f32]);
-    /// As [`store`](Lanes::store): afterwards the first `WIDTH` elements are initialised.
+    /// Same as [`store`](Lanes::store). Afterwards the first `WIDTH` elements are initialised.
     fn store_new(self, vector: Self::Vector, places: &mut [MaybeUninit<f32>]);
     fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     fn sub(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
@@ -35,7 +35,7 @@ pub(crate) unsafe trait Lanes: Copy {
     /// `a * b + c`, rounded once.
     fn mul_add(self, a: Self::Vector, b: Self::Vector, c: Self::Vector) -> Self::Vector;
     fn abs(self, a: Self::Vector) -> Self::Vector;
-    /// The minimum of two non-negative values, `limit` where `magnitude` is NaN. Such values are
+    /// The minimum of two non-negative values, or `limit` if `magnitude` is NaN. Such values are
     /// ordered like their bits, and an integer comparison does not compete with the multiply-adds.
     fn at_most(self, magnitude: Self::Vector, limit: Self::Vector) -> Self::Vector;
 

@@ -1,6 +1,6 @@
 //! Block bootstrap intervals: coverage, independence of the number of threads, too few blocks.
 
-use joulebus_statistics::bootstrap::{Bootstrap, LEAST_BLOCKS};
+use joulebus_statistics::bootstrap::{Bootstrap, MIN_BLOCKS};
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -67,7 +67,7 @@ proptest! {
 #[test]
 fn too_few_blocks_and_draws_without_a_score_give_no_interval() {
     let values = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0];
-    let few = of_mean(Bootstrap::default(), &values[..LEAST_BLOCKS - 1]);
+    let few = of_mean(Bootstrap::default(), &values[..MIN_BLOCKS - 1]);
     assert!(few.value == 4.0 && few.lo.is_nan() && few.hi.is_nan());
     let off = Bootstrap {
         resamples: 0,

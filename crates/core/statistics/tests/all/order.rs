@@ -1,4 +1,4 @@
-//! Quantiles of numbers that are read twice are those of the sorted numbers, to the bit.
+//! Quantiles of numbers that are read twice equal those of the sorted numbers, to the bit.
 
 use std::convert::Infallible;
 

@@ -6,10 +6,10 @@ use std::path::PathBuf;
 use joulebus_config::Problem;
 use toml::Spanned;
 
-/// Times that a key may state, s.
+/// Range of the times that a key may give, s.
 const HOLDS_S: (f64, f64) = (0.01, 3_600.0);
 
-/// A file that is being checked.
+/// The text of a file, with the problems found so far.
 pub(super) struct Check<'a> {
     pub(super) file: String,
     pub(super) folder: PathBuf,
@@ -30,7 +30,7 @@ impl Check<'_> {
         (found_s * 1e9) as u64
     }
 
-    /// The value of a check, or a problem of the key where it stands.
+    /// The value of a check, or a problem of the key at its position.
     pub(super) fn checked<T, E: Display>(
         &mut self,
         place: &Spanned<String>,
@@ -46,7 +46,8 @@ impl Check<'_> {
             .ok()
     }
 
-    /// `at`: byte of the text; without it the line that sets the last part of `key`, if one does.
+    /// Adds a problem at the byte `at` of the text. Without `at` it belongs to the line that sets
+    /// the last part of `key`, if there is one.
     pub(super) fn problem(&mut self, at: Option<usize>, key: &str, what: String, remedy: &str) {
         let place = (self.file.as_str(), self.text);
         Problem::add(&mut self.problems, place, at, key, what, remedy);

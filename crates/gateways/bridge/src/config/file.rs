@@ -1,4 +1,4 @@
-//! The file of a bridge as it is written. Unknown keys are refused where they stand.
+//! The bridge's file as TOML structures. Unknown keys are refused, with their line.
 
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use crate::mapping::observation::PowerOf;
 use crate::mapping::outgoing::What;
 use crate::mapping::ros::outgoing::RosWhat;
 
-/// A text with its place.
+/// A text with its position in the file.
 pub(super) type Text = Spanned<String>;
 
 #[derive(Debug, Deserialize)]
@@ -27,7 +27,7 @@ pub(super) struct BridgeFile {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub(super) struct BridgeSection {
-    /// Name of the source: stable over restarts.
+    /// Name of the source, stable over restarts.
     pub(super) name: String,
     pub(super) command_holds_s: f64,
     pub(super) command_expired: ExpiredWord,
@@ -100,7 +100,7 @@ const fn max_payload_bytes() -> u32 {
 #[serde(deny_unknown_fields)]
 pub(super) struct ReadSection {
     pub(super) topic: Text,
-    /// Where the robot's name stands in the document.
+    /// Position of the robot's name in the document.
     pub(super) robot_at: Option<String>,
     pub(super) fields: FieldsSection,
 }
@@ -119,7 +119,7 @@ pub(super) struct VizierSection {
     /// Topic of the robots' commands.
     #[serde(default = "vizier_commands")]
     pub(super) commands: Text,
-    /// In place of a GTernal's.
+    /// Fields of a status, if it is not that of a GTernal.
     pub(super) fields: Option<FieldsSection>,
 }
 
@@ -192,12 +192,12 @@ pub(super) struct WriteSection {
     pub(super) what: What,
     pub(super) every_s: Option<f64>,
     pub(super) retain: Option<bool>,
-    pub(super) fields: Option<BTreeMap<Text, ToldSection>>,
+    pub(super) fields: Option<BTreeMap<Text, OutgoingValueSection>>,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct ToldSection {
+pub(super) struct OutgoingValueSection {
     pub(super) value: Text,
     pub(super) unit: Option<Text>,
     #[serde(default)]
@@ -207,9 +207,9 @@ pub(super) struct ToldSection {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Ros2Section {
-    /// In place of `ROS_DOMAIN_ID`.
+    /// Overrides `ROS_DOMAIN_ID`.
     pub(super) domain_id: Option<u16>,
-    /// Addresses of this host that are used.
+    /// Addresses of this host to use.
     #[serde(default)]
     pub(super) networks: Vec<Text>,
     #[serde(default)]
@@ -234,7 +234,7 @@ pub(super) struct RosReadSection {
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum CurrentWord {
-    /// As the message is defined.
+    /// The sign of the message's definition.
     DischargeNegative,
     DischargePositive,
 }

@@ -1,4 +1,5 @@
-//! The file of a bridge: which robots, which topics, which units. Strictly checked, every problem with its line.
+//! The bridge's file, checked strictly: robots, topics and units. Every problem is reported with
+//! its line.
 
 mod check;
 mod file;
@@ -24,13 +25,13 @@ use crate::mapping::robots::Robots;
 pub(crate) use mqtt::{MqttSettings, Write};
 pub(crate) use ros2::{Ros2Settings, RosWrite};
 
-/// Longest file, bytes.
-const MOST_BYTES: u64 = 4 << 20;
+/// Maximum size of the file, bytes.
+const MAX_BYTES: u64 = 4 << 20;
 
-/// A checked file.
+/// The checked settings of a bridge.
 #[derive(Debug, Clone)]
 pub(crate) struct Settings {
-    /// Name of the source, and of the planners.
+    /// Name of the source and of the planners.
     pub(crate) name: String,
     pub(crate) holds: Holds,
     /// Findings that are not told.
@@ -41,12 +42,12 @@ pub(crate) struct Settings {
 }
 
 impl Settings {
-    /// Reads a bridge's file for the fleet of `config`.
+    /// Reads and checks a bridge's file for the fleet of `config`.
     ///
     /// # Errors
-    /// [`ConfigError`]: it cannot be read, or is refused, with all problems.
+    /// [`ConfigError`] with all problems, if the file cannot be read or is refused.
     pub(crate) fn load(path: &Path, config: &Config) -> Result<Self, ConfigError> {
-        let text = joulebus_files::read_to_string(path, MOST_BYTES).map_err(|source| {
+        let text = joulebus_files::read_to_string(path, MAX_BYTES).map_err(|source| {
             let path = path.to_owned();
             ConfigError::Read { path, source }
         })?;
@@ -64,7 +65,7 @@ impl Settings {
         }
     }
 
-    /// Whether anything is read.
+    /// Whether any topic is read.
     pub(crate) fn is_source(&self) -> bool {
         let mqtt = self.mqtt.as_ref();
         let ros2 = self.ros2.as_ref();
@@ -72,8 +73,8 @@ impl Settings {
             || ros2.is_some_and(|it| !it.routes.is_empty())
     }
 
-    /// How often the most frequent topic is written; changes of alarms are read apart.
-    pub(crate) fn tells_every(&self) -> Duration {
+    /// Interval of the most frequent topic. Alarm changes are read separately.
+    pub(crate) fn publish_interval(&self) -> Duration {
         let mqtt = self.mqtt.iter().flat_map(|mqtt| &mqtt.writes);
         let ros2 = self.ros2.iter().flat_map(|ros2| &ros2.writes);
         let timed = mqtt.filter(|write| write.what != What::AlarmChanges);
@@ -82,7 +83,7 @@ impl Settings {
         least_ns.map_or(Duration::MAX, Duration::from_nanos)
     }
 
-    /// What is known of the robots at the start: nothing.
+    /// The initial state of all robots, without any observation.
     pub(crate) fn intake(&self, config: &Config) -> Intake {
         let platforms = &config.settings().platforms;
         let robots = self.robots.iter().filter_map(|(id, _)| {
@@ -96,12 +97,12 @@ impl Settings {
             ))
         });
         let judgement = Judgement::accepting(self.accepted.clone());
-        Intake::new(self.holds, self.tells_charging(), robots).judged_by(judgement)
+        Intake::new(self.holds, self.reports_charging(), robots).judged_by(judgement)
     }
 
-    /// Whether messages over MQTT say that a robot charges. Those of ROS 2 that have a battery's power say it too, or that it is
-    /// not known.
-    fn tells_charging(&self) -> bool {
+    /// Whether MQTT messages report that a robot charges. ROS 2 messages with a battery's power
+    /// always report it, or that it is unknown.
+    fn reports_charging(&self) -> bool {
         self.mqtt.as_ref().is_some_and(|mqtt| {
             let vizier = mqtt.vizier.as_ref().map(|vizier| &vizier.fields);
             let mut fields = mqtt.routes.iter().map(|route| &route.fields).chain(vizier);
@@ -250,7 +251,7 @@ mod tests {
 
     #[test]
     fn what_is_wrong_is_named_with_its_line() {
-        for (from, to, line, says) in [
+        for (from, to, line, expected) in [
             ("broker =", "borker =", 5, "unknown field `borker`"),
             ("\"localhost:1883\"", "\"localhost\"", 5, "host:port"),
             ("\"localhost:1883\"", "1883", 5, "invalid type"),
@@ -305,7 +306,7 @@ mod tests {
             assert_ne!(text, GOOD);
             let refused = load(&text).expect_err(to);
             let shown = refused.to_string();
-            assert!(shown.contains(says), "{to}: {shown}");
+            assert!(shown.contains(expected), "{to}: {shown}");
             let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
             assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
         }
@@ -334,7 +335,7 @@ mod tests {
 
     #[test]
     fn what_is_wrong_for_ros_2_is_named_with_its_line() {
-        for (from, to, line, says) in [
+        for (from, to, line, expected) in [
             ("domain_id = 7", "domain_id = 233", 5, "0 to 232"),
             ("domain_id = 7", "domain = 7", 5, "unknown field"),
             ("127.0.0.1", "lo", 6, "invalid IPv4 address"),
@@ -388,7 +389,7 @@ mod tests {
             assert_ne!(text, ROS, "{from}");
             let refused = load(&text).expect_err(to);
             let shown = refused.to_string();
-            assert!(shown.contains(says), "{to}: {shown}");
+            assert!(shown.contains(expected), "{to}: {shown}");
             let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
             assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
         }

@@ -1,4 +1,4 @@
-//! `[mqtt]`, checked.
+//! Checks `[mqtt]`: the broker, and the topics to read and to write.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -8,31 +8,32 @@ use toml::Spanned;
 
 use crate::config::check::Check;
 use crate::config::file::{
-    FieldsSection, FlagSection, MqttSection, NumberSection, Text, ToldSection, WriteSection,
+    FieldsSection, FlagSection, MqttSection, NumberSection, OutgoingValueSection, Text,
+    WriteSection,
 };
 use crate::config::secret::secret;
 use crate::mapping::fields::{Fields, Flag, Number, Place};
-use crate::mapping::outgoing::{Told, What, quantity, value_names};
+use crate::mapping::outgoing::{OutgoingValue, What, quantity, value_names};
 use crate::mapping::robots::Robots;
 use crate::mapping::route::Route;
 use crate::mapping::topic::{Pattern, ROBOT, Template};
 use crate::mapping::units::Quantity;
 use crate::mapping::vizier;
 
-/// Seconds between two keep-alives.
+/// Range of the keep-alive interval, s.
 const KEEP_ALIVE_S: (u64, u64) = (5, 3_600);
-/// Longest payload that may be allowed, bytes.
-const MOST_PAYLOAD: u32 = 8 << 20;
-/// Seconds between two messages or requests.
+/// Maximum of the configurable payload size, bytes.
+const MAX_PAYLOAD_BYTES: u32 = 8 << 20;
+/// Range of the interval between messages or requests, s.
 const EVERY_S: (f64, f64) = (0.02, 3_600.0);
 
-/// A broker, and what is read from and written to it.
+/// A broker, and the topics that are read and written there.
 #[derive(Debug, Clone)]
 pub(crate) struct MqttSettings {
     pub(crate) host: String,
     pub(crate) port: u16,
     pub(crate) client_id: String,
-    /// User and password.
+    /// User name and password.
     pub(crate) login: Option<(String, String)>,
     pub(crate) keep_alive: Duration,
     pub(crate) most_payload_bytes: usize,
@@ -41,21 +42,21 @@ pub(crate) struct MqttSettings {
     pub(crate) writes: Vec<Write>,
 }
 
-/// A vizier that is asked.
+/// A vizier to poll.
 #[derive(Debug, Clone)]
 pub(crate) struct VizierSettings {
     pub(crate) every: Duration,
     pub(crate) fields: Fields,
 }
 
-/// A topic that is written to.
+/// A topic to write.
 #[derive(Debug, Clone)]
 pub(crate) struct Write {
     pub(crate) what: What,
     pub(crate) topic: Template,
     pub(crate) every_ns: u64,
     pub(crate) retain: bool,
-    pub(crate) fields: Vec<Told>,
+    pub(crate) fields: Vec<OutgoingValue>,
 }
 
 impl Check<'_> {
@@ -79,13 +80,13 @@ impl Check<'_> {
                 &format!("Allowed: {least} to {most}"),
             );
         }
-        if !(1..=MOST_PAYLOAD).contains(&section.max_payload_bytes) {
+        if !(1..=MAX_PAYLOAD_BYTES).contains(&section.max_payload_bytes) {
             let what = format!("is {}", section.max_payload_bytes);
             self.problem(
                 None,
                 "mqtt.max_payload_bytes",
                 what,
-                &format!("Allowed: 1 to {MOST_PAYLOAD}"),
+                &format!("Allowed: 1 to {MAX_PAYLOAD_BYTES}"),
             );
         }
         let mut routes = Vec::new();
@@ -138,7 +139,7 @@ impl Check<'_> {
     fn client_id(&mut self, found: Option<&Text>, name: &str) -> String {
         let usual = || format!("joulebus-{}-{name}", self.fleet);
         let id = found.map_or_else(usual, |id| id.get_ref().clone());
-        // It is a level of the topics of a vizier's answers.
+        // The client's name is a level of the answers' topics.
         let is_bad = |letter: char| "/+#".contains(letter) || letter.is_control();
         if id.is_empty() || id.len() > 200 || id.contains(is_bad) {
             let start = found.map(|id| id.span().start);
@@ -251,7 +252,7 @@ impl Check<'_> {
         Some(Place { unknown, ..place })
     }
 
-    /// Numbers, texts and truth values as JSON.
+    /// Converts numbers, texts and booleans to JSON.
     fn plain(&mut self, at: &Text, values: &[toml::Value], key: &str) -> Option<Vec<Value>> {
         let value = |value: &toml::Value| match value {
             toml::Value::Integer(number) => Some(Value::from(*number)),
@@ -287,7 +288,7 @@ impl Check<'_> {
         let (topic, what) = (&section.topic, section.what);
         let template = Template::parse(topic.get_ref(), self.fleet, what.is_of_robot());
         let template = self.checked(topic, "mqtt.write.topic", template)?;
-        // Of topics without a robot all are the same.
+        // A topic without a robot is the same for all robots.
         let mut written = robots.iter().map(|(_, robot)| template.of(robot));
         let reads = written.find_map(|written| {
             let mut routes = routes.iter();
@@ -303,9 +304,9 @@ impl Check<'_> {
             None => what
                 .usual()
                 .iter()
-                .map(|value| Told::plain(value))
+                .map(|value| OutgoingValue::plain(value))
                 .collect(),
-            Some(fields) => self.told(topic, what, fields)?,
+            Some(fields) => self.outgoing_values(topic, what, fields)?,
         };
         Some(Write {
             what,
@@ -316,7 +317,8 @@ impl Check<'_> {
         })
     }
 
-    /// A vizier's nodes are read: nothing but this bridge's own requests is sent to them, and nothing in their name.
+    /// Refuses topics of a vizier's nodes: those receive only this bridge's requests, and nobody
+    /// writes in their name.
     fn apart_from_vizier(&mut self, topic: &Text, robots: &Robots) {
         let text = topic.get_ref().replace("{fleet}", self.fleet);
         let is_its = robots.iter().any(|(_, robot)| {
@@ -330,18 +332,18 @@ impl Check<'_> {
         self.checked(topic, "mqtt.write.topic", apart);
     }
 
-    fn told(
+    fn outgoing_values(
         &mut self,
         topic: &Text,
         what: What,
-        fields: &BTreeMap<Text, ToldSection>,
-    ) -> Option<Vec<Told>> {
+        fields: &BTreeMap<Text, OutgoingValueSection>,
+    ) -> Option<Vec<OutgoingValue>> {
         let of_robot = what
             .is_of_robot()
             .then_some(())
             .ok_or("has fields, which only forecast, budget and alarms have");
         self.checked(topic, "mqtt.write.fields", of_robot)?;
-        let mut told: Vec<(&Text, Told)> = Vec::new();
+        let mut values: Vec<(&Text, OutgoingValue)> = Vec::new();
         for (name, section) in fields {
             let key = format!("mqtt.write.fields.{}", name.get_ref());
             let value = section.value.get_ref();
@@ -357,16 +359,16 @@ impl Check<'_> {
                 .as_ref()
                 .map(|unit| self.checked(unit, &format!("{key}.unit"), known.unit(unit.get_ref())));
             let path = path(name);
-            let within = told
+            let within = values
                 .iter()
                 .find(|(_, other)| path.starts_with(&other.path) || other.path.starts_with(&path));
             let apart = within.map_or(Ok(()), |(other, _)| {
                 Err(format!("lies within {:?}, or is it", other.get_ref()))
             });
             self.checked(name, &key, apart)?;
-            told.push((
+            values.push((
                 name,
-                Told {
+                OutgoingValue {
                     value: value.clone(),
                     path,
                     unit: unit.unwrap_or(Some(known.si()))?,
@@ -374,11 +376,11 @@ impl Check<'_> {
                 },
             ));
         }
-        Some(told.into_iter().map(|(_, told)| told).collect())
+        Some(values.into_iter().map(|(_, value)| value).collect())
     }
 }
 
-/// Members of a JSON pointer, or one name.
+/// The members of a JSON pointer, or a single name.
 fn path(name: &Spanned<String>) -> Vec<String> {
     let pointer = Place::at(name.get_ref()).pointer;
     let parts = pointer.split('/').skip(1);
@@ -387,7 +389,7 @@ fn path(name: &Spanned<String>) -> Vec<String> {
         .collect()
 }
 
-/// Host and port of `host:port` or `[address]:port`.
+/// Splits `host:port` or `[address]:port`.
 fn broker(text: &str) -> Result<(String, u16), &'static str> {
     let refused = "is not host:port, such as localhost:1883";
     let (host, port) = text.rsplit_once(':').ok_or(refused)?;

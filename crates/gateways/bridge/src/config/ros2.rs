@@ -1,4 +1,4 @@
-//! `[ros2]`, checked.
+//! Checks `[ros2]`: the domain, and the topics to read and to write.
 
 use std::net::Ipv4Addr;
 
@@ -7,7 +7,7 @@ use joulebus_ros_messages::RosType;
 use crate::config::check::Check;
 use crate::config::file::{CurrentWord, Ros2Section, RosReadSection, RosWriteSection, Text};
 use crate::mapping::observation::PowerOf;
-use crate::mapping::outgoing::{Told, quantity, value_names};
+use crate::mapping::outgoing::{OutgoingValue, quantity, value_names};
 use crate::mapping::robots::Robots;
 use crate::mapping::ros::incoming::{BatteryFields, RosRoute};
 use crate::mapping::ros::names::{check_topic, read_type};
@@ -15,33 +15,33 @@ use crate::mapping::ros::outgoing::RosWhat;
 use crate::mapping::topic::{Pattern, Template};
 use crate::mapping::units::{Quantity, Unit};
 
-/// The last domain whose ports lie below 65,536.
+/// The last domain whose ports are below 65,536.
 const LAST_DOMAIN: u16 = 232;
-/// Topics of one bridge: each has descriptors and buffers of its own.
-const MOST_TOPICS: usize = 4_000;
-/// The variable that chooses the domain of every program of ROS 2.
+/// Maximum number of topics of a bridge. Each has its own descriptors and buffers.
+const MAX_TOPICS: usize = 4_000;
+/// The variable with which every ROS 2 program chooses its domain.
 const DOMAIN_VARIABLE: &str = "ROS_DOMAIN_ID";
 
-/// A domain of ROS 2, and what is read from and written to it.
+/// A ROS 2 domain, and the topics that are read and written there.
 #[derive(Debug, Clone)]
 pub(crate) struct Ros2Settings {
     pub(crate) domain_id: u16,
-    /// Addresses of this host that are used; empty: all.
+    /// Addresses of this host to use. Empty: all.
     pub(crate) networks: Vec<Ipv4Addr>,
     pub(crate) routes: Vec<RosRoute>,
     pub(crate) writes: Vec<RosWrite>,
 }
 
-/// Topics that are written to.
+/// Topics to write, one for each robot or one for the fleet.
 #[derive(Debug, Clone)]
 pub(crate) struct RosWrite {
     pub(crate) what: RosWhat,
-    /// As written in the config.
+    /// The name as written in the file.
     pub(crate) name: String,
     pub(crate) topic: Template,
     pub(crate) every_ns: u64,
-    /// Of [`RosWhat::Value`].
-    pub(crate) value: Option<Told>,
+    /// The value of [`RosWhat::Value`].
+    pub(crate) value: Option<OutgoingValue>,
 }
 
 impl Check<'_> {
@@ -65,9 +65,9 @@ impl Check<'_> {
             .collect();
         self.apart(&routes, &writes, robots);
         let topics = robots.len() * (routes.len() + writes.len());
-        if topics > MOST_TOPICS {
+        if topics > MAX_TOPICS {
             let what = format!("has {topics} topics of {} robots", robots.len());
-            let remedy = format!("Allowed: {MOST_TOPICS}. Run several bridges");
+            let remedy = format!("Allowed: {MAX_TOPICS}. Run several bridges");
             self.problem(None, "ros2", what, &remedy);
         }
         if routes.is_empty() && writes.is_empty() && self.problems.len() == before {
@@ -82,7 +82,7 @@ impl Check<'_> {
         })
     }
 
-    /// As all programs of ROS 2: the variable, or 0; the file overrides it.
+    /// The domain of the file, else of the variable as in every ROS 2 program, else 0.
     fn domain_id(&mut self, found: Option<u16>) -> u16 {
         let variable = std::env::var(DOMAIN_VARIABLE).unwrap_or_default();
         let (key, text) = match found {
@@ -137,7 +137,7 @@ impl Check<'_> {
         self.checked(unit, "ros2.read.percentage_unit", found)
     }
 
-    /// A topic that is one of ROS 2 for every robot.
+    /// Checks a pattern that yields a valid ROS 2 topic for every robot.
     fn ros_topic(
         &mut self,
         place: &Text,
@@ -174,7 +174,7 @@ impl Check<'_> {
         let usual = match (what, &value) {
             (RosWhat::Diagnostics, _) => "/diagnostics".to_owned(),
             (RosWhat::Budget, _) => "/{robot}/joulebus/budget".to_owned(),
-            (RosWhat::Value, Some(told)) => format!("/{{robot}}/joulebus/{}", told.value),
+            (RosWhat::Value, Some(field)) => format!("/{{robot}}/joulebus/{}", field.value),
             _ => "/{robot}/joulebus/forecast".to_owned(),
         };
         let place = section
@@ -198,7 +198,7 @@ impl Check<'_> {
         })
     }
 
-    fn ros_value(&mut self, value: &Text, section: &RosWriteSection) -> Option<Told> {
+    fn ros_value(&mut self, value: &Text, section: &RosWriteSection) -> Option<OutgoingValue> {
         let key = "ros2.write.value";
         let known = quantity(value.get_ref()).ok_or_else(|| {
             let all: Vec<&str> = value_names().collect();
@@ -212,14 +212,15 @@ impl Check<'_> {
             None => known.si(),
             Some(unit) => self.checked(unit, "ros2.write.unit", known.unit(unit.get_ref()))?,
         };
-        Some(Told {
+        Some(OutgoingValue {
             unit,
             negate: section.negate,
-            ..Told::plain(value.get_ref())
+            ..OutgoingValue::plain(value.get_ref())
         })
     }
 
-    /// Each topic has one purpose: no message is read that this bridge has written, none is read or written twice.
+    /// Checks that each topic has one purpose: the bridge reads no topic that it writes, and reads
+    /// or writes none twice.
     fn apart(&mut self, routes: &[RosRoute], writes: &[RosWrite], robots: &Robots) {
         let mut topics: Vec<(String, &str)> = Vec::new();
         for (_, robot) in robots.iter() {

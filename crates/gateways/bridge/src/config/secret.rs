@@ -1,10 +1,10 @@
-//! A file with a password.
+//! Reads a password file.
 
 use std::io;
 use std::path::Path;
 
-/// Longest file, bytes.
-const MOST_BYTES: u64 = 4_096;
+/// Maximum size of the file, bytes.
+const MAX_BYTES: u64 = 4_096;
 
 /// Why the file is refused.
 #[derive(Debug, thiserror::Error)]
@@ -15,9 +15,9 @@ pub(super) enum SecretError {
     Empty,
 }
 
-/// The first line of a file that nobody else can read.
+/// The first line of a file that only its owner can read.
 pub(super) fn secret(path: &Path) -> Result<String, SecretError> {
-    let text = joulebus_files::read_secret(path, MOST_BYTES)?;
+    let text = joulebus_files::read_secret(path, MAX_BYTES)?;
     let line = text.lines().next().unwrap_or_default();
     if line.is_empty() {
         return Err(SecretError::Empty);

@@ -1,37 +1,37 @@
-//! What could not be mapped: counted, and named.
+//! The account of messages and values that could not be mapped.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use serde::Serialize;
 
-/// Names that are kept for each route and reason; messages may name anything.
-const MOST_NAMES: usize = 16;
-/// Routes and reasons that are kept apart.
-const MOST_KINDS: usize = 1_000;
-/// Robots and routes whose fields are watched.
-const MOST_ROBOTS: usize = 10_000;
-/// Messages after which a field that none had is named.
+/// Maximum number of names kept for each route and reason, because messages may contain any name.
+const MAX_NAMES: usize = 16;
+/// Maximum number of pairs of route and reason that are counted separately.
+const MAX_KINDS: usize = 1_000;
+/// Maximum number of pairs of route and robot whose fields are watched.
+const MAX_ROBOTS: usize = 10_000;
+/// Messages after which a field that none of them had is named.
 const MANY_MESSAGES: u32 = 20;
-/// Letters of a name that are kept.
-const MOST_LETTERS: usize = 80;
+/// Maximum length of a kept name, letters.
+const MAX_LETTERS: usize = 80;
 
 /// Why a message, or a value in it, was not mapped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) enum Reason {
     /// Longer than `max_payload_bytes`, or than 64 KiB in ROS 2.
     TooLong,
-    /// Not JSON, or nested too deeply, or with numbers that no computer holds.
+    /// Not JSON, nested too deeply, or with numbers beyond a 64-bit float.
     NotJson,
     /// Not the CDR of its type.
     NotCdr,
-    /// Encoded otherwise than in plain CDR.
+    /// Not encoded in plain CDR.
     WrongEncoding,
-    /// A participant whose quality of service does not fit.
+    /// A participant with an incompatible quality of service.
     IncompatibleQos,
-    /// No name of `[robots]`.
+    /// A name that `[robots]` does not have.
     UnknownRobot,
-    /// Nothing in it that the mapping names.
+    /// No value that the mapping names.
     Nothing,
     /// A value, or a topic, of another type than expected.
     WrongType,
@@ -39,20 +39,20 @@ pub(crate) enum Reason {
     NotFinite,
     /// A share beyond 0 to 1, or a code that the message's definition does not have.
     OutOfRange,
-    /// Kept by the broker from earlier: nobody knows from when.
+    /// Retained by the broker, so of unknown age.
     Retained,
-    /// A field that no message of a robot had yet, after many.
+    /// A field that none of the first messages of a robot had.
     NeverCame,
-    /// An answer to no request of ours.
+    /// An answer without a request of this bridge.
     NotAsked,
-    /// A request without answer.
+    /// A request without an answer.
     NoAnswer,
-    /// An answer that says that it failed, or has no body.
+    /// An answer that reports a failure or has no body.
     Refused,
 }
 
 impl Reason {
-    /// The name, as in reports.
+    /// The reason's name in reports.
     pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::TooLong => "too_long",
@@ -73,21 +73,21 @@ impl Reason {
         }
     }
 
-    /// Whether something was lost: old messages that a broker kept are passed over, robots that are switched off
-    /// do not answer, and what never came was not lost.
+    /// Whether a value was lost. Retained messages are skipped on purpose, robots that are switched
+    /// off do not answer, and a field that never came is not lost.
     const fn is_loss(self) -> bool {
         !matches!(self, Self::Retained | Self::NoAnswer | Self::NeverCame)
     }
 }
 
-/// Counts by route and reason.
+/// Counters by route and reason.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Account {
     kinds: BTreeMap<(String, Reason), Kind>,
     lost: u64,
-    /// What came from each robot on each route, until it is judged.
+    /// The fields that came, by route and robot.
     came: BTreeMap<(String, String), Came>,
-    /// Kinds and names that were not told yet.
+    /// Pairs and names that were not logged yet.
     news: Vec<String>,
 }
 
@@ -105,7 +105,7 @@ struct Kind {
     names: BTreeSet<String>,
 }
 
-/// One line of the account.
+/// A line of the account.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub(crate) struct UnmappedRecord {
     /// The topic's pattern.
@@ -114,36 +114,36 @@ pub(crate) struct UnmappedRecord {
     pub(crate) reason: &'static str,
     /// How often.
     pub(crate) count: u64,
-    /// The first robots, topics or fields that it was.
+    /// The first robots, topics or fields concerned.
     pub(crate) names: Vec<String>,
 }
 
 impl Account {
-    /// Counts one; `name` is the robot, topic or field.
+    /// Counts one occurrence. `name` is the robot, topic or field.
     pub(crate) fn count(&mut self, route: &str, reason: Reason, name: &str) {
         self.lost += u64::from(reason.is_loss());
-        let is_full = self.kinds.len() >= MOST_KINDS;
+        let is_full = self.kinds.len() >= MAX_KINDS;
         let key = (route.to_owned(), reason);
         if is_full && !self.kinds.contains_key(&key) {
             return;
         }
         let kind = self.kinds.entry(key).or_default();
         kind.count += 1;
-        if kind.names.len() >= MOST_NAMES {
+        if kind.names.len() >= MAX_NAMES {
             return;
         }
-        let name: String = name.chars().take(MOST_LETTERS).collect();
+        let name: String = name.chars().take(MAX_LETTERS).collect();
         let news = format!("{route}: {}: {name}", reason.name());
         if kind.names.insert(name) {
             self.news.push(news);
         }
     }
 
-    /// Takes which of the fields that the mapping names a message of a robot had. After many messages those that none had
-    /// are counted, by name.
+    /// Adds which of the mapped fields a message of a robot had. After [`MANY_MESSAGES`] the fields
+    /// that none of them had are counted by name.
     pub(crate) fn came(&mut self, route: &str, robot: &str, fields: &[(&'static str, bool)]) {
         let key = (route.to_owned(), robot.to_owned());
-        let is_full = self.came.len() >= MOST_ROBOTS;
+        let is_full = self.came.len() >= MAX_ROBOTS;
         if is_full && !self.came.contains_key(&key) {
             return;
         }
@@ -163,17 +163,17 @@ impl Account {
         }
     }
 
-    /// What was counted for the first time since the last call: a line for each name that is kept.
+    /// The new entries since the last call, one line for each kept name.
     pub(crate) fn take_news(&mut self) -> Vec<String> {
         std::mem::take(&mut self.news)
     }
 
-    /// How many messages or values were lost.
+    /// Number of messages or values lost.
     pub(crate) const fn lost(&self) -> u64 {
         self.lost
     }
 
-    /// All counts, by route and reason.
+    /// All counters, by route and reason.
     pub(crate) fn records(&self) -> Vec<UnmappedRecord> {
         let record = |((route, reason), kind): (&(String, Reason), &Kind)| UnmappedRecord {
             route: route.clone(),
@@ -228,12 +228,12 @@ mod tests {
         let records = account.records();
         assert_eq!(records.len(), 2);
         assert_eq!((records[0].count, records[0].names.len()), (1_000, 16));
-        assert_eq!(records[1].names[0].len(), MOST_LETTERS);
+        assert_eq!(records[1].names[0].len(), MAX_LETTERS);
         assert_eq!(account.lost(), 1_000, "what was retained is no loss");
         for route in 0..2_000 {
             account.count(&route.to_string(), Reason::NotJson, "");
         }
-        assert_eq!(account.records().len(), MOST_KINDS);
+        assert_eq!(account.records().len(), MAX_KINDS);
         assert_eq!(account.lost(), 3_000);
     }
 }

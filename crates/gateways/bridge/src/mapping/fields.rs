@@ -1,4 +1,4 @@
-//! Values in a JSON document: where they stand, in which unit and with which sign.
+//! Values in a JSON document: their positions, units and signs.
 
 use serde_json::Value;
 
@@ -6,17 +6,17 @@ use crate::mapping::account::Reason;
 use crate::mapping::observation::{Observation, PowerOf, PowerReading};
 use crate::mapping::units::{Quantity, Unit};
 
-/// A value's place in a document.
+/// The position of a value in a document.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Place {
-    /// JSON pointer (RFC 6901); empty for the whole document.
+    /// JSON pointer (RFC 6901). Empty for the whole document.
     pub(crate) pointer: String,
     /// Values that mean "not known".
     pub(crate) unknown: Vec<Value>,
 }
 
 impl Place {
-    /// At a pointer (`/battery/power`) or a member of the document (`power`).
+    /// Parses a pointer (`/battery/power`) or the name of a member (`power`).
     pub(crate) fn at(text: &str) -> Self {
         let pointer = match text {
             "" => String::new(),
@@ -29,7 +29,7 @@ impl Place {
         }
     }
 
-    /// The value, unless it is missing, null or means "not known".
+    /// Finds the value, unless it is missing, null or means "not known".
     fn find<'v>(&self, document: &'v Value) -> Option<&'v Value> {
         let found = document.pointer(&self.pointer)?;
         let is_unknown = found.is_null() || self.unknown.iter().any(|value| is_equal(value, found));
@@ -37,22 +37,22 @@ impl Place {
     }
 }
 
-/// Whether two values are the same; −1 and −1.0 are.
+/// Whether two values are equal. Numbers are compared by value: −1 equals −1.0.
 fn is_equal(one: &Value, other: &Value) -> bool {
     one == other || one.as_f64().is_some_and(|one| other.as_f64() == Some(one))
 }
 
-/// A number's place, unit and sign.
+/// Position, unit and sign of a number.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Number {
     pub(crate) place: Place,
     pub(crate) unit: Unit,
-    /// Here the other direction is positive.
+    /// The other system counts the opposite direction as positive.
     pub(crate) negate: bool,
 }
 
 impl Number {
-    /// At `place`, in the unit of the SI.
+    /// A number at `place` in the SI unit.
     pub(crate) fn si(quantity: Quantity, place: &str) -> Self {
         Self {
             place: Place::at(place),
@@ -61,7 +61,7 @@ impl Number {
         }
     }
 
-    /// The value in SI.
+    /// Reads the value in SI.
     fn read(&self, document: &Value) -> Result<Option<f32>, Reason> {
         let Some(found) = self.place.find(document) else {
             return Ok(None);
@@ -76,16 +76,16 @@ impl Number {
     }
 }
 
-/// A truth value's place, and the values that mean yes.
+/// The position of a truth value, and the values that mean yes.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Flag {
     pub(crate) place: Place,
-    /// With one, every other value of its type means no.
+    /// If given, every other value of its type means no.
     pub(crate) is: Vec<Value>,
 }
 
 impl Flag {
-    /// At `place`: true or false.
+    /// A boolean at `place`.
     pub(crate) fn at(place: &str) -> Self {
         Self {
             place: Place::at(place),
@@ -113,24 +113,24 @@ impl Flag {
     }
 }
 
-/// Where a document has which value.
+/// Which values a document has, and where.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct Fields {
     pub(crate) v: Option<Number>,
-    /// Across the direction of driving: what counts is the speed.
+    /// Velocity across the direction of driving. The speed then counts.
     pub(crate) vy: Option<Number>,
     pub(crate) omega: Option<Number>,
     pub(crate) power: Option<Number>,
-    /// What `power` is of.
+    /// What `power` measures.
     pub(crate) power_of: PowerOf,
-    /// Without `power`: voltage times current is that of the battery.
+    /// Without `power`, voltage times current is the battery's power.
     pub(crate) power_of_current: bool,
     pub(crate) voltage: Option<Number>,
     pub(crate) current: Option<Number>,
     pub(crate) soc: Option<Number>,
     pub(crate) charging: Option<Flag>,
     pub(crate) full: Option<Flag>,
-    /// Where the robot's name stands, if not in the topic.
+    /// Position of the robot's name, unless the topic has it.
     pub(crate) robot: Option<Place>,
     /// The standard lets robots leave fields out.
     pub(crate) may_lack: bool,
@@ -140,7 +140,8 @@ pub(crate) struct Fields {
 const SOC: std::ops::RangeInclusive<f32> = -0.05..=1.05;
 
 impl Fields {
-    /// What the document says. A value that cannot be used is told to `refused` by its name, and the others count.
+    /// Reads the values of a document. An unusable value is passed to `refused` with its name, and
+    /// the others count.
     pub(crate) fn read(
         &self,
         document: &Value,
@@ -211,7 +212,7 @@ impl Fields {
         named.map(|(name, _, has)| (name, has)).collect()
     }
 
-    /// The robot's name in the document: a text, or a whole number.
+    /// The robot's name in the document: a text or an integer.
     pub(crate) fn robot(&self, document: &Value) -> Option<String> {
         match self.robot.as_ref()?.find(document)? {
             Value::String(name) => Some(name.clone()),
@@ -220,7 +221,8 @@ impl Fields {
         }
     }
 
-    /// A vehicle's `state` by VDA 5050 (1.1 to 2.1): battery, and velocity in its own coordinates.
+    /// Fields of a vehicle's `state` by VDA 5050 (1.1 to 2.1): battery, and velocity in the
+    /// vehicle's frame.
     pub(crate) fn vda5050() -> Self {
         let percent = Unit {
             name: "%",
@@ -246,7 +248,7 @@ impl Fields {
     }
 }
 
-/// The battery's power, if it is a number.
+/// The battery's power, if both factors are numbers.
 pub(crate) fn product(voltage_v: Option<f32>, current_a: Option<f32>) -> Option<PowerReading> {
     let power_w = voltage_v? * current_a?;
     power_w.is_finite().then_some(PowerReading {

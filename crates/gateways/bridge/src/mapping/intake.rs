@@ -1,20 +1,24 @@
-//! What is known of each robot, from messages that come at any rate, and its sample at a given time.
+//! The newest observations of each robot, from messages at any rate, and its sample at a given
+//! time.
 //!
-//! Commands and readings arrive in messages of their own, each at its own rate. A sample is made of the newest of
-//! each:
-//! - a reading that has not been in a sample yet is a new measurement, made when its message arrived: the clocks of
-//!   robots are not this host's. Of several between two samples the newest counts.
-//! - the same reading again is *held*, until `reading_holds_s`; then the sample has none, and the worker bridges.
-//! - a command applies until the next one, at most for `command_holds_s`; then it is unknown, or 0 if the robot stops by
-//!   itself.
-//! - whether it charges applies until it is told otherwise. Where messages say so, it is not known until the first one, and
-//!   neither is what the power of the battery means; where none does, the robot never charges. The power of a battery that was
-//!   heard before it changed means nothing.
-//! - a robot of which nothing was heard for `silent_after_s` is not in the frame: the worker says so.
+//! Commands and readings arrive in messages of their own, each at its own rate. A sample is made of
+//! the newest ones:
+//! - A reading that was in no sample yet is a new measurement, made when its message arrived,
+//!   because a robot's clock is not this host's. Of several readings between two samples the newest
+//!   counts.
+//! - The same reading again is *held* until `reading_holds_s`. Then the sample has none, and the
+//!   worker bridges the gap.
+//! - A command holds until the next one, at most for `command_holds_s`. Then it is unknown, or 0 if
+//!   the robot stops by itself.
+//! - The charging state holds until it changes. If messages report it, it is unknown until the
+//!   first of them, and so is the meaning of the battery's power. If none do, the robot never
+//!   charges. A battery's power from before a change is dropped.
+//! - A robot without any message for `silent_after_s` is left out of the frame, and the worker
+//!   reports that.
 
 use std::collections::BTreeMap;
 
-use joulebus_publisher::RobotState;
+use joulebus_publisher::{Charger, RobotState};
 use joulebus_settings::ChargeReading;
 
 use crate::mapping::judgement::Judgement;
@@ -23,17 +27,17 @@ use crate::mapping::observation::{Observation, PowerOf, PowerReading};
 /// States of charge that the worker takes.
 const SOC: std::ops::RangeInclusive<f32> = -0.05..=1.05;
 
-/// What a robot does when its command has expired.
+/// What a robot does after its command has expired.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum Expired {
     /// Not known.
     #[default]
     Unknown,
-    /// Its controller stops it: the command is 0.
+    /// Its controller stops it, so the command is 0.
     Stops,
 }
 
-/// How long what was heard applies, ns.
+/// How long an observed value holds, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Holds {
     pub(crate) command_ns: u64,
@@ -42,14 +46,14 @@ pub(crate) struct Holds {
     pub(crate) silent_ns: u64,
 }
 
-/// A value, and when it was heard, monotonic ns.
+/// A value with the monotonic time of its message, ns.
 #[derive(Debug, Clone, Copy)]
-struct Heard<T> {
+struct Timed<T> {
     value: T,
     at_ns: u64,
 }
 
-impl<T: Copy> Heard<T> {
+impl<T: Copy> Timed<T> {
     /// The value, if it is not older than `holds_ns`.
     fn within(&self, holds_ns: u64, now_ns: u64) -> Option<T> {
         (now_ns.saturating_sub(self.at_ns) <= holds_ns).then_some(self.value)
@@ -60,20 +64,20 @@ impl<T: Copy> Heard<T> {
 struct Robot {
     charge_reading: ChargeReading,
     any_ns: Option<u64>,
-    v_mps: Option<Heard<f32>>,
-    omega_radps: Option<Heard<f32>>,
-    power: Option<Heard<PowerReading>>,
-    /// The reading has been in a sample.
+    v_mps: Option<Timed<f32>>,
+    omega_radps: Option<Timed<f32>>,
+    power: Option<Timed<PowerReading>>,
+    /// The reading was already part of a sample.
     sampled: bool,
-    voltage_v: Option<Heard<f32>>,
-    current_a: Option<Heard<f32>>,
-    soc: Option<Heard<f32>>,
-    /// `None`: messages say so, and none has come.
+    voltage_v: Option<Timed<f32>>,
+    current_a: Option<Timed<f32>>,
+    soc: Option<Timed<f32>>,
+    /// `None` if messages report it and none has come yet.
     charging: Option<bool>,
     full: bool,
 }
 
-/// All robots of the mapping.
+/// The newest observations of all robots of the mapping.
 #[derive(Debug, Clone)]
 pub(crate) struct Intake {
     holds: Holds,
@@ -83,11 +87,11 @@ pub(crate) struct Intake {
 }
 
 impl Intake {
-    /// Of these robots, each with what a battery's power means while its platform is on the charger. `tells_charging`:
-    /// messages say whether a robot charges.
+    /// Creates the intake for these robots, each with what its battery's power means while it
+    /// charges. `reports_charging` states that messages report whether a robot charges.
     pub(crate) fn new(
         holds: Holds,
-        tells_charging: bool,
+        reports_charging: bool,
         robots: impl IntoIterator<Item = (u32, ChargeReading)>,
     ) -> Self {
         let robot = |(id, charge_reading)| {
@@ -101,7 +105,7 @@ impl Intake {
                 voltage_v: None,
                 current_a: None,
                 soc: None,
-                charging: (!tells_charging).then_some(false),
+                charging: (!reports_charging).then_some(false),
                 full: false,
             };
             (id, robot)
@@ -125,7 +129,8 @@ impl Intake {
         &mut self.judgement
     }
 
-    /// Takes what was heard of a robot at `at_ns` (monotonic). A robot that is not in the mapping changes nothing.
+    /// Adds an observation of a robot made at `at_ns` (monotonic). A robot that the mapping does
+    /// not have is ignored.
     pub(crate) fn take(&mut self, robot: u32, seen: &Observation, at_ns: u64) {
         let Some(known) = self.robots.get_mut(&robot).filter(|_| !seen.is_empty()) else {
             return;
@@ -141,21 +146,22 @@ impl Intake {
         ] {
             set(place, value, at_ns);
         }
-        let is_of_battery = |heard: Heard<PowerReading>| heard.value.of == PowerOf::Battery;
+        let is_of_battery = |timed: Timed<PowerReading>| timed.value.of == PowerOf::Battery;
         let charging = seen.charging.or(known.charging);
         if charging != known.charging {
-            known.power = known.power.filter(|heard| !is_of_battery(*heard));
+            known.power = known.power.filter(|timed| !is_of_battery(*timed));
         }
         known.charging = charging;
         known.full = seen.full.unwrap_or(known.full);
-        // A reading that repeats the one before was not measured now.
+        // A repeated reading is not a new measurement.
         if seen.power.is_some() && !(seen.repeats && known.power.is_some()) {
             set(&mut known.power, seen.power, at_ns);
             known.sampled = false;
         }
     }
 
-    /// The state of a robot for the sample of `now_ns` (monotonic); `None` if nothing was heard of it for too long.
+    /// The state of a robot for the sample of `now_ns` (monotonic). `None` if the robot has been
+    /// silent for too long.
     pub(crate) fn sample(&mut self, robot: u32, now_ns: u64) -> Option<RobotState> {
         let (holds, known) = (self.holds, self.robots.get_mut(&robot)?);
         let any_ns = known.any_ns?;
@@ -165,23 +171,27 @@ impl Intake {
         let mut state = RobotState::new(robot);
         state.v_mps = command(known.v_mps, holds, now_ns);
         state.omega_radps = command(known.omega_radps, holds, now_ns);
-        state.charging = known.charging == Some(true);
-        state.full = state.charging && known.full;
-        let number = |heard: Option<Heard<f32>>| heard?.within(holds.reading_ns, now_ns);
+        state.charger = match (known.charging, known.full) {
+            (Some(true), true) => Charger::Full,
+            (Some(true), false) => Charger::Charging,
+            _ => Charger::Disconnected,
+        };
+        let number = |timed: Option<Timed<f32>>| timed?.within(holds.reading_ns, now_ns);
         state.voltage_v = number(known.voltage_v);
         state.current_a = number(known.current_a);
         let soc = number(known.soc);
         // The worker would refuse the whole sample.
         state.soc = soc.filter(|soc| SOC.contains(soc));
-        if let Some(heard) = &mut known.power {
-            // It may have come after `now_ns` was read; held, it keeps the time that was told.
-            heard.at_ns = heard.at_ns.min(now_ns);
+        if let Some(timed) = &mut known.power {
+            // The message may have come after `now_ns` was read. A held reading keeps the time that
+            // its sample had.
+            timed.at_ns = timed.at_ns.min(now_ns);
         }
-        if let Some(heard) = known.power
-            && let Some(reading) = heard.within(holds.reading_ns, now_ns)
+        if let Some(timed) = known.power
+            && let Some(reading) = timed.within(holds.reading_ns, now_ns)
         {
             state.power_w = known.power_w(reading, known.charging);
-            state.measured_ns = state.power_w.map(|_| heard.at_ns);
+            state.measured_ns = state.power_w.map(|_| timed.at_ns);
             state.held = known.sampled && state.power_w.is_some();
             known.sampled |= state.power_w.is_some();
         }
@@ -191,21 +201,21 @@ impl Intake {
         Some(state)
     }
 
-    /// The voltage of a robot's battery, if it was heard lately.
+    /// The voltage of a robot's battery, unless it is too old.
     pub(crate) fn voltage_v(&self, robot: u32, now_ns: u64) -> Option<f32> {
-        let heard = self.robots.get(&robot)?.voltage_v?;
-        heard.within(self.holds.reading_ns, now_ns)
+        let timed = self.robots.get(&robot)?.voltage_v?;
+        timed.within(self.holds.reading_ns, now_ns)
     }
 
-    /// How many observations were taken.
+    /// Number of observations taken.
     pub(crate) const fn observations(&self) -> u64 {
         self.observations
     }
 }
 
 impl Robot {
-    /// The power that the platform's config expects: on the charger that of the battery means what `charge_reading`
-    /// says, and with `load` nobody knows what the robot consumes.
+    /// The power that the platform's config expects. On the charger the battery's power has the
+    /// meaning of `charge_reading`. With `load` the consumption is then unknown.
     fn power_w(&self, reading: PowerReading, charging: Option<bool>) -> Option<f32> {
         match (reading.of, charging, self.charge_reading) {
             (PowerOf::Load, _, _) | (_, Some(false), _) | (_, _, ChargeReading::Battery) => {
@@ -217,14 +227,14 @@ impl Robot {
     }
 }
 
-fn set<T: Copy>(place: &mut Option<Heard<T>>, value: Option<T>, at_ns: u64) {
+fn set<T: Copy>(place: &mut Option<Timed<T>>, value: Option<T>, at_ns: u64) {
     if let Some(value) = value {
-        *place = Some(Heard { value, at_ns });
+        *place = Some(Timed { value, at_ns });
     }
 }
 
-fn command(heard: Option<Heard<f32>>, holds: Holds, now_ns: u64) -> Option<f32> {
-    let value = heard?.within(holds.command_ns, now_ns);
+fn command(timed: Option<Timed<f32>>, holds: Holds, now_ns: u64) -> Option<f32> {
+    let value = timed?.within(holds.command_ns, now_ns);
     let stopped = (holds.expired == Expired::Stops).then_some(0.0);
     value.or(stopped)
 }
@@ -264,7 +274,7 @@ mod tests {
     #[test]
     fn readings_are_new_once_then_held_then_missing_and_a_silent_robot_is_left_out() {
         let mut intake = intake(HOLDS, ChargeReading::Load);
-        assert_eq!(intake.sample(7, 5), None, "never heard");
+        assert_eq!(intake.sample(7, 5), None, "no message yet");
         intake.take(7, &power(3.0, PowerOf::Load), 10);
         intake.take(7, &power(4.0, PowerOf::Load), 15);
         for (now_ns, expected) in [
@@ -347,7 +357,7 @@ mod tests {
             let state = intake.sample(7, 20).unwrap();
             assert_eq!(state.power_w, expected, "{charge_reading:?} {of:?}");
             assert_eq!(state.measured_ns.is_some(), expected.is_some());
-            assert!(state.charging && state.full);
+            assert_eq!(state.charger, Charger::Full);
             let left = Observation {
                 charging: Some(false),
                 ..power_alone(12.0)
@@ -355,8 +365,8 @@ mod tests {
             intake.take(7, &left, 30);
             let state = intake.sample(7, 40).unwrap();
             assert_eq!(
-                (state.power_w, state.charging, state.full),
-                (Some(12.0), false, false)
+                (state.power_w, state.charger),
+                (Some(12.0), Charger::Disconnected)
             );
         }
     }
@@ -372,7 +382,10 @@ mod tests {
             let mut intake = Intake::new(HOLDS, true, [(7, charge_reading)]);
             intake.take(7, &power(-40.0, of), 10);
             let state = intake.sample(7, 20).unwrap();
-            assert_eq!((state.power_w, state.charging), (expected, false));
+            assert_eq!(
+                (state.power_w, state.charger),
+                (expected, Charger::Disconnected)
+            );
             let told = Observation {
                 charging: Some(false),
                 ..power(12.0, of)
@@ -394,11 +407,19 @@ mod tests {
         for at_ns in (100..2_000).step_by(100) {
             intake.take(7, &power(-40.0, PowerOf::Battery), at_ns);
             let state = intake.sample(7, at_ns + 10).unwrap();
-            assert_eq!((state.charging, state.power_w), (true, None), "at {at_ns}");
+            assert_eq!(
+                (state.charger, state.power_w),
+                (Charger::Charging, None),
+                "at {at_ns}"
+            );
         }
         intake.take(7, &charging(false), 2_000);
         let state = intake.sample(7, 2_010).unwrap();
-        assert_eq!((state.charging, state.power_w), (false, None), "of before");
+        assert_eq!(
+            (state.charger, state.power_w),
+            (Charger::Disconnected, None),
+            "of before"
+        );
         intake.take(7, &power(12.0, PowerOf::Battery), 2_020);
         let state = intake.sample(7, 2_030).unwrap();
         assert_eq!((state.power_w, state.held), (Some(12.0), false));
@@ -423,13 +444,13 @@ mod tests {
     }
 
     proptest! {
-        /// Against a list of everything that was ever heard, searched anew for each sample.
+        /// Compares with a list of all observations, searched again for each sample.
         #[test]
         fn samples_are_of_the_newest_of_each(
             steps in prop::collection::vec((1u64..40, 0u8..4, -9.0f32..9.0), 1..80),
         ) {
             let mut intake = intake(HOLDS, ChargeReading::Load);
-            let mut heard: Vec<(u64, Observation)> = Vec::new();
+            let mut all: Vec<(u64, Observation)> = Vec::new();
             let (mut now_ns, mut last_measured) = (0, None);
             for (pause, what, value) in steps {
                 now_ns += pause;
@@ -441,10 +462,10 @@ mod tests {
                 };
                 intake.take(7, &seen, now_ns);
                 if !seen.is_empty() {
-                    heard.push((now_ns, seen));
+                    all.push((now_ns, seen));
                 }
                 now_ns += 1;
-                let newest = |of: fn(&Observation) -> bool| heard.iter().rev().find(|(_, seen)| of(seen));
+                let newest = |of: fn(&Observation) -> bool| all.iter().rev().find(|(_, seen)| of(seen));
                 let state = intake.sample(7, now_ns);
                 let is_known = newest(|_| true).is_some_and(|(at_ns, _)| now_ns - at_ns <= 300);
                 prop_assert_eq!(state.is_some(), is_known);

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use joulebus_plausibility::{Finding, Judge, Kind, Known, Observation, Source};
-use joulebus_publisher::RobotState;
+use joulebus_publisher::{Charger, RobotState};
 use serde::Serialize;
 
 /// Readings between two judgements of a robot.
@@ -46,7 +46,7 @@ impl Judgement {
         }
     }
 
-    /// Takes a sample with a new reading; `soc` as it came. Returns whether the charge is a percentage.
+    /// Adds a sample with a new reading; `soc` as it came.
     pub(crate) fn take(&mut self, state: &RobotState, soc: Option<f32>, now_ns: u64) {
         let number = |value: Option<f32>| value.map_or(f64::NAN, f64::from);
         let new = || Robot {
@@ -61,7 +61,7 @@ impl Judgement {
             voltage_v: number(state.voltage_v),
             current_a: number(state.current_a),
             soc: number(soc),
-            charging: Some(state.charging),
+            charging: Some(state.charger != Charger::Disconnected),
             ..Observation::at(now_ns as f64 * 1e-9)
         });
         let count = robot.judge.observations();

@@ -1,5 +1,5 @@
-//! What messages of other systems mean, and what the fleet's values are for them. Pure: no clock, network, file or
-//! thread; the time that a message was heard comes in as an argument.
+//! The mapping between messages of other systems and the fleet's values. Pure: no clock, network,
+//! file or thread. The time of a message is an argument.
 
 pub(crate) mod account;
 pub(crate) mod fields;

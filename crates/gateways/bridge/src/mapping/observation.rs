@@ -1,25 +1,26 @@
-//! What one message says of one robot.
+//! The observation of one robot in one message.
 
-/// A power, and of what.
+/// A power, and what it measures.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct PowerReading {
     /// W; out of the battery is positive.
     pub(crate) power_w: f32,
-    /// What the meter sees.
+    /// What the power is of.
     pub(crate) of: PowerOf,
 }
 
-/// What a power meter sees.
+/// What a power meter measures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum PowerOf {
-    /// What the robot consumes.
+    /// The robot's consumption.
     #[default]
     Load,
-    /// What leaves the battery: less than nothing while it is charged.
+    /// The battery's discharge, negative while it is charged.
     Battery,
 }
 
-/// The values that a message has, in SI; `None`: it does not say. All numbers are finite.
+/// The values of a message in SI. `None` if the message does not have the value. All numbers are
+/// finite.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Observation {
     /// Linear velocity, m/s.
@@ -36,14 +37,14 @@ pub(crate) struct Observation {
     pub(crate) soc: Option<f32>,
     /// Whether the robot is on its charger.
     pub(crate) charging: Option<bool>,
-    /// Whether the charger says that the battery is full.
+    /// Whether the charger reports a full battery.
     pub(crate) full: Option<bool>,
-    /// Known to repeat the measurement before.
+    /// The message is known to repeat the previous measurement.
     pub(crate) repeats: bool,
 }
 
 impl Observation {
-    /// Whether it says nothing.
+    /// Whether it has no value.
     pub(crate) fn is_empty(&self) -> bool {
         let Self {
             v_mps,

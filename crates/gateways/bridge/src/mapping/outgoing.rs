@@ -1,4 +1,4 @@
-//! What is told of a robot: documents of JSON, by a mapping of values to names, units and signs.
+//! JSON documents about robots: a mapping of values to names, units and signs.
 
 use joulebus_board::{Newest, RobotRecord};
 use serde_json::{Map, Value, json};
@@ -8,19 +8,19 @@ use crate::mapping::units::{Quantity, Unit};
 /// A JSON object.
 pub(crate) type Object = Map<String, Value>;
 
-/// What a topic is told.
+/// The contents of a topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum What {
-    /// The next reading of a robot.
+    /// The forecast of a robot's next reading.
     Forecast,
-    /// What a robot has drawn, and has left.
+    /// The energy that a robot has drawn and has left.
     Budget,
-    /// The alarms of a robot that are raised.
+    /// The raised alarms of a robot.
     Alarms,
-    /// Each raise and each end of an alarm, of robots and worker.
+    /// Every raise and clearance of an alarm, of robots and of the worker.
     AlarmChanges,
-    /// Whether the bridge and the worker run, and what was not mapped.
+    /// The state of the bridge and of the worker, and the unmapped messages.
     Status,
 }
 
@@ -30,12 +30,12 @@ impl What {
         matches!(self, Self::Forecast | Self::Budget | Self::Alarms)
     }
 
-    /// Whether the newest is also true for those who subscribe later.
+    /// Whether the broker retains the newest document for later subscribers by default.
     pub(crate) const fn is_kept(self) -> bool {
         matches!(self, Self::Budget | Self::Alarms | Self::Status)
     }
 
-    /// Its values without a mapping.
+    /// The values of a document without a mapping of its own.
     pub(crate) const fn usual(self) -> &'static [&'static str] {
         match self {
             Self::Forecast => &[
@@ -75,7 +75,7 @@ impl What {
     }
 }
 
-/// All values of a robot that a mapping may name.
+/// All values of a robot, for use in mappings.
 const VALUES: &[(&str, Quantity)] = &[
     ("robot", Quantity::Plain),
     ("name", Quantity::Plain),
@@ -107,7 +107,7 @@ const VALUES: &[(&str, Quantity)] = &[
     ("time_to_empty_hi_s", Quantity::Time),
 ];
 
-/// What a value called `name` measures; `None` for no such value.
+/// The quantity of the value `name`. `None` if there is no such value.
 pub(crate) fn quantity(name: &str) -> Option<Quantity> {
     let found = VALUES.iter().find(|(value, _)| *value == name);
     found.map(|(_, quantity)| *quantity)
@@ -118,18 +118,18 @@ pub(crate) fn value_names() -> impl Iterator<Item = &'static str> {
     VALUES.iter().map(|(name, _)| *name)
 }
 
-/// A value in a document.
+/// A value of an outgoing document.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct Told {
+pub(crate) struct OutgoingValue {
     /// Name of the value.
     pub(crate) value: String,
-    /// Members from the document to the value.
+    /// Names of the members that lead to the value.
     pub(crate) path: Vec<String>,
     pub(crate) unit: Unit,
     pub(crate) negate: bool,
 }
 
-impl Told {
+impl OutgoingValue {
     /// The value under its own name.
     pub(crate) fn plain(value: &str) -> Self {
         Self {
@@ -149,7 +149,8 @@ impl Told {
         }
     }
 
-    /// The value in its unit and with its sign, if it is known and a number, or true or false: 1 or 0.
+    /// The value in its unit and with its sign. A boolean is 1 or 0. `None` if it is unknown or no
+    /// number.
     pub(crate) fn number(&self, values: &Object) -> Option<f64> {
         let number = match values.get(&self.value)? {
             Value::Bool(is_true) => f64::from(u8::from(*is_true)),
@@ -159,8 +160,8 @@ impl Told {
     }
 }
 
-/// The document with these values; unknown ones are null.
-pub(crate) fn document(fields: &[Told], values: &Object) -> Value {
+/// The document with these values. Unknown ones are null.
+pub(crate) fn document(fields: &[OutgoingValue], values: &Object) -> Value {
     let mut document = Object::new();
     for field in fields {
         insert(&mut document, &field.path, field.of(values));
@@ -183,14 +184,14 @@ fn insert(object: &mut Object, path: &[String], value: Value) {
     }
 }
 
-/// All values of a robot. `unix_ns` turns this host's monotonic time into Unix time.
+/// All values of a robot. `unix_ns` converts this host's monotonic time to Unix time.
 pub(crate) fn values(
     robot: u32,
     name: &str,
     newest: &Newest,
     unix_ns: impl Fn(u64) -> u64,
 ) -> Object {
-    // A record is a struct of named fields.
+    // A record is a struct with named fields, so it serialises to an object.
     let record = serde_json::to_value(RobotRecord::of(robot, newest));
     let mut values = match record {
         Ok(Value::Object(values)) => values,
@@ -279,19 +280,19 @@ mod tests {
     #[test]
     fn a_mapping_sets_names_units_and_signs() {
         let values = values(7, "r7", &newest(), |at_ns| at_ns);
-        let told = |value: &str, path: &[&str], unit: &str, negate| Told {
+        let field = |value: &str, path: &[&str], unit: &str, negate| OutgoingValue {
             value: value.to_owned(),
             path: path.iter().map(|part| (*part).to_owned()).collect(),
             unit: quantity(value).unwrap().unit(unit).unwrap(),
             negate,
         };
         let fields = [
-            told("power_w", &["next", "mw"], "mW", false),
-            told("reading_w", &["next", "drawn"], "W", true),
-            told("soc", &["charge"], "%", false),
-            told("drawn_j", &["wh"], "Wh", false),
-            told("lo_w", &["lo"], "W", true),
-            Told::plain("name"),
+            field("power_w", &["next", "mw"], "mW", false),
+            field("reading_w", &["next", "drawn"], "W", true),
+            field("soc", &["charge"], "%", false),
+            field("drawn_j", &["wh"], "Wh", false),
+            field("lo_w", &["lo"], "W", true),
+            OutgoingValue::plain("name"),
         ];
         assert_eq!(
             document(&fields, &values),

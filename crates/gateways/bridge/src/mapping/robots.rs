@@ -1,29 +1,29 @@
-//! Names of robots elsewhere, and their ids in the fleet.
+//! The robots' names in other systems, and their ids in the fleet.
 
 use std::collections::{BTreeMap, HashMap};
 use std::ops::RangeInclusive;
 
-/// Longest name, bytes.
-const LONGEST: usize = 128;
-/// Most robots of one range.
-const MOST: u32 = 100_000;
+/// Maximum length of a name, bytes.
+const MAX_BYTES: usize = 128;
+/// Maximum number of robots in a range.
+const MAX_RANGE: u32 = 100_000;
 
 /// Why a line of `[robots]` is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum RobotsError {
-    #[error("is no name: 1 to {LONGEST} bytes without / + # and control characters")]
+    #[error("is no name: 1 to {MAX_BYTES} bytes without / + # and control characters")]
     Name,
     #[error("is given to robot {first} and to robot {second}")]
     TwoIds { first: u32, second: u32 },
     #[error("gives a second name to robot {robot}, which is {first:?} already")]
     TwoNames { robot: u32, first: String },
     #[error(
-        "has {found:?}; allowed are an id (7), or with {{id}} in the name a range (\"0-19\") of at most {MOST}"
+        "has {found:?}; allowed are an id (7), or with {{id}} in the name a range (\"0-19\") of at most {MAX_RANGE}"
     )]
     Ids { found: String },
 }
 
-/// One name for each id, and the other way round.
+/// A bijection between names and ids.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Robots {
     ids: HashMap<String, u32>,
@@ -31,7 +31,7 @@ pub(crate) struct Robots {
 }
 
 impl Robots {
-    /// Adds a robot, or with `{id}` in its name one for each id of a range such as `0-19`.
+    /// Adds a robot. With `{id}` in the name it adds one for each id of a range such as `0-19`.
     pub(crate) fn add(&mut self, name: &str, ids: &str) -> Result<(), RobotsError> {
         let range = range(ids).filter(|ids| ids.start() == ids.end() || name.contains("{id}"));
         let range = range.ok_or_else(|| RobotsError::Ids {
@@ -80,17 +80,18 @@ impl Robots {
     }
 }
 
-/// Names are levels of topics, so that they may have neither wildcards nor separators.
+/// Whether the text can be a name. Names are levels of topics, so they contain neither wildcards
+/// nor separators.
 fn is_name(name: &str) -> bool {
     let is_bad =
         |letter: char| matches!(letter, '/' | '+' | '#' | '{' | '}') || letter.is_control();
-    (1..=LONGEST).contains(&name.len()) && !name.contains(is_bad)
+    (1..=MAX_BYTES).contains(&name.len()) && !name.contains(is_bad)
 }
 
 fn range(text: &str) -> Option<RangeInclusive<u32>> {
     let (first, last) = text.split_once('-').unwrap_or((text, text));
     let (first, last): (u32, u32) = (first.trim().parse().ok()?, last.trim().parse().ok()?);
-    (first <= last && last - first < MOST).then_some(first..=last)
+    (first <= last && last - first < MAX_RANGE).then_some(first..=last)
 }
 
 #[cfg(test)]

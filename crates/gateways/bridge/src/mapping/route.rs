@@ -1,4 +1,4 @@
-//! From a message to what it says of which robot.
+//! Routes messages to the observations of their robots.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -11,7 +11,7 @@ use crate::mapping::robots::Robots;
 use crate::mapping::topic::Pattern;
 use crate::mapping::vizier;
 
-/// Rounds of requests after which one counts as unanswered.
+/// Number of rounds after which a request counts as unanswered.
 const ROUNDS: u64 = 3;
 /// What some programs write in front of a text.
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
@@ -20,7 +20,7 @@ const NOT_NUMBERS: [&[u8]; 3] = [b"NaN", b"-Infinity", b"Infinity"];
 /// Name of the route of a vizier's answers.
 const VIZIER: &str = "vizier";
 
-/// Topics of one kind, and what their documents have where.
+/// A pattern of topics, with the layout of their documents.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Route {
     /// The pattern as written in the config.
@@ -29,12 +29,12 @@ pub(crate) struct Route {
     pub(crate) fields: Fields,
 }
 
-/// A message as it came.
+/// A received message.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Message<'m> {
     pub(crate) topic: &'m str,
     pub(crate) payload: &'m [u8],
-    /// Kept by the broker from earlier.
+    /// The broker retained it from earlier.
     pub(crate) retained: bool,
 }
 
@@ -47,21 +47,21 @@ pub(crate) struct Reader {
     vizier: Option<Vizier>,
 }
 
-/// Requests to nodes of a vizier.
+/// The pending requests to a vizier's nodes.
 #[derive(Debug, Clone)]
 struct Vizier {
     client: String,
     fields: Fields,
     round: u64,
     next: u64,
-    /// Robot and round of each request that is not answered.
+    /// Robot and round of each unanswered request.
     open: BTreeMap<u64, (u32, u64)>,
     /// The newest status of each robot.
     newest: HashMap<u32, String>,
 }
 
 impl Reader {
-    /// Of payloads of at most `most_bytes`.
+    /// Creates a reader of payloads up to `most_bytes`.
     pub(crate) fn new(routes: Vec<Route>, robots: Robots, most_bytes: usize) -> Self {
         Self {
             routes,
@@ -71,7 +71,7 @@ impl Reader {
         }
     }
 
-    /// Reads answers of a vizier to `client` too.
+    /// Adds the answers of a vizier to `client`.
     #[must_use]
     pub(crate) fn with_vizier(mut self, client: &str, fields: Fields) -> Self {
         self.vizier = Some(Vizier {
@@ -85,7 +85,7 @@ impl Reader {
         self
     }
 
-    /// What to subscribe to, each once.
+    /// The topics to subscribe to, without duplicates.
     pub(crate) fn filters(&self) -> Vec<String> {
         let mut filters: Vec<String> = self.routes.iter().map(|it| it.pattern.filter()).collect();
         filters.extend(
@@ -98,7 +98,7 @@ impl Reader {
         filters
     }
 
-    /// Reads a message, and tells `take` what it says of which robot.
+    /// Reads a message, and passes each robot's observation to `take`.
     pub(crate) fn read(
         &mut self,
         message: Message<'_>,
@@ -248,7 +248,7 @@ impl Reading<'_> {
         robots: &Robots,
         most_bytes: usize,
     ) -> Option<(u32, Observation)> {
-        // A name in the topic is checked first: messages of robots elsewhere are not parsed.
+        // Look up a name in the topic first, so that messages about other robots are not parsed.
         let id = robot.map(|name| self.id(name, robots));
         let document = match id {
             Some(None) => return None,
@@ -292,7 +292,7 @@ impl Vizier {
             reading.count(Reason::NotAsked, node);
             return None;
         };
-        // Answers to earlier requests would say what was true before.
+        // An answer to an earlier request would be out of date.
         self.open
             .retain(|other, (of, _)| *of != robot || *other > number);
         let body = match vizier::body(&document) {
@@ -351,7 +351,7 @@ mod tests {
         )
     }
 
-    /// Robots with powers; reasons with names.
+    /// Robots with their powers, and reasons with their names.
     type Read = (Vec<(u32, f32)>, Vec<(&'static str, String)>);
 
     fn read(reader: &mut Reader, topic: &str, payload: &[u8]) -> Read {

@@ -1,14 +1,14 @@
-//! Patterns of topics: levels between slashes, one of which may contain `{robot}`.
+//! Topic patterns: levels between slashes, one of which may contain `{robot}`.
 
-/// Longest topic, bytes; MQTT allows 65,535.
-const LONGEST: usize = 512;
-/// Where the name of a robot stands.
+/// Maximum length of a topic, bytes. MQTT allows 65,535.
+const MAX_BYTES: usize = 512;
+/// The placeholder of a robot's name.
 pub(crate) const ROBOT: &str = "{robot}";
 
 /// Why a pattern is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum TopicError {
-    #[error("has {found} bytes; allowed are 1 to {LONGEST}")]
+    #[error("has {found} bytes; allowed are 1 to {MAX_BYTES}")]
     Length { found: usize },
     #[error("has {{robot}} more than once")]
     TwoRobots,
@@ -22,14 +22,14 @@ pub(crate) enum TopicError {
     NoRobot,
 }
 
-/// A pattern to read: matches topics, and finds the name of the robot in them.
+/// A pattern to read: it matches topics and extracts the robot's name.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Pattern {
     levels: Vec<String>,
 }
 
 impl Pattern {
-    /// Parses `fleet/{robot}/power`; `+` and `#` are MQTT's wildcards.
+    /// Parses `fleet/{robot}/power`. `+` and `#` are MQTT's wildcards.
     pub(crate) fn parse(text: &str) -> Result<Self, TopicError> {
         check(text)?;
         let levels: Vec<String> = text.split('/').map(str::to_owned).collect();
@@ -45,12 +45,12 @@ impl Pattern {
         Ok(Self { levels })
     }
 
-    /// Whether it tells the robot.
+    /// Whether the pattern has the robot's name.
     pub(crate) fn has_robot(&self) -> bool {
         self.levels.iter().any(|level| level.contains(ROBOT))
     }
 
-    /// What to subscribe to.
+    /// The topic filter to subscribe to.
     pub(crate) fn filter(&self) -> String {
         let levels = self.levels.iter().map(|level| {
             let is_named = level.contains(ROBOT);
@@ -59,7 +59,7 @@ impl Pattern {
         levels.collect::<Vec<_>>().join("/")
     }
 
-    /// `Some` if the topic matches, with the name of the robot if the pattern has one.
+    /// `Some` if the topic matches, with the robot's name if the pattern has it.
     pub(crate) fn matches<'t>(&self, topic: &'t str) -> Option<Option<&'t str>> {
         let mut robot = None;
         let mut rest = topic.split('/');
@@ -81,12 +81,13 @@ impl Pattern {
     }
 }
 
-/// A topic to write to, with `{robot}` and `{fleet}`.
+/// A topic to write, with `{robot}` and `{fleet}`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Template(String);
 
 impl Template {
-    /// Parses `joulebus/{fleet}/{robot}/budget`. `of_robot`: `{robot}` is needed, or else forbidden.
+    /// Parses `joulebus/{fleet}/{robot}/budget`. `of_robot` states that `{robot}` is required, else
+    /// it is forbidden.
     pub(crate) fn parse(text: &str, fleet: &str, of_robot: bool) -> Result<Self, TopicError> {
         check(text)?;
         if text.contains(['+', '#']) {
@@ -106,7 +107,7 @@ impl Template {
 }
 
 fn check(text: &str) -> Result<(), TopicError> {
-    if !(1..=LONGEST).contains(&text.len()) {
+    if !(1..=MAX_BYTES).contains(&text.len()) {
         return Err(TopicError::Length { found: text.len() });
     }
     if text.matches(ROBOT).count() > 1 {

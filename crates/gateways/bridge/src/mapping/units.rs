@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-/// What a number measures.
+/// The quantity that a number measures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Quantity {
     Power,
@@ -13,18 +13,18 @@ pub(crate) enum Quantity {
     TurnRate,
     Energy,
     Time,
-    /// A pure number, a text or a list: without unit.
+    /// A number without unit, a text or a list.
     Plain,
 }
 
-/// A unit, and its size in that of the SI.
+/// A unit, and its size in the SI unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Unit {
     pub(crate) name: &'static str,
     pub(crate) size: f64,
 }
 
-/// A unit that a quantity is not measured in.
+/// A unit that does not measure the quantity.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{found:?} is no unit of {quantity}; allowed are {allowed}")]
 pub(crate) struct UnitError {
@@ -48,7 +48,7 @@ impl Quantity {
         }
     }
 
-    /// Its units, that of the SI first.
+    /// The quantity's units, the SI unit first.
     const fn units(self) -> &'static [(&'static str, f64)] {
         match self {
             Self::Power => &[("W", 1.0), ("mW", 1e-3), ("kW", 1e3)],
@@ -68,7 +68,7 @@ impl Quantity {
         }
     }
 
-    /// The unit of the SI.
+    /// The SI unit.
     pub(crate) const fn si(self) -> Unit {
         let (name, size) = self.units()[0];
         Unit { name, size }

@@ -1,6 +1,6 @@
-//! The Robotarium's vizier: data are asked for by JSON on `<node>/requests` and answered on
-//! `<node>/responses/<id>`, with the JSON of the link as a text (`vizier/node.py`, `vizier/utils.py`). Only `GET`
-//! is ever sent.
+//! The protocol of the Robotarium's vizier. A JSON request on `<node>/requests` is answered on
+//! `<node>/responses/<id>`, with the link's JSON as a text (`vizier/node.py`, `vizier/utils.py`).
+//! The bridge sends only `GET`.
 
 use serde_json::{Value, json};
 
@@ -9,20 +9,20 @@ use crate::mapping::fields::{Fields, Flag, Number, Place};
 use crate::mapping::observation::Observation;
 use crate::mapping::units::{Quantity, Unit};
 
-/// Status of an answer that has the data.
+/// Status of an answer with data.
 const SUCCESS: u64 = 200;
 
-/// The topic on which a node is asked.
+/// The topic of requests to a node.
 pub(crate) fn request_topic(node: &str) -> String {
     format!("{node}/requests")
 }
 
-/// What to subscribe to for the answers to `client`.
+/// The topic filter of answers to `client`.
 pub(crate) fn response_filter(client: &str) -> String {
     format!("+/responses/{client}/+")
 }
 
-/// Number of the request that a topic answers, and the node; `None` if it is no answer to `client`.
+/// The request number and the node of an answer. `None` if the topic is no answer to `client`.
 pub(crate) fn answered<'t>(client: &str, topic: &'t str) -> Option<(&'t str, u64)> {
     let (node, rest) = topic.split_once("/responses/")?;
     let number = rest.strip_prefix(client)?.strip_prefix('/')?;
@@ -40,16 +40,17 @@ pub(crate) fn request(client: &str, node: &str, number: u64) -> Value {
     })
 }
 
-/// What an answer carries.
+/// The contents of an answer.
 ///
 /// # Errors
-/// [`Reason::Refused`] without success or body, [`Reason::NotJson`] for a body that is not a text with JSON.
+/// [`Reason::Refused`] without success or body, [`Reason::NotJson`] for a body that is not a text
+/// with JSON.
 pub(crate) fn body(response: &Value) -> Result<Value, Reason> {
     if response.get("status").and_then(Value::as_u64) != Some(SUCCESS) {
         return Err(Reason::Refused);
     }
     match response.get("body") {
-        // Nothing was put on the link yet.
+        // The node has not put anything on the link yet.
         Some(Value::String(text)) if text.is_empty() => Err(Reason::Refused),
         Some(Value::String(text)) => serde_json::from_str(text).map_err(|_| Reason::NotJson),
         Some(Value::Null) | None => Err(Reason::Refused),
@@ -57,7 +58,8 @@ pub(crate) fn body(response: &Value) -> Result<Value, Reason> {
     }
 }
 
-/// The fields of a GTernal's status: battery in V, power monitor in mW and mA; −1 before the first reading.
+/// The fields of a GTernal's status: battery in V, power monitor in mW and mA. −1 means no reading
+/// yet.
 pub(crate) fn status_fields() -> Fields {
     let number = |quantity: Quantity, name, size, place| Number {
         place: Place {
@@ -76,7 +78,7 @@ pub(crate) fn status_fields() -> Fields {
     }
 }
 
-/// The fields of a GTernal's input.
+/// The fields of a GTernal's command input.
 pub(crate) fn command_fields() -> Fields {
     Fields {
         v: Some(Number::si(Quantity::Speed, "v")),
@@ -85,8 +87,8 @@ pub(crate) fn command_fields() -> Fields {
     }
 }
 
-/// A status, given the text of the one before: before the first reading `charge_status` is false whatever is true, and a
-/// status that equals the one before to the letter was not measured again.
+/// Corrects a status, given whether its text equals the previous one's. Before the first reading
+/// `charge_status` is always false. A status with identical text was not measured again.
 pub(crate) fn status(mut seen: Observation, repeats: bool) -> Observation {
     let is_read = seen.power.is_some() || seen.voltage_v.is_some() || seen.current_a.is_some();
     if !is_read {

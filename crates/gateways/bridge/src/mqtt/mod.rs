@@ -1,8 +1,10 @@
-//! The connection to a broker. One thread: it subscribes after each connection, because a broker that was killed may
-//! have forgotten, reads messages, and sends what others hand to its [`Outlet`].
+//! The connection to a broker, served by one thread.
+//!
+//! The thread subscribes after each connection, because a broker that was killed may have lost its
+//! subscriptions. It reads messages, and sends those that others hand to its [`Outlet`].
 
 mod outlet;
-mod telling;
+mod sink;
 
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -21,22 +23,23 @@ use crate::mapping::route::{Message, Reader};
 use crate::shared::Shared;
 
 pub(crate) use outlet::Outlet;
-pub(crate) use telling::{MOST_WAITING, MqttTelling, Start, read_alarms};
+pub(crate) use sink::{MAX_WAITING, MqttSink, Start, read_alarms};
 
-/// Longest packet that is received, bytes: a longer one ends the connection. What is longer than a payload may be is
-/// received whole, counted and passed over.
-const MOST_PACKET_BYTES: usize = 16 << 20;
-/// Pause before the next attempt to connect: doubled each time, up to the second.
-const AGAIN: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(10));
-/// How late a stop may be noticed.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
-/// Time to say goodbye.
-const LEAVE_LIMIT: Duration = Duration::from_secs(2);
+/// Maximum size of a received packet, bytes. A longer one ends the connection. A payload above its
+/// own limit is received, counted and skipped.
+const MAX_PACKET_BYTES: usize = 16 << 20;
+/// Delay before the next attempt to connect: the first one, and the maximum. It doubles with each
+/// attempt.
+const RETRY_DELAYS: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(10));
+/// Delay until a stop is noticed.
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
+/// Timeout of the disconnection.
+const DISCONNECT_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Why the connection was given up.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum MqttError {
-    /// A login that is wrong at the start will be wrong later.
+    /// A login that is wrong at the start stays wrong.
     #[error(
         "the broker {broker} refuses the connection: {code:?}. Check `username`, `password_file` and `client_id`"
     )]
@@ -48,7 +51,7 @@ pub(crate) enum MqttError {
     Runtime(#[from] std::io::Error),
 }
 
-/// A broker that is connected to, again and again.
+/// A connection to a broker that reconnects after each loss.
 pub(crate) struct Mqtt {
     broker: String,
     client: AsyncClient,
@@ -56,13 +59,13 @@ pub(crate) struct Mqtt {
     outlet: Arc<Outlet>,
     reader: Arc<Mutex<Reader>>,
     ask_every: Option<Duration>,
-    /// Topic, payload, and whether the broker keeps it.
+    /// Topic, payload, and whether the broker retains it.
     goodbye: Vec<(String, Vec<u8>, bool)>,
     shared: Arc<Shared>,
 }
 
 impl Mqtt {
-    /// Prepares the connection; [`Mqtt::run`] opens it.
+    /// Prepares the connection. [`Mqtt::run`] opens it.
     pub(crate) fn new(
         settings: &MqttSettings,
         robots: &Robots,
@@ -71,9 +74,9 @@ impl Mqtt {
     ) -> Self {
         let mut options = MqttOptions::new(&settings.client_id, &settings.host, settings.port);
         options.set_keep_alive(settings.keep_alive);
-        // What was sent while nobody listened is old: no session is kept.
+        // No persistent session: messages queued for an absent bridge would be old.
         options.set_clean_session(true);
-        options.set_max_packet_size(MOST_PACKET_BYTES, MOST_PACKET_BYTES);
+        options.set_max_packet_size(MAX_PACKET_BYTES, MAX_PACKET_BYTES);
         if let Some((username, password)) = &settings.login {
             options.set_credentials(username, password);
         }
@@ -110,7 +113,7 @@ impl Mqtt {
         }
     }
 
-    /// What sends.
+    /// The sending end of the connection.
     pub(crate) fn outlet(&self) -> Arc<Outlet> {
         Arc::clone(&self.outlet)
     }
@@ -135,10 +138,11 @@ impl Mqtt {
                 Arc::clone(&self.shared),
             ));
         }
-        let mut pause = AGAIN.0;
+        let mut pause = RETRY_DELAYS.0;
         let shared = Arc::clone(&self.shared);
         loop {
-            // Polling is given up at the end alone: a connection that is being made would be lost.
+            // The poll is cancelled only at the end, because cancelling it would lose a connection
+            // that is being made.
             let event = tokio::select! {
                 event = self.events.poll() => event,
                 () = closed(&shared) => break,
@@ -146,7 +150,7 @@ impl Mqtt {
             match event {
                 Ok(Event::Incoming(packet)) => {
                     if let Packet::ConnAck(_) = packet {
-                        pause = AGAIN.0;
+                        pause = RETRY_DELAYS.0;
                     }
                     self.incoming(packet);
                 }
@@ -154,7 +158,7 @@ impl Mqtt {
                 Err(error) => {
                     self.lost(&error)?;
                     tokio::select! {
-                        () = sleep(pause) => pause = (pause * 2).min(AGAIN.1),
+                        () = sleep(pause) => pause = (pause * 2).min(RETRY_DELAYS.1),
                         () = closed(&shared) => break,
                     }
                 }
@@ -198,7 +202,7 @@ impl Mqtt {
             }
             _ => {}
         }
-        self.shared.say_news();
+        self.shared.log_news();
     }
 
     fn subscribe(&self) {
@@ -214,7 +218,7 @@ impl Mqtt {
             .into_iter()
             .map(|path| SubscribeFilter::new(path, QoS::AtMostOnce));
         if let Err(error) = self.client.try_subscribe_many(filters) {
-            // The queue is emptied with every new connection.
+            // Every new connection empties the queue.
             say(&format!("cannot subscribe: {error}"));
         }
     }
@@ -237,7 +241,7 @@ impl Mqtt {
         Ok(())
     }
 
-    /// Says that the bridge is gone, and disconnects.
+    /// Publishes that the bridge is offline, and disconnects.
     async fn leave(&mut self) {
         if !self.outlet.is_connected() {
             return;
@@ -254,18 +258,18 @@ impl Mqtt {
                 Err(_) | Ok(Event::Outgoing(rumqttc::Outgoing::Disconnect))
             ) {}
         };
-        let _ = timeout(LEAVE_LIMIT, polling).await;
+        let _ = timeout(DISCONNECT_TIMEOUT, polling).await;
     }
 }
 
-/// Returns when the connection is to end.
+/// Returns when the connection has to end.
 async fn closed(shared: &Shared) {
     while !shared.is_closed() {
-        sleep(LOOK_EVERY).await;
+        sleep(POLL_INTERVAL).await;
     }
 }
 
-/// Asks every node of a vizier again and again.
+/// Sends the vizier's requests periodically.
 async fn ask(
     every: Duration,
     reader: Arc<Mutex<Reader>>,
@@ -285,9 +289,9 @@ async fn ask(
             reader.requests(&mut account)
         };
         for (topic, body) in requests {
-            // One that does not fit is asked again in the next round.
+            // A request without room is repeated in the next round.
             outlet.write(topic, body.to_string().into_bytes(), QoS::AtMostOnce, false);
         }
-        shared.say_news();
+        shared.log_news();
     }
 }

@@ -1,10 +1,10 @@
-//! What other threads send by.
+//! The sending end of the broker's connection, for other threads.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use rumqttc::{AsyncClient, QoS};
 
-/// Hands messages to the connection; never waits.
+/// Hands messages to the connection. Never blocks.
 #[derive(Debug)]
 pub(crate) struct Outlet {
     client: AsyncClient,
@@ -30,7 +30,7 @@ impl Outlet {
         self.up.store(true, Ordering::Relaxed);
     }
 
-    /// True if it ever was connected.
+    /// Notes the loss of the connection. Returns whether there was one.
     pub(super) fn disconnected(&self) -> bool {
         self.up.store(false, Ordering::Relaxed);
         self.connections() > 0
@@ -40,13 +40,14 @@ impl Outlet {
         self.up.load(Ordering::Relaxed)
     }
 
-    /// How often a broker has accepted the connection: after another time it may have forgotten what it kept.
+    /// Number of connections that a broker has accepted. After each of them the broker may have
+    /// lost what it retained.
     pub(crate) fn connections(&self) -> u64 {
         self.connections.load(Ordering::Relaxed)
     }
 
-    /// Hands over a message; false if there is no connection, or its queue is full. What is then not told later is lost: see
-    /// [`Outlet::count_lost`].
+    /// Hands over a message. Returns false if there is no connection or its queue is full. A
+    /// message that is not retried is lost: see [`Outlet::count_lost`].
     pub(crate) fn write(&self, topic: String, payload: Vec<u8>, qos: QoS, retain: bool) -> bool {
         if !self.is_connected() {
             return false;
@@ -56,17 +57,17 @@ impl Outlet {
         is_sent
     }
 
-    /// Counts a message that is not tried again.
+    /// Counts a message that is not retried.
     pub(crate) fn count_lost(&self) {
         self.lost.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Messages handed over.
+    /// Number of messages handed over.
     pub(crate) fn sent(&self) -> u64 {
         self.sent.load(Ordering::Relaxed)
     }
 
-    /// Messages that did not fit and were not tried again.
+    /// Number of messages that were not accepted and not retried.
     pub(crate) fn lost(&self) -> u64 {
         self.lost.load(Ordering::Relaxed)
     }

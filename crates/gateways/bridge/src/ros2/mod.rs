@@ -1,7 +1,10 @@
-//! A participant of ROS 2's DDS. One thread takes messages; DDS has two of its own. Others come and go: DDS finds them again.
+//! A participant in ROS 2's DDS.
+//!
+//! One thread takes messages. DDS has two threads of its own, and finds participants again that
+//! have left.
 
 mod raw;
-mod telling;
+mod sink;
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::pin::pin;
@@ -31,25 +34,28 @@ use crate::mapping::ros::discovery::announced;
 use crate::mapping::ros::incoming::{Received, RosRoute};
 use crate::mapping::ros::names::{dds_topic, dds_type};
 use crate::ros2::raw::Raw;
-use crate::ros2::telling::{Topic, Writer};
+use crate::ros2::sink::{Topic, Writer};
 use crate::shared::Shared;
 
-pub(crate) use telling::{Counts, RosTelling};
+pub(crate) use sink::{Counts, RosSink};
 
-/// Messages of a topic that wait to be taken: of several between two samples the newest counts.
+/// Maximum number of queued messages of a topic. Of several between two samples the newest counts.
 const READ_DEPTH: i32 = 16;
-/// Messages of a topic that are kept for readers that have not acknowledged them, at least and at most.
+/// Minimum and maximum number of messages of a topic that are kept for readers that have not
+/// acknowledged them.
 const WRITE_DEPTH: (u64, u64) = (256, 2_048);
-/// Time until a reader that does not acknowledge is given up by its lease, with a margin; the leases of ROS 2 are 10 and 20 s.
+/// Time until a reader that does not acknowledge loses its lease, with a margin. The leases of ROS
+/// 2 are 10 and 20 s.
 const LEASE_NS: u64 = 30_000_000_000;
-/// Pause after each topic: the queue to DDS's discovery holds 1,024, and what does not fit is not announced.
+/// Pause after each topic. DDS's queue for discovery holds 1,024 entries, and does not announce the
+/// others.
 const ANNOUNCE_PAUSE: Duration = Duration::from_millis(1);
-/// How late a stop may be noticed.
-const LOOK_EVERY: Duration = Duration::from_millis(50);
-/// Writers whose announcement is remembered, so that each is counted once.
-const MOST_ANNOUNCED: usize = 100_000;
+/// Delay until a stop is noticed.
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
+/// Maximum number of remembered writers. They are remembered so that each is counted once.
+const MAX_ANNOUNCED: usize = 100_000;
 
-/// Why ROS 2 cannot be joined, or was left.
+/// Why ROS 2 could not be joined, or was left.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum Ros2Error {
     #[error(
@@ -67,26 +73,27 @@ pub(crate) enum Ros2Error {
     Runtime(#[from] std::io::Error),
 }
 
-/// A topic of a robot that is read.
+/// The reader of a robot's topic.
 struct Incoming {
     route: usize,
     robot: u32,
     reader: DataReader<Received, Raw>,
 }
 
-/// What was opened.
+/// The open participant and its readers.
 pub(crate) struct Ros2 {
     participant: DomainParticipant,
     routes: Vec<RosRoute>,
     robots: Robots,
     incoming: Vec<Incoming>,
-    /// Which topic an endpoint of ours is of, for problems.
+    /// The topic of each of our endpoints, for error messages.
     endpoints: HashMap<GUID, String>,
     shared: Arc<Shared>,
 }
 
 impl Ros2 {
-    /// Takes part in the domain, and opens all topics. The threads of DDS get the priority of the calling one.
+    /// Joins the domain and opens all topics. The threads of DDS inherit the priority of the
+    /// calling thread.
     ///
     /// # Errors
     /// [`Ros2Error`].
@@ -96,7 +103,7 @@ impl Ros2 {
         robots: &Robots,
         shared: &Arc<Shared>,
         counts: &Arc<Counts>,
-    ) -> Result<(Self, RosTelling), Ros2Error> {
+    ) -> Result<(Self, RosSink), Ros2Error> {
         allow_descriptors();
         let mut builder = DomainParticipantBuilder::new(settings.domain_id);
         if !settings.networks.is_empty() {
@@ -131,7 +138,7 @@ impl Ros2 {
             ros.participant.participant_id(),
             ros.incoming.len(),
         ));
-        let telling = RosTelling {
+        let sink = RosSink {
             fleet: fleet.to_owned(),
             name: name.to_owned(),
             robots: robots.clone(),
@@ -139,11 +146,12 @@ impl Ros2 {
             counts: Arc::clone(counts),
             shared: Arc::clone(shared),
         };
-        Ok((ros, telling))
+        Ok((ros, sink))
     }
 
     fn open_readers(&mut self, subscriber: &Subscriber) -> Result<(), Ros2Error> {
-        // Best effort fits reliable and best-effort publishers: a reading that is sent again is old.
+        // Best effort is compatible with reliable and best-effort publishers. A repeated reading
+        // would be old.
         let qos = QosPolicyBuilder::new()
             .best_effort()
             .durability(Durability::Volatile)
@@ -179,7 +187,8 @@ impl Ros2 {
     ) -> Result<Topic, Ros2Error> {
         let (least, most) = WRITE_DEPTH;
         let depth = (LEASE_NS / write.every_ns).clamp(least, most) as i32;
-        // Reliable fits reliable and best-effort subscribers. A full queue is counted at once: nobody waits for a reader.
+        // Reliable is compatible with reliable and best-effort subscribers. A message for a full
+        // queue is counted at once, because the bridge never waits for a reader.
         let qos = QosPolicyBuilder::new()
             .reliable(rustdds::Duration::ZERO)
             .durability(Durability::Volatile)
@@ -248,7 +257,7 @@ impl Ros2 {
                 Some((of, read)) = messages.next() => match read {
                     Ok(sample) => self.take(of, Some(sample.value())),
                     Err(ReadError::Deserialization { .. }) => self.take(of, None),
-                    // Of no topic without keys.
+                    // These topics have no keys.
                     Err(ReadError::UnknownKey { .. }) => {}
                     Err(error) => return Err(Ros2Error::Ended(error)),
                 },
@@ -258,7 +267,7 @@ impl Ros2 {
         }
     }
 
-    /// A message; `None` for one that is not plain CDR.
+    /// Takes a message. `None` if it is not plain CDR.
     fn take(&self, (route, robot): (usize, u32), received: Option<&Received>) {
         let at_ns = clock::monotonic_ns();
         self.shared.count_message();
@@ -277,16 +286,16 @@ impl Ros2 {
         };
         match seen {
             Some(seen) => self.shared.intake().take(robot, &seen, at_ns),
-            None => self.shared.say_news(),
+            None => self.shared.log_news(),
         }
     }
 
-    /// What discovery says of others.
+    /// Handles an event of discovery.
     fn heed(&self, event: DomainParticipantStatusEvent, seen: &mut HashSet<GUID>) {
         use DomainParticipantStatusEvent as Event;
         match event {
             Event::WriterDetected { writer } => {
-                let is_new = seen.len() < MOST_ANNOUNCED && seen.insert(writer.guid);
+                let is_new = seen.len() < MAX_ANNOUNCED && seen.insert(writer.guid);
                 if is_new {
                     let topic = (writer.topic_name.as_str(), writer.type_name.as_str());
                     announced(
@@ -313,18 +322,19 @@ impl Ros2 {
             }
             _ => {}
         }
-        self.shared.say_news();
+        self.shared.log_news();
     }
 }
 
-/// Returns when the connection is to end.
+/// Returns when the connection has to end.
 async fn closed(shared: &Shared) {
     while !shared.is_closed() {
-        sleep(LOOK_EVERY).await;
+        sleep(POLL_INTERVAL).await;
     }
 }
 
-/// DDS takes several descriptors for each topic: as many as this process may have.
+/// Raises the limit of descriptors to the maximum of this process, because DDS needs several for
+/// each topic.
 fn allow_descriptors() {
     let Rlimit { maximum, .. } = getrlimit(Resource::Nofile);
     let all = Rlimit {

@@ -1,4 +1,4 @@
-//! Messages as bytes: what they mean is for the mapping to decide, which counts what does not fit.
+//! DDS messages as bytes. The mapping decodes them, and counts those that do not fit.
 
 use std::convert::Infallible;
 
@@ -8,13 +8,13 @@ use rustdds::no_key::{Decode, DefaultDecoder, DeserializerAdapter, SerializerAda
 
 use crate::mapping::ros::incoming::Received;
 
-/// Plain CDR; of others the reader only says that they came.
+/// Plain CDR. Of other encodings the reader only reports that a message came.
 const ENCODINGS: &[RepresentationIdentifier] = &[
     RepresentationIdentifier::CDR_LE,
     RepresentationIdentifier::CDR_BE,
 ];
 
-/// Hands bytes on.
+/// Serialises bytes as they are.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Raw;
 

@@ -1,5 +1,6 @@
-//! A bridge whose file has a broker and a domain of ROS 2: a robot's power comes over one and its commands over the other.
-//! Without Mosquitto and another vendor's DDS the test is skipped aloud; with CI=true that is a failure.
+//! A bridge whose file has a broker and a ROS 2 domain: a robot's power comes over the one and its
+//! commands over the other. Without Mosquitto and the other vendor's DDS the test logs that it
+//! skips, and with CI=true it fails.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -41,10 +42,10 @@ fn file(broker: &Broker, domain: &RosDomain) -> String {
     )
 }
 
-/// Whether a forecast of a command is told, with the reading before it.
-fn is_forecast(told: &Value) -> bool {
-    let reading_w = told["reading_w"].as_f64();
-    told["power_w"].is_number() && reading_w.is_some_and(|watts| (watts - 4.4).abs() < 1e-3)
+/// Whether the document has a forecast for a command, and the reading before it.
+fn is_forecast(document: &Value) -> bool {
+    let reading_w = document["reading_w"].as_f64();
+    document["power_w"].is_number() && reading_w.is_some_and(|watts| (watts - 4.4).abs() < 1e-3)
 }
 
 #[test]
@@ -67,21 +68,21 @@ fn power_of_a_broker_and_commands_of_ros_2_make_one_robot_that_both_are_told_of(
         }
     });
     let mut peer = Peer::start(&python, &domain);
-    peer.hear("/r1/joulebus/power_w", "Float64");
-    // Of power alone nothing is forecast.
-    listener.wait_for("jb/r1/forecast", |told| {
-        told["reading_w"].is_number() && told["power_w"].is_null()
+    peer.subscribe("/r1/joulebus/power_w", "Float64");
+    // Power without a command yields no forecast.
+    listener.wait_for("jb/r1/forecast", |document| {
+        document["reading_w"].is_number() && document["power_w"].is_null()
     });
     let command = json!({"linear": {"x": 0.1}, "angular": {"z": 0.2}});
-    peer.say("/fleet/r1/cmd_vel", "Twist", &command);
+    peer.publish("/fleet/r1/cmd_vel", "Twist", &command);
     listener.wait_for("jb/r1/forecast", is_forecast);
-    let is_told = |told: &Value| told["data"].is_number();
-    peer.wait_for("/r1/joulebus/power_w", 0, is_told);
+    let is_number = |document: &Value| document["data"].is_number();
+    peer.wait_for("/r1/joulebus/power_w", 0, is_number);
 
-    // One side alone goes on while the other is away.
+    // One connection goes on while the other is lost.
     broker.kill();
     bridge.wait_for_line("not connected to ");
-    let from = peer.heard();
+    let from = peer.received();
     peer.wait_for("/r1/joulebus/power_w", from, |_| true);
     broker.restart();
     bridge.wait_for_line("connected to ");

@@ -51,7 +51,7 @@ impl Fleet {
         worker
     }
 
-    /// A bridge of this file, not started.
+    /// The command of a bridge with this file, not started.
     pub(crate) fn command(&self, text: &str) -> Command {
         let path = self.directory.path().join("bridge.toml");
         fs::write(&path, text).unwrap();
@@ -65,14 +65,14 @@ impl Fleet {
         command
     }
 
-    /// Starts a bridge, and waits until it `says` that it is connected.
-    pub(crate) fn bridge(&self, text: &str, says: &str) -> Child {
+    /// Starts a bridge, and waits until it logs `expected`.
+    pub(crate) fn bridge(&self, text: &str, expected: &str) -> Child {
         let mut bridge = Child::spawn("bridge", self.command(text));
-        bridge.wait_for_line(says);
+        bridge.wait_for_line(expected);
         bridge
     }
 
-    /// Files left behind by the fleet.
+    /// Files that the fleet has left behind.
     pub(crate) fn stale_files(&self) -> Vec<PathBuf> {
         let domain = Config::load(self.config()).unwrap().domain().unwrap();
         left_behind(domain.shm_prefix(), domain.root())

@@ -1,4 +1,4 @@
-//! The tests of bridges: to MQTT, to ROS 2, and to both.
+//! Tests of bridges to MQTT, to ROS 2, and to both.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod both;

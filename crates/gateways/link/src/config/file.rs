@@ -1,19 +1,19 @@
-//! The file of a link as it is written. Unknown keys are refused where they stand.
+//! The link's file as TOML structures. Unknown keys are refused, with their line.
 
 use serde::Deserialize;
 use toml::{Spanned, Value};
 
 use crate::protocol::carried::Carried;
 
-/// A text with its place.
+/// A text with its position in the file.
 pub(super) type Text = Spanned<String>;
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct LinkFile {
-    /// Of this host's link, unlike all others of the fleet.
+    /// Name of this host's link, unique in the fleet.
     pub(super) name: Text,
-    /// File of the fleet's shards, the same on all hosts; without it one worker has all robots.
+    /// File of the fleet's shards, the same on all hosts. Without it one worker has all robots.
     pub(super) shards: Option<Text>,
     pub(super) network: NetworkSection,
     pub(super) clock: Option<ClockSection>,
@@ -28,45 +28,45 @@ pub(super) struct LinkFile {
 pub(super) struct NetworkSection {
     #[serde(default)]
     pub(super) mode: ModeWord,
-    /// Addresses of others, as zenoh writes them.
+    /// Addresses of peers, in zenoh's notation.
     #[serde(default)]
     pub(super) connect: Vec<Text>,
-    /// Addresses of this host.
+    /// Addresses that this host listens on, in zenoh's notation.
     #[serde(default)]
     pub(super) listen: Vec<Text>,
-    /// Allows addresses of other hosts without TLS.
+    /// Allow addresses of other hosts without TLS.
     #[serde(default)]
     pub(super) unencrypted: bool,
     pub(super) tls: Option<TlsSection>,
 }
 
-/// What keeps the clocks of all hosts.
+/// What the operator states about the realtime clocks of all hosts.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ClockSection {
-    /// The most by which the realtime clocks of two hosts differ.
+    /// Upper bound of the difference between the realtime clocks of two hosts, s.
     pub(super) realtime_within_s: Spanned<f64>,
 }
 
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum ModeWord {
-    /// Connects to other links, and is connected to.
+    /// Connects to other links and accepts connections.
     #[default]
     Peer,
     /// Connects to a router.
     Client,
 }
 
-/// Files beside the link's own, or with absolute names.
+/// Files of mutual TLS: relative to the link's file, or with absolute names.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct TlsSection {
-    /// Certificate of the fleet's own authority.
+    /// Certificate of the fleet's own certificate authority.
     pub(super) ca: Text,
     /// Certificate of this host.
     pub(super) certificate: Text,
-    /// Its private key, mode 0600.
+    /// Private key of this host, mode 0600.
     pub(super) key: Text,
 }
 
@@ -81,30 +81,30 @@ pub(super) struct WorkerSection {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct TakeSection {
-    /// Name of the link there.
+    /// Name of the link on that host.
     pub(super) from: Text,
-    /// The robots of that host; without it all.
+    /// Robots of that host. Without it all robots.
     pub(super) robots: Option<Vec<Value>>,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct SamplesSection {
-    /// Name of the worker's link; of a fleet with shards each robot has its own.
+    /// Name of the worker's link. With shards each robot has its own.
     pub(super) to: Option<Text>,
 }
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct FollowSection {
-    /// Name of the worker's link; of a fleet with shards all are followed.
+    /// Name of the worker's link. With shards all of them are followed.
     pub(super) worker: Option<Text>,
     #[serde(default = "services")]
     pub(super) services: Vec<Carries>,
-    /// Every how many ticks.
+    /// Take the frames of every n-th tick.
     #[serde(default = "one")]
     pub(super) every: u32,
-    /// Which robots; without it all.
+    /// Robots to follow. Without it all robots.
     pub(super) robots: Option<Vec<Value>>,
 }
 
@@ -116,7 +116,7 @@ const fn one() -> u32 {
     1
 }
 
-/// What a planner's host may leave out; forecasts always come.
+/// Services that a planner's host may leave out. Forecasts are always carried.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Carries {
@@ -137,26 +137,26 @@ impl Carries {
     }
 }
 
-/// etcd, by which one of the workers of a shard serves.
+/// The etcd cluster that elects the leader of a shard.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct LeaseSection {
-    /// Addresses of its members.
+    /// Addresses of the etcd members.
     pub(super) endpoints: Vec<Text>,
-    /// Time after which a host that says nothing has lost its shard.
+    /// Time to live of the lease, s. A host that does not renew within it loses its shard.
     #[serde(default = "three")]
     pub(super) ttl_s: u32,
-    /// What its keys begin with.
+    /// Prefix of the keys in etcd.
     #[serde(default = "prefix")]
     pub(super) prefix: Text,
-    /// Certificate of its authority; without it those of the network.
+    /// Certificate of etcd's authority. Without it the authority of `[network]`.
     pub(super) ca: Option<Text>,
     /// Certificate of this host.
     pub(super) certificate: Option<Text>,
-    /// Its private key, mode 0600.
+    /// Private key of this host, mode 0600.
     pub(super) key: Option<Text>,
     pub(super) user: Option<Text>,
-    /// File with the user's password, mode 0600.
+    /// File with the password of etcd's user, mode 0600.
     pub(super) password: Option<Text>,
 }
 
@@ -168,7 +168,7 @@ fn prefix() -> Text {
     Spanned::new(0..0, "joulebus/".to_owned())
 }
 
-/// The file of the shards.
+/// The file of the fleet's shards.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct ShardsFile {
@@ -179,8 +179,8 @@ pub(super) struct ShardsFile {
 #[serde(deny_unknown_fields)]
 pub(super) struct ShardSection {
     pub(super) name: Text,
-    /// Names of the links of its worker, and of those that stand by.
+    /// Names of the links of the shard's worker and its standbys.
     pub(super) workers: Vec<Text>,
-    /// Which robots; in no shard, or in all.
+    /// Robots of the shard. Either every shard lists its robots, or none does.
     pub(super) robots: Option<Vec<Value>>,
 }

@@ -1,5 +1,7 @@
-//! The file of a link: what this host gives and takes, and by which network. Strictly checked, every problem with its
-//! line.
+//! The link's file, checked strictly: which frames this host sends and receives, and over which
+//! network.
+//!
+//! Every problem is reported with its line.
 
 mod check;
 mod file;
@@ -21,53 +23,53 @@ use crate::config::file::{
 };
 use crate::protocol::carried::Carried;
 use crate::protocol::message::FleetId;
-use crate::protocol::selection::{MOST_RANGES, Selection};
+use crate::protocol::selection::{MAX_RANGES, Selection};
 use crate::protocol::shards::Shards;
 
 pub(crate) use lease::LeaseSettings;
 pub(crate) use network::{Mode, NetworkSettings};
 
-/// Longest file, bytes.
-const MOST_BYTES: u64 = 1 << 20;
-/// Longest name of a link, bytes.
-const MOST_NAME: usize = 64;
-/// Hosts whose samples a worker takes.
-const MOST_HOSTS: usize = 256;
+/// Maximum size of the file, bytes.
+const MAX_BYTES: u64 = 1 << 20;
+/// Maximum length of a link's name, bytes.
+const MAX_NAME_BYTES: usize = 64;
+/// Maximum number of hosts whose samples a worker takes.
+const MAX_HOSTS: usize = 256;
 const EVERY: (u32, u32) = (1, 3_600);
 
-/// A checked file.
+/// The checked settings of a link.
 #[derive(Debug, Clone)]
 pub(crate) struct Settings {
     pub(crate) name: String,
     pub(crate) network: NetworkSettings,
-    /// Who speaks for which robots, where the fleet is split.
+    /// The shards of the fleet, if it is split over several workers.
     pub(crate) shards: Option<Arc<Shards>>,
     pub(crate) side: Side,
-    /// Where the worker of this host is one of several that may serve.
+    /// Set if this host's worker is one of several candidates for its shard.
     pub(crate) standby: Option<Standby>,
 }
 
-/// One of the candidates of a shard, one of which serves at a time.
+/// A candidate for a shard. One of the candidates leads at a time.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Standby {
     /// The shard's name.
     pub(crate) shard: String,
-    /// Place in the list of its candidates.
+    /// Position in the shard's list of candidates.
     pub(crate) rank: usize,
-    /// Links of the other candidates, with their places.
+    /// Links of the other candidates, with their ranks.
     pub(crate) others: Vec<(usize, String)>,
-    /// Who decides; without it an operator does.
+    /// The lease that elects the leader. Without it an operator chooses.
     pub(crate) lease: Option<LeaseSettings>,
 }
 
-/// What this host is.
+/// What runs on this host.
 #[derive(Debug, Clone)]
 pub(crate) enum Side {
-    /// The host of the worker, with the hosts whose samples it takes.
+    /// A worker, with the hosts whose samples it takes.
     Worker(Vec<Take>),
-    /// A host without a worker of its own.
+    /// No worker.
     Other {
-        /// The links of workers to which the samples published here go.
+        /// Links of the workers that get the samples published here.
         samples: Option<Vec<String>>,
         follow: Option<Follow>,
     },
@@ -80,21 +82,21 @@ pub(crate) struct Take {
     pub(crate) robots: Selection,
 }
 
-/// Outputs of workers elsewhere.
+/// Which workers' outputs to follow.
 #[derive(Debug, Clone)]
 pub(crate) struct Follow {
-    /// Of each shard the names of its links; of a fleet that is not split one name.
+    /// Names of each shard's links. A fleet without shards has one list of one name.
     pub(crate) workers: Vec<Vec<String>>,
     pub(crate) selection: Selection,
 }
 
 impl Settings {
-    /// Reads a link's file for the fleet of `config`.
+    /// Reads and checks a link's file for the fleet of `config`.
     ///
     /// # Errors
-    /// [`ConfigError`]: it cannot be read, or is refused, with all problems.
+    /// [`ConfigError`] with all problems, if the file cannot be read or is refused.
     pub(crate) fn load(path: &Path, config: &Config) -> Result<Self, ConfigError> {
-        let text = joulebus_files::read_to_string(path, MOST_BYTES).map_err(|source| {
+        let text = joulebus_files::read_to_string(path, MAX_BYTES).map_err(|source| {
             let path = path.to_owned();
             ConfigError::Read { path, source }
         })?;
@@ -113,7 +115,7 @@ impl Settings {
 }
 
 impl Settings {
-    /// The fleet, as messages name it.
+    /// The fleet's identity in messages.
     pub(crate) fn fleet(&self, config: &Config) -> FleetId {
         FleetId {
             name: fnv1a(config.fleet().bytes()),
@@ -121,7 +123,7 @@ impl Settings {
         }
     }
 
-    /// Whether the worker of this link has the robot.
+    /// Whether the robot belongs to the worker of this link.
     pub(crate) fn has_robot(&self, robot: u32) -> bool {
         let shards = self.shards.as_deref();
         shards.is_none_or(|shards| shards.of_robot(robot) == shards.of_worker(&self.name))
@@ -154,7 +156,7 @@ impl Check<'_> {
                 if let Some(shards) = &shards
                     && shards.of_worker(&name).is_none()
                 {
-                    let what = format!("= {name:?} speaks for no shard");
+                    let what = format!("= {name:?} is in `workers` of no shard");
                     let at = Some(file.name.span().start);
                     self.problem(at, "name", what, "Name it in `shard.workers`");
                 }
@@ -187,7 +189,7 @@ impl Check<'_> {
         })
     }
 
-    /// Whether the worker of the link `name` is one of several.
+    /// Checks whether the worker of the link `name` is one of several candidates.
     fn standby(
         &mut self,
         lease: Option<&LeaseSection>,
@@ -214,11 +216,11 @@ impl Check<'_> {
         })
     }
 
-    /// Hosts whose samples the worker of link `name` takes.
+    /// The hosts whose samples the worker of the link `name` takes.
     fn takes(&mut self, worker: &WorkerSection, name: &str, config: &Config) -> Vec<Take> {
-        if worker.take.len() > MOST_HOSTS {
+        if worker.take.len() > MAX_HOSTS {
             let what = format!("names {} hosts", worker.take.len());
-            let remedy = format!("Allowed are {MOST_HOSTS}");
+            let remedy = format!("Allowed are {MAX_HOSTS}");
             self.problem(None, "worker.take", what, &remedy);
         }
         let mut takes: Vec<Take> = Vec::new();
@@ -235,7 +237,7 @@ impl Check<'_> {
         takes
     }
 
-    /// The links of each shard's workers, or the one that `key` names where the fleet is not split.
+    /// The links of each shard's workers, or the one that `key` names in a fleet without shards.
     fn workers(
         &mut self,
         named: Option<&Text>,
@@ -261,7 +263,7 @@ impl Check<'_> {
                     .iter()
                     .find(|shard| shard.workers.iter().any(|it| it == name))
                 {
-                    let what = format!("= {name:?} speaks for the shard {}", shard.name);
+                    let what = format!("= {name:?} is in `workers` of the shard {}", shard.name);
                     let remedy = "A worker's host has [worker]; give this link another name";
                     self.problem(None, "name", what, remedy);
                 }
@@ -299,19 +301,19 @@ impl Check<'_> {
         }
     }
 
-    /// The name of a link, which becomes a part of keys.
+    /// Checks the name of a link. It becomes a part of network keys.
     fn name(&mut self, text: &Text, key: &str) -> String {
         let name = text.get_ref();
         let allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
-        if name.is_empty() || name.len() > MOST_NAME || !name.bytes().all(allowed) {
+        if name.is_empty() || name.len() > MAX_NAME_BYTES || !name.bytes().all(allowed) {
             let what = format!("= {name:?}");
-            let remedy = format!("Allowed: 1 to {MOST_NAME} letters, digits, - _ and .");
+            let remedy = format!("Allowed: 1 to {MAX_NAME_BYTES} letters, digits, - _ and .");
             self.problem(Some(text.span().start), key, what, &remedy);
         }
         name.clone()
     }
 
-    /// The name of a link that is not this one.
+    /// Checks the name of a link other than this one.
     fn other(&mut self, text: &Text, key: &str, own: &str) -> String {
         let name = self.name(text, key);
         if name == own {
@@ -321,7 +323,7 @@ impl Check<'_> {
         name
     }
 
-    /// Robots by ids and ranges `"a-b"`; a selection of all without a list.
+    /// Parses robots given as ids and ranges `"a-b"`. Without a list all robots are selected.
     fn robots(&mut self, list: Option<&[Value]>, key: &str, config: &Config) -> Selection {
         let mut ranges = Vec::new();
         for entry in list.unwrap_or_default() {
@@ -338,7 +340,7 @@ impl Check<'_> {
                 }
             }
         }
-        let (found, most) = (ranges.len(), MOST_RANGES);
+        let (found, most) = (ranges.len(), MAX_RANGES);
         if found > most || list.is_some_and(<[Value]>::is_empty) {
             let what = format!("has {found} entries; allowed are 1 to {most}");
             self.problem(
@@ -422,7 +424,7 @@ mod tests {
 
     #[test]
     fn what_is_wrong_is_named_with_its_line() {
-        for (base, from, to, line, says) in [
+        for (base, from, to, line, expected) in [
             (WORKER, "name = \"base\"", "name = \"ba/se\"", 1, "letters"),
             (WORKER, "name = \"base\"", "name = \"\"", 1, "1 to 64"),
             (WORKER, "listen", "listens", 3, "unknown field"),
@@ -500,7 +502,7 @@ mod tests {
             assert_ne!(text, base, "{from}");
             let refused = load(&text).expect_err(to);
             let shown = refused.to_string();
-            assert!(shown.contains(says), "{to}: {shown}");
+            assert!(shown.contains(expected), "{to}: {shown}");
             let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
             assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
         }
@@ -511,7 +513,7 @@ mod tests {
     const DESK: &str = "name = \"desk\"\nshards = \"shards.toml\"\n[network]\n\
         connect = [\"tcp/127.0.0.1:7447\"]\n[samples]\n[follow]\n";
 
-    /// A link's file beside one of shards.
+    /// Loads a link's file with a file of shards beside it.
     fn load_with(shards: &str, text: &str) -> Result<Settings, ConfigError> {
         let config = Config::parse(FLEET, Path::new(".")).unwrap();
         let folder = tempfile::tempdir().unwrap();
@@ -546,7 +548,7 @@ mod tests {
     #[test]
     fn what_is_wrong_with_shards_is_named_with_its_line() {
         let worker = WORKER.replacen('\n', "\nshards = \"shards.toml\"\n", 1);
-        for (text, from, to, line, says) in [
+        for (text, from, to, line, expected) in [
             (DESK, "\"a\"", "\"b\"", 6, "twice"),
             (DESK, "\"south\"", "\"spare\"", 7, "twice"),
             (DESK, "\"5-9\"", "\"4-9\"", 4, "robot 4 in two"),
@@ -555,18 +557,18 @@ mod tests {
             (DESK, "[\"base\", \"spare\"]", "[]", 2, "0 links"),
             (DESK, "\"5-9\"", "\"9-5\"", 4, "9-5"),
             (DESK, "name = \"b\"", "names = \"b\"", 6, "unknown field"),
-            (DESK, "\"south\"", "\"desk\"", 1, "speaks for the shard b"),
+            (DESK, "\"south\"", "\"desk\"", 1, "of the shard b"),
             (&worker, "\"base\"", "\"west\"", 1, "no shard"),
         ] {
             let shards = SHARDS.replacen(from, to, 1);
             assert_ne!(shards, SHARDS, "{from}");
             let refused = load_with(&shards, text).expect_err(to);
             let shown = refused.to_string();
-            assert!(shown.contains(says), "{to}: {shown}");
+            assert!(shown.contains(expected), "{to}: {shown}");
             let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
             assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
         }
-        for (text, says) in [
+        for (text, expected) in [
             (
                 DESK.replace("[follow]", "[follow]\nworker = \"base\""),
                 "Leave it out",
@@ -578,8 +580,8 @@ mod tests {
             (DESK.replace("shards = ", "# shards = "), "file of `shards`"),
             (DESK.replace("shards.toml", "none.toml"), "cannot be read"),
         ] {
-            let shown = load_with(SHARDS, &text).expect_err(says).to_string();
-            assert!(shown.contains(says), "{says}: {shown}");
+            let shown = load_with(SHARDS, &text).expect_err(expected).to_string();
+            assert!(shown.contains(expected), "{expected}: {shown}");
         }
     }
 
@@ -602,7 +604,7 @@ mod tests {
         let lease = settings.standby.unwrap().lease.unwrap();
         assert_eq!((lease.endpoints.len(), lease.ttl_s), (2, 3));
         assert_eq!((lease.prefix.as_str(), lease.user), ("joulebus/", None));
-        // The only one of its shard.
+        // The only candidate of its shard.
         let south = CANDIDATE.replace("spare", "south");
         assert_eq!(load_with(SHARDS, &south).unwrap().standby, None);
     }
@@ -610,7 +612,7 @@ mod tests {
     #[test]
     fn a_lease_that_cannot_be_had_is_refused_with_its_remedy() {
         let endpoint = "endpoints = [\"http://127.0.0.1:2379\"]\n";
-        for (name, lease, says) in [
+        for (name, lease, expected) in [
             ("south", endpoint, "decides nothing here"),
             ("spare", "endpoints = []\n", "1 to 16 members"),
             (
@@ -663,15 +665,15 @@ mod tests {
             ("spare", &format!("{endpoint}leash = 1\n"), "leash"),
         ] {
             let text = format!("{}[lease]\n{lease}", CANDIDATE.replace("spare", name));
-            let shown = load_with(SHARDS, &text).expect_err(says).to_string();
-            assert!(shown.contains(says), "{says}: {shown}");
+            let shown = load_with(SHARDS, &text).expect_err(expected).to_string();
+            assert!(shown.contains(expected), "{expected}: {shown}");
         }
     }
 
     #[test]
     fn the_shipped_examples_are_taken_with_and_without_shards() {
         let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../configs/links");
-        // A published crate has none beside it.
+        // A published crate has no examples beside it.
         if !examples.is_dir() {
             return;
         }
@@ -716,7 +718,7 @@ mod tests {
             if settings.shards.is_some() {
                 continue;
             }
-            // With shards nobody names a worker.
+            // With shards, no section names a worker.
             let split = text.replacen("\n[network]", "\nshards = \"shards.toml\"\n[network]", 1);
             let split = split
                 .replace("to = \"base\"", "")
@@ -734,7 +736,7 @@ mod tests {
     #[test]
     fn what_is_quoted_of_a_file_has_bounds() {
         let long = "é".repeat(100_000);
-        for (text, says) in [
+        for (text, expected) in [
             (OTHER.replace("edge", &long), "1 to 64 letters"),
             (OTHER.replace("tcp/127.0.0.1:7447", &long), "with a port"),
             (format!("{OTHER}\"{long}\" = 1\n"), "expected one of"),
@@ -746,8 +748,8 @@ mod tests {
         ] {
             let error = load(&text).unwrap_err();
             let shown = error.to_string();
-            assert!(shown.contains(says), "{says}: {shown}");
-            assert!(error.problems().len() <= 101, "{says}");
+            assert!(shown.contains(expected), "{expected}: {shown}");
+            assert!(error.problems().len() <= 101, "{expected}");
             let mut problems = error.problems().iter();
             assert!(
                 problems.all(|problem| problem.what.chars().count() <= 401),

@@ -1,5 +1,7 @@
-//! `[network]`, checked: nothing listens unless told to, and what leaves this host is encrypted unless the file says
-//! otherwise.
+//! Checks `[network]`.
+//!
+//! A link listens only where its file says so. Traffic that leaves this host is encrypted unless
+//! the file allows otherwise.
 
 use std::net::IpAddr;
 use std::path::PathBuf;
@@ -7,17 +9,19 @@ use std::path::PathBuf;
 use crate::config::check::Check;
 use crate::config::file::{ClockSection, ModeWord, NetworkSection, Text, TlsSection};
 
-/// Range of `clock.realtime_within_s`: what PTP reaches at best, and what round trips reach without.
+/// Range of `clock.realtime_within_s`: from the best of PTP to what round trips reach without a
+/// statement.
 const REALTIME_WITHIN_S: (f64, f64) = (1e-6, 0.01);
 
-/// How other hosts are reached.
+/// How to reach other hosts.
 #[derive(Debug, Clone)]
 pub(crate) struct NetworkSettings {
     pub(crate) mode: Mode,
     pub(crate) connect: Vec<String>,
     pub(crate) listen: Vec<String>,
     pub(crate) tls: Option<TlsSettings>,
-    /// The most by which the realtime clocks of two hosts differ; without it they do not count.
+    /// Upper bound of the difference between the realtime clocks of two hosts. Without it realtime
+    /// clocks are not used.
     pub(crate) realtime_within_ns: Option<u64>,
 }
 
@@ -28,7 +32,7 @@ pub(crate) enum Mode {
 }
 
 impl Mode {
-    /// As zenoh names it.
+    /// Zenoh's name of the mode.
     pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::Peer => "peer",
@@ -91,7 +95,7 @@ impl Check<'_> {
             let at = Some(section.realtime_within_s.span().start);
             self.problem(at, "clock.realtime_within_s", what, &remedy);
         }
-        // Within the bounds a positive whole number; refused otherwise.
+        // Within the range this is a positive whole number. Other values were refused.
         (within_s * 1e9).round() as u64
     }
 
@@ -118,7 +122,10 @@ impl Check<'_> {
     }
 }
 
-/// Checks an address `tcp/host:port` or `tls/host:port`. The error: what is wrong, and what to do.
+/// Checks an address `tcp/host:port` or `tls/host:port`.
+///
+/// # Errors
+/// The problem and its remedy.
 fn address(text: &str, section: &NetworkSection) -> Result<(), (String, &'static str)> {
     let wrong = |remedy| (format!("= {text:?}"), remedy);
     let form = "Write \"tls/host:port\", or \"tcp/host:port\" with a port";

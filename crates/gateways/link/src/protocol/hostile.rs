@@ -1,4 +1,4 @@
-//! What a neighbour that is not trusted can send, in any order: for tests, and for the fuzz target `link`.
+//! Messages of an untrusted peer in any order, for tests and for the fuzz target `link`.
 
 use bytemuck::{bytes_of, cast_slice};
 use joulebus_wire::{
@@ -6,7 +6,7 @@ use joulebus_wire::{
 };
 
 use crate::protocol::carried::Carried;
-use crate::protocol::merge::{Merge, Own};
+use crate::protocol::merge::{Merge, Origin};
 use crate::protocol::message::{
     Body, FleetId, Message, Outgoing, Request, Sender, Status, Worker, read, write_frame,
     write_request,
@@ -17,30 +17,31 @@ use crate::protocol::shards::{Shard, Shards};
 use crate::protocol::shift::shift;
 use crate::protocol::split::Split;
 use crate::protocol::stream::{LocalFrame, Stream};
-use crate::protocol::wall::Kept;
+use crate::protocol::wall::RealtimeClock;
 
 const FLEET: FleetId = FleetId { name: 7, shards: 0 };
-/// Elements that a frame may have.
+/// Maximum number of elements of a frame.
 const MOST: usize = 4;
 const START_NS: u64 = 5_000_000_000;
 const PERIOD_NS: u64 = 33_333_333;
 /// Realtime minus monotonic on both hosts.
 const REALTIME_NS: u64 = 1_700_000_000_000_000_000;
 
-/// One side of a link, at the mercy of the other.
+/// One side of a link whose peer is hostile.
 struct Victim {
     now_ns: u64,
     receiver: Receiver,
     stream: Option<Stream>,
     split: Split,
     merge: Merge<Forecasts>,
-    /// Number and time of the newest message from which a frame was taken, and its run.
+    /// Run, time and number of the newest message from which a frame was taken.
     last: Option<(u64, u64, u64)>,
     messages: u64,
     frames: u64,
 }
 
-/// Takes the steps that the bytes describe: a code, a length, and as many bytes. Whether a frame was taken.
+/// Takes the steps that the bytes encode, each as a code, a length and that many bytes. Returns
+/// whether a frame was taken.
 pub(crate) fn run(mut bytes: &[u8]) -> bool {
     let own = Sender {
         fleet: FLEET,
@@ -87,7 +88,7 @@ impl Victim {
             Body::Frame(status, _) => status.sent_ns,
             Body::Request(_) => 0,
         };
-        self.receiver.reads(Some(Kept {
+        self.receiver.set_clock(Some(RealtimeClock {
             realtime_ns: REALTIME_NS,
             within_ns: 50_000,
         }));
@@ -96,7 +97,7 @@ impl Victim {
         assert!(received.frames <= self.messages);
         let Ok(accepted) = taken else { return };
         self.frames += 1;
-        // Of a run nothing comes twice or backwards, unless it was silent in between.
+        // Within a run no frame comes twice or backwards, unless the run was silent in between.
         if let Some((last_run, last_ns, last)) = self.last
             && last_run == run
             && received.runs == 1
@@ -123,17 +124,17 @@ impl Victim {
     }
 
     fn merges(&mut self) {
-        let heard = [true, self.now_ns.is_multiple_of(2)];
+        let live = [true, self.now_ns.is_multiple_of(2)];
         if self
             .merge
-            .is_due((&[true; 2], &heard), (self.now_ns, PERIOD_NS, 1))
+            .is_due((&[true; 2], &live), (self.now_ns, PERIOD_NS, 1))
         {
-            let own = Own {
+            let own = Origin {
                 pid: 1,
                 place: Place { run: 1, number: 1 },
             };
             let (most, mut rows) = (self.merge.len(), 0);
-            let header = self.merge.write(&heard, own, self.now_ns, |_| rows += 1);
+            let header = self.merge.write(&live, own, self.now_ns, |_| rows += 1);
             assert!(rows == most || header.is_none());
         }
     }
@@ -155,7 +156,7 @@ impl Victim {
         for byte in given {
             self.now_ns = self.now_ns.saturating_add(u64::from(*byte) * 1_000_000);
         }
-        self.receiver.falls_silent(self.now_ns);
+        self.receiver.becomes_silent(self.now_ns);
         let mut out = Vec::new();
         if let Some(stream) = &mut self.stream {
             let mut sent = 0;
@@ -166,7 +167,7 @@ impl Victim {
         }
     }
 
-    /// Frames of this host, which the neighbour has asked for.
+    /// Offers frames of this host that the peer has requested.
     fn offers(&mut self, given: &[u8]) {
         let Some(stream) = &mut self.stream else {
             return;
@@ -192,13 +193,13 @@ impl Victim {
     }
 
     fn asks(&mut self) {
-        if let Some(request) = self.receiver.ask(self.now_ns) {
+        if let Some(request) = self.receiver.request_if_due(self.now_ns) {
             assert!(read(&request, FLEET, 0).is_ok());
         }
     }
 }
 
-/// A good message, changed: pairs of a place and a value.
+/// A good message with changes, given as pairs of a position and a value.
 fn patched(mut message: Vec<u8>, patches: &[u8]) -> Vec<u8> {
     for patch in patches.chunks_exact(3) {
         let at = usize::from(u16::from_le_bytes([patch[0], patch[1]]));
@@ -221,10 +222,10 @@ fn frame(now_ns: u64, number: u64) -> Vec<u8> {
     let rows: &[u8] = cast_slice(&rows);
     let status = Status {
         asked_ns: START_NS,
-        heard_ns: START_NS,
+        received_ns: START_NS,
         sent_ns: now_ns,
         dropped: 0,
-        voice: Worker::Alive.into(),
+        leader: Worker::Alive.into(),
         realtime_ns: REALTIME_NS,
     };
     let sender = Sender {
@@ -247,14 +248,14 @@ fn request(now_ns: u64) -> Vec<u8> {
         run: 2,
     };
     let request = Request {
-        heard: (0, 0),
+        acknowledged: (0, 0),
         asked_ns: now_ns,
         selection: Selection::new(u32::MAX, 1, vec![(0, 9)]),
     };
     write_request(sender, 1, &request)
 }
 
-/// Steps that go well: asked, answered, some time, and further frames.
+/// Steps of a working link: a request, its answer, some time, and further frames.
 #[cfg(test)]
 pub(crate) fn seed() -> Vec<u8> {
     let mut steps = vec![2, 0, 4, 2, 1, 2];

@@ -1,45 +1,52 @@
-//! Who of a shard's candidates serves, by a lease in a store that all of them reach: what to ask of the store next, and what
-//! follows from its answers. Time comes in as an argument.
+//! Leader election for one shard over an etcd lease, as a pure state machine. It yields the next
+//! call to the store and handles the replies. Time is an argument.
 //!
-//! The store has, for each shard, the *holder*, which disappears with its lease; the *term*, which stays and grows; and the
-//! *wish*, the candidate that an operator wants. A candidate holds the shard where the holder has its lease. The store ends
-//! a lease when its time to live has passed since it took the last renewal. That was after this host sent it; so this host
-//! counts from there, less what two clocks may run apart, and is silent before the store gives the shard to another. It
-//! needs no answer for that, and no time of another host.
+//! The store has three keys for each shard. The *holder* disappears with its lease. The *term*
+//! stays and only grows. The *wish* names the candidate that an operator requests. A candidate
+//! leads while the holder's key has its lease.
 //!
-//! The term is one more than the store's, and than any that this host has heard of: so it is greater than all before
-//! even where the store has forgotten, or somebody has served without it.
+//! The store ends a lease when the time to live has passed since it processed the last renewal.
+//! This host sent that renewal earlier. It counts from the sending, less the possible drift between
+//! the two clocks, and so stops leading before the store gives the shard away. That needs no reply
+//! and no time of another host.
+//!
+//! The next term is one more than the store's term and than any term that this host knows of. It is
+//! therefore higher than all earlier terms, even if the store has lost its data or a candidate has
+//! led without it.
 
-/// Share of a time to live by which two clocks may run apart: each 500 ppm by slewing and 100 ppm by its crystal, four times
-/// over; and what remains for the rounding of times.
-const APART_DIVISOR: u64 = 200;
-const APART_NS: u64 = 10_000_000;
-/// Renewals in a time to live: one or two may be lost.
+/// Possible drift between two clocks as a share of the time to live: each 500 ppm by slewing and
+/// 100 ppm by its crystal, times four. `DRIFT_MARGIN_NS` is added for rounding.
+const DRIFT_DIVISOR: u64 = 200;
+const DRIFT_MARGIN_NS: u64 = 10_000_000;
+/// Renewals per time to live. One or two may be lost.
 const RENEWALS: u64 = 5;
-/// Looks at a shard of another in a time to live, and the shortest and longest time between two.
+/// Polls of a shard per time to live while another candidate leads it, and the minimum and maximum
+/// interval.
 const LOOKS: u64 = 10;
-const LOOK_EVERY_NS: (u64, u64) = (100_000_000, 500_000_000);
-/// Longest time to live of a lease, s: no longer one is asked for, and none is taken to last longer, whatever the store says.
-pub(crate) const MOST_TTL_S: u32 = 60;
-const LONGEST_NS: u64 = MOST_TTL_S as u64 * 1_000_000_000;
-/// How much longer a candidate waits with a free shard than the one before it in the list.
+const POLL_INTERVAL_NS: (u64, u64) = (100_000_000, 500_000_000);
+/// Maximum time to live of a lease, s. The file cannot ask for more, and a longer one that the
+/// store grants is cut to it.
+pub(crate) const MAX_TTL_S: u32 = 60;
+const MAX_TTL_NS: u64 = MAX_TTL_S as u64 * 1_000_000_000;
+/// Additional wait for a free shard per position in the list of candidates.
 const RANK_NS: u64 = 300_000_000;
-/// How long the others leave a free shard to the candidate that an operator wants, at most: it looks more often.
-const WISHED_NS: u64 = 1_500_000_000;
+/// Maximum time for which the others leave a free shard to the requested candidate, which polls
+/// more often.
+const REQUESTED_GRACE_NS: u64 = 1_500_000_000;
 
-/// What the store has of a shard.
+/// The store's contents for one shard.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub(crate) struct Seen {
+pub(crate) struct StoreView {
     pub(crate) holder: Option<Holder>,
     /// The last term; 0 before the first.
     pub(crate) term: u64,
-    /// The store's revision of the term, 0 if there is none: it has changed if that has.
+    /// The store's revision of the term's key, 0 if there is none. It changes with the term.
     pub(crate) term_revision: u64,
-    /// The candidate that is to serve, if an operator wishes one.
-    pub(crate) wish: Option<String>,
+    /// The candidate that an operator requests as leader.
+    pub(crate) requested: Option<String>,
 }
 
-/// Who holds a shard.
+/// The candidate that holds a shard.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Holder {
     pub(crate) name: String,
@@ -47,15 +54,15 @@ pub(crate) struct Holder {
     pub(crate) lease: u64,
 }
 
-/// What to ask the store.
+/// A call to the store.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Call {
-    /// A new lease.
+    /// Grants a new lease.
     Grant,
-    /// What it has of the shard.
+    /// Reads the shard's keys.
     Look,
-    /// Makes this candidate the holder and the term known, if there is no holder and the term is of that revision; and
-    /// removes the wish.
+    /// Makes this candidate the holder, sets the term and removes the request, if there is no
+    /// holder and the term's key still has this revision.
     Acquire {
         lease: u64,
         term: u64,
@@ -65,21 +72,21 @@ pub(crate) enum Call {
     Renew { lease: u64 },
 }
 
-/// What the store has answered.
+/// The store's reply to a call.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Reply {
     Granted {
         lease: u64,
         ttl_ns: u64,
     },
-    Seen(Seen),
-    /// Whether the shard was acquired.
+    StoreView(StoreView),
+    /// Whether this candidate has become the holder.
     Acquired(bool),
-    /// 0: there is no such lease any more.
+    /// A time to live of 0 means that the lease is gone.
     Renewed {
         ttl_ns: u64,
     },
-    /// Nothing that can be understood, or in time. Whether the store has done it is not known.
+    /// No reply in time, or an unintelligible one. The store may have executed the call.
     Failed,
 }
 
@@ -91,91 +98,98 @@ pub(crate) enum Next {
     Wait(u64),
 }
 
-/// The right to serve.
+/// The right to lead in a term, while a lease lasts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Right {
+pub(crate) struct LeaderLease {
     pub(crate) term: u64,
-    /// From then on another may have it, ns since boot with suspend.
+    /// When another candidate may lead, ns since boot including suspension.
     pub(crate) until_ns: u64,
     pub(crate) lease: u64,
 }
 
-/// A lease, and until when it certainly lasts.
+/// A lease with a lower bound of its end.
 #[derive(Debug, Clone, Copy)]
-struct Own {
+struct Lease {
     id: u64,
     until_ns: u64,
 }
 
-/// One candidate.
+/// One candidate's view of the election.
 #[derive(Debug)]
 pub(crate) struct Candidate {
     name: String,
-    /// Place in the list of candidates: the first takes a free shard first.
+    /// Position in the list of candidates. The first one takes a free shard first.
     rank: u64,
     ttl_ns: u64,
-    lease: Option<Own>,
-    /// Term of the shard, while it is held.
+    lease: Option<Lease>,
+    /// Term in which this candidate holds the shard.
     term: Option<u64>,
-    /// It is to be given up: not renewed, and left to its end.
+    /// The shard is being given up: the lease is not renewed and runs out.
     resigns: bool,
-    /// The worker of this host can serve.
+    /// The worker of this host can lead.
     is_able: bool,
-    /// Greatest term that anybody was heard to serve in.
-    heard: u64,
-    /// Since when the shard is free, as far as this candidate has seen.
+    /// Highest term that any candidate is known to have led in.
+    highest_term: u64,
+    /// When this candidate first saw the shard free.
     free_since_ns: Option<u64>,
-    seen: Seen,
+    view: StoreView,
     look_ns: u64,
     renew_ns: u64,
 }
 
 impl Candidate {
-    /// `right`: of a link that has started again, and goes on with it.
-    pub(crate) fn new(name: &str, rank: usize, ttl_ns: u64, right: Option<Right>) -> Self {
+    /// Creates a candidate. `leader_lease` is set after a restart of the link, which then continues
+    /// as leader.
+    pub(crate) fn new(
+        name: &str,
+        rank: usize,
+        ttl_ns: u64,
+        leader_lease: Option<LeaderLease>,
+    ) -> Self {
         Self {
             name: name.to_owned(),
             rank: rank as u64,
             ttl_ns,
-            lease: right.map(|right| Own {
-                id: right.lease,
-                until_ns: right.until_ns,
+            lease: leader_lease.map(|leader_lease| Lease {
+                id: leader_lease.lease,
+                until_ns: leader_lease.until_ns,
             }),
-            term: right.map(|right| right.term),
+            term: leader_lease.map(|leader_lease| leader_lease.term),
             resigns: false,
             is_able: true,
-            heard: 0,
+            highest_term: 0,
             free_since_ns: None,
-            seen: Seen::default(),
+            view: StoreView::default(),
             look_ns: 0,
             renew_ns: 0,
         }
     }
 
-    /// The right to serve at `now_ns`.
-    pub(crate) fn right(&self, now_ns: u64) -> Option<Right> {
+    /// The right to lead at `now_ns`.
+    pub(crate) fn leader_lease(&self, now_ns: u64) -> Option<LeaderLease> {
         let (own, term) = (self.lease?, self.term?);
-        (now_ns < own.until_ns && term >= self.heard).then_some(Right {
+        (now_ns < own.until_ns && term >= self.highest_term).then_some(LeaderLease {
             term,
             until_ns: own.until_ns,
             lease: own.id,
         })
     }
 
-    /// Somebody was heard to serve in this term.
-    pub(crate) fn hears(&mut self, term: u64) {
-        self.heard = self.heard.max(term);
+    /// Notes a term in which a candidate leads or has led.
+    pub(crate) fn observe_term(&mut self, term: u64) {
+        self.highest_term = self.highest_term.max(term);
     }
 
-    /// Whether the worker of this host can serve: one that cannot takes no shard, and gives up the one that it has.
+    /// Sets whether the worker of this host can lead. If not, the candidate takes no shard and
+    /// gives up the one that it holds.
     pub(crate) fn is_able(&mut self, is_able: bool) {
         self.is_able = is_able;
         self.resigns |= !is_able;
     }
 
-    /// The candidate that holds the shard, as seen last.
+    /// The holder of the shard in the last view of the store.
     pub(crate) fn holder(&self) -> Option<&Holder> {
-        self.seen.holder.as_ref()
+        self.view.holder.as_ref()
     }
 
     /// What to do at `now_ns`.
@@ -189,15 +203,15 @@ impl Candidate {
         if now_ns < self.look_ns {
             return Next::Wait(self.look_ns);
         }
-        // After the last number no term is greater: better nobody serves than two in one term.
+        // The term would overflow. Prefer no leader to two leaders in one term.
         if self.is_turn(now_ns)
-            && let Some(term) = self.seen.term.max(self.heard).checked_add(1)
+            && let Some(term) = self.view.term.max(self.highest_term).checked_add(1)
         {
             return match self.lease.filter(|own| now_ns < own.until_ns) {
                 Some(own) => Next::Call(Call::Acquire {
                     lease: own.id,
                     term,
-                    term_revision: self.seen.term_revision,
+                    term_revision: self.view.term_revision,
                 }),
                 None => Next::Call(Call::Grant),
             };
@@ -205,9 +219,10 @@ impl Candidate {
         Next::Call(Call::Look)
     }
 
-    /// Whether it is too late for what is held, or another serves in a later term: whatever the store says, it begins anew.
+    /// Whether the lease has run out or another candidate leads in a later term. This candidate
+    /// then starts again, whatever the store says.
     fn is_over(&self, now_ns: u64) -> bool {
-        self.term.is_some() && self.right(now_ns).is_none()
+        self.term.is_some() && self.leader_lease(now_ns).is_none()
     }
 
     fn next_of_holder(&self, now_ns: u64) -> Next {
@@ -223,33 +238,35 @@ impl Candidate {
         Next::Wait(renews.unwrap_or(u64::MAX).min(self.look_ns))
     }
 
-    /// Whether the shard is free, and it is this candidate's turn to take it.
+    /// Whether the shard is free and this candidate may take it now.
     fn is_turn(&self, now_ns: u64) -> bool {
         let Some(since_ns) = self.free_since_ns.filter(|_| self.is_able) else {
             return false;
         };
         let free_ns = now_ns.saturating_sub(since_ns);
-        match self.seen.wish.as_deref() {
-            Some(wish) if wish == self.name => true,
-            // It may be gone: then the others take it.
-            Some(_) => free_ns >= self.ttl_ns.min(WISHED_NS) + self.rank * RANK_NS,
+        match self.view.requested.as_deref() {
+            Some(requested) if requested == self.name => true,
+            // The requested candidate may be down. After a while the others take the shard.
+            Some(_) => free_ns >= self.ttl_ns.min(REQUESTED_GRACE_NS) + self.rank * RANK_NS,
             None => free_ns >= self.rank * RANK_NS,
         }
     }
 
-    /// Takes the answer to a call that was made at `asked_ns` and answered, or given up, at `now_ns`.
+    /// Handles the reply to a call that was made at `asked_ns` and replied to, or given up, at
+    /// `now_ns`.
     pub(crate) fn answered(&mut self, call: &Call, reply: Reply, (asked_ns, now_ns): (u64, u64)) {
         match (call, reply) {
-            // 0 is no lease: what is put with it stays for ever. One that is over by now is asked for again, but not at once.
+            // Lease 0 is no lease: a key stored with it would never expire. A lease that has
+            // already run out is requested again later.
             (Call::Grant, Reply::Granted { lease, ttl_ns })
                 if lease > 0 && until(asked_ns, ttl_ns) > now_ns =>
             {
-                self.lease = Some(Own {
+                self.lease = Some(Lease {
                     id: lease,
                     until_ns: until(asked_ns, ttl_ns),
                 });
             }
-            (Call::Look, Reply::Seen(seen)) => self.sees(seen, now_ns),
+            (Call::Look, Reply::StoreView(view)) => self.observe_store(view, now_ns),
             (Call::Acquire { term, .. }, Reply::Acquired(true)) => {
                 self.term = Some(*term);
                 self.resigns = !self.is_able;
@@ -257,16 +274,16 @@ impl Candidate {
                 self.renew_ns = now_ns;
             }
             (Call::Acquire { .. }, Reply::Acquired(false)) => {
-                // Another was faster.
+                // Another candidate was faster.
                 self.free_since_ns = None;
                 self.look_ns = now_ns;
             }
             (Call::Renew { lease }, Reply::Renewed { ttl_ns }) => {
                 self.renewed(*lease, ttl_ns, (asked_ns, now_ns));
             }
-            // Asked again soon; of an acquisition the next look tells what it did.
+            // Retry soon. After a failed acquisition the next look shows whether it took effect.
             (call, _) => {
-                let soon_ns = now_ns + LOOK_EVERY_NS.0;
+                let soon_ns = now_ns + POLL_INTERVAL_NS.0;
                 match call {
                     Call::Renew { .. } => self.renew_ns = soon_ns,
                     _ => self.look_ns = soon_ns,
@@ -278,25 +295,25 @@ impl Candidate {
         }
     }
 
-    fn sees(&mut self, seen: Seen, now_ns: u64) {
-        let (least_ns, most_ns) = LOOK_EVERY_NS;
+    fn observe_store(&mut self, view: StoreView, now_ns: u64) {
+        let (least_ns, most_ns) = POLL_INTERVAL_NS;
         self.look_ns = now_ns + (self.ttl_ns / LOOKS).clamp(least_ns, most_ns);
         let own = self.lease.map(|own| own.id);
-        let held = seen.holder.as_ref();
+        let held = view.holder.as_ref();
         match held.filter(|holder| Some(holder.lease) == own && holder.name == self.name) {
             Some(holder) => {
                 if self.term != Some(holder.term) {
-                    // The answer to the acquisition was lost.
+                    // The reply to the acquisition was lost.
                     self.term = Some(holder.term);
                     self.resigns = !self.is_able;
                     self.renew_ns = now_ns;
                 }
-                let wish = seen.wish.as_deref();
-                self.resigns |= wish.is_some_and(|wish| wish != self.name);
+                let requested = view.requested.as_deref();
+                self.resigns |= requested.is_some_and(|requested| requested != self.name);
                 self.free_since_ns = None;
             }
             None => {
-                // Also where the holder was removed by hand.
+                // The holder's key may also have been removed by hand.
                 self.term = None;
                 self.free_since_ns = match held {
                     None => Some(self.free_since_ns.unwrap_or(now_ns)),
@@ -304,7 +321,7 @@ impl Candidate {
                 };
             }
         }
-        self.seen = seen;
+        self.view = view;
     }
 
     fn renewed(&mut self, lease: u64, ttl_ns: u64, (asked_ns, now_ns): (u64, u64)) {
@@ -316,10 +333,10 @@ impl Candidate {
             return;
         }
         own.until_ns = own.until_ns.max(until(asked_ns, ttl_ns));
-        self.renew_ns = now_ns + ttl_ns.min(LONGEST_NS) / RENEWALS;
+        self.renew_ns = now_ns + ttl_ns.min(MAX_TTL_NS) / RENEWALS;
     }
 
-    /// The shard is no longer this candidate's, nor will it be by this lease.
+    /// Gives up the shard and the lease.
     fn ends(&mut self) {
         (self.term, self.lease, self.free_since_ns) = (None, None, None);
         self.resigns = !self.is_able;
@@ -327,10 +344,10 @@ impl Candidate {
     }
 }
 
-/// Until when a lease certainly lasts that the store was asked at `asked_ns` to grant or renew.
+/// Lower bound of the end of a lease that the store was asked at `asked_ns` to grant or renew.
 fn until(asked_ns: u64, ttl_ns: u64) -> u64 {
-    let apart_ns = ttl_ns / APART_DIVISOR + APART_NS;
-    asked_ns.saturating_add(ttl_ns.saturating_sub(apart_ns).min(LONGEST_NS))
+    let apart_ns = ttl_ns / DRIFT_DIVISOR + DRIFT_MARGIN_NS;
+    asked_ns.saturating_add(ttl_ns.saturating_sub(apart_ns).min(MAX_TTL_NS))
 }
 
 #[cfg(test)]

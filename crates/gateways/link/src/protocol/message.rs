@@ -1,22 +1,23 @@
-//! Messages of a link as bytes: little-endian, checked once where they come in.
+//! Encoding of link messages: little-endian, checked once on arrival.
 //!
-//! One side of a stream has frames, the other asks for them. Requests tell what is wanted, what has come, and
-//! measure the clocks; they are repeated, so nothing depends on a single one.
+//! One side of a stream sends frames, the other requests them. A request selects frames,
+//! acknowledges those that have arrived, and measures the clock offset. Requests are repeated, so
+//! the loss of one does no harm.
 
 use bytemuck::{Pod, Zeroable, bytes_of, pod_read_unaligned};
 use joulebus_wire::SCHEMA_VERSION;
 
 use crate::protocol::carried::{Carried, FrameError, RawFrame};
-use crate::protocol::selection::{MOST_RANGES, Selection};
+use crate::protocol::selection::{MAX_RANGES, Selection};
 
-/// Version of these messages.
+/// Version of the message format.
 const PROTOCOL: u32 = 4;
 const MAGIC: [u8; 8] = *b"joulelnk";
 const RELEASE_BYTES: usize = 16;
 const FRAME: u32 = 1;
 const REQUEST: u32 = 2;
 
-/// What begins every message.
+/// Header of every message.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 struct Prelude {
@@ -30,13 +31,13 @@ struct Prelude {
     shards: u32,
     /// FNV-1a hash of the fleet's name.
     fleet: u64,
-    /// Run of the link that sends: greater after a restart.
+    /// Run of the sending link. It grows with each restart.
     run: u64,
     /// Number of the message in its stream and run, from 1.
     number: u64,
 }
 
-/// What precedes a frame.
+/// Header of a frame, after the prelude.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
 struct FrameHead {
@@ -45,11 +46,11 @@ struct FrameHead {
     worker: u32,
     reserved: u32,
     asked_ns: u64,
-    heard_ns: u64,
+    received_ns: u64,
     sent_ns: u64,
     dropped: u64,
     term: u64,
-    heard: u64,
+    highest_term: u64,
     realtime_ns: u64,
 }
 
@@ -68,10 +69,10 @@ struct RequestHead {
 
 const _: () = assert!(size_of::<Prelude>() == 64 && size_of::<FrameHead>() == 72);
 
-/// Bytes of a frame's message before its header.
+/// Size of all headers before the header of the frame itself, bytes.
 pub(crate) const HEADS_BYTES: usize = size_of::<Prelude>() + size_of::<FrameHead>();
 
-/// Which fleet messages are of: hosts that do not agree refuse each other.
+/// Identity of a fleet in messages. Hosts with different identities refuse each other.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct FleetId {
     /// FNV-1a hash of its name.
@@ -80,23 +81,23 @@ pub(crate) struct FleetId {
     pub(crate) shards: u32,
 }
 
-/// Whom messages are of.
+/// Identity of the sending link.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Sender {
     pub(crate) fleet: FleetId,
-    /// When the link began, monotonic ns of its host.
+    /// When the link started, monotonic ns of its host.
     pub(crate) run: u64,
 }
 
 /// State of a worker, as its link sees it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) enum Worker {
-    /// Nothing has been heard of it; also of a host that sends samples.
+    /// The link has not seen the worker yet, or its host has none and sends samples.
     #[default]
     Unknown,
     /// It sends.
     Alive,
-    /// It is silent.
+    /// It has stopped sending.
     Stale,
     /// It has ended.
     Gone,
@@ -113,17 +114,19 @@ impl Worker {
     }
 }
 
-/// What a sender says of its worker.
+/// State and term of the sender's worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) struct Voice {
+pub(crate) struct LeaderStatus {
     pub(crate) worker: Worker,
-    /// Number of its turn to speak for its shard, greater than that of all before; 0 if it is the only one that may.
+    /// Term in which the worker leads its shard, higher than all earlier terms. 0 if it is the only
+    /// worker.
     pub(crate) term: u64,
-    /// The greatest term that it knows of, its own or another's: so that one that has forgotten, or the store, learns it again.
-    pub(crate) heard: u64,
+    /// Highest term that the sender knows of, its own or another's. A candidate or a store that
+    /// lost its terms learns it from here.
+    pub(crate) highest_term: u64,
 }
 
-impl From<Worker> for Voice {
+impl From<Worker> for LeaderStatus {
     fn from(worker: Worker) -> Self {
         Self {
             worker,
@@ -132,34 +135,36 @@ impl From<Worker> for Voice {
     }
 }
 
-/// Times and counts that travel with each frame, and alone where there is none.
+/// Times and counters sent with each frame, or alone if there is none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct Status {
-    /// [`Request::asked_ns`] of the newest request that the sender has taken; 0 before the first.
+    /// [`Request::asked_ns`] of the newest request that the sender has received; 0 before the
+    /// first.
     pub(crate) asked_ns: u64,
-    /// When it took it, monotonic ns of the sender.
-    pub(crate) heard_ns: u64,
+    /// When the sender received it, monotonic ns of the sender.
+    pub(crate) received_ns: u64,
     /// When this message was made, monotonic ns of the sender.
     pub(crate) sent_ns: u64,
-    /// Frames that were not sent to this receiver, because newer ones were there before the link was free.
+    /// Frames not sent to this receiver because newer ones replaced them while the link was busy.
     pub(crate) dropped: u64,
-    /// The sender's worker.
-    pub(crate) voice: Voice,
-    /// Realtime minus monotonic on the sender's host; 0 where its realtime clock does not count.
+    /// State of the sender's worker.
+    pub(crate) leader: LeaderStatus,
+    /// Realtime minus monotonic on the sender's host; 0 if its realtime clock is not used.
     pub(crate) realtime_ns: u64,
 }
 
-/// What a receiver asks for.
+/// A request for frames.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Request {
-    /// The sender's run and the number of its newest message that came; 0 before the first.
-    pub(crate) heard: (u64, u64),
-    /// When it was asked, monotonic ns of the receiver.
+    /// Acknowledgement: run and number of the sender's newest message that has arrived. 0 before
+    /// the first.
+    pub(crate) acknowledged: (u64, u64),
+    /// When the request was sent, monotonic ns of the receiver.
     pub(crate) asked_ns: u64,
     pub(crate) selection: Selection,
 }
 
-/// A message that came in.
+/// A decoded message.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Message<'a> {
     pub(crate) run: u64,
@@ -173,14 +178,14 @@ pub(crate) enum Body<'a> {
     Request(Request),
 }
 
-/// A frame to be sent: its header, and runs of its elements that were selected.
+/// A frame to send: its header, and the selected runs of its elements.
 pub(crate) struct Outgoing<'f, 'e> {
     pub(crate) service: Carried,
     pub(crate) header: &'f [u8],
     pub(crate) elements: &'f mut dyn Iterator<Item = &'e [u8]>,
 }
 
-/// Writes a frame's message; `None` tells the status only.
+/// Encodes a frame. Without a frame the message has the status only.
 pub(crate) fn write_frame(
     out: &mut Vec<u8>,
     (sender, number): (Sender, u64),
@@ -192,14 +197,14 @@ pub(crate) fn write_frame(
     let mut head = FrameHead {
         service: frame.as_ref().map_or(0, |frame| frame.service.code()),
         elements: 0,
-        worker: status.voice.worker as u32,
+        worker: status.leader.worker as u32,
         reserved: 0,
         asked_ns: status.asked_ns,
-        heard_ns: status.heard_ns,
+        received_ns: status.received_ns,
         sent_ns: status.sent_ns,
         dropped: status.dropped,
-        term: status.voice.term,
-        heard: status.voice.heard,
+        term: status.leader.term,
+        highest_term: status.leader.highest_term,
         realtime_ns: status.realtime_ns,
     };
     let at = out.len();
@@ -218,21 +223,21 @@ pub(crate) fn write_frame(
         out.extend_from_slice(run);
     }
     let count = (out.len() - begun) / service.sizes().1;
-    // A frame has at most as many as the capacity of a fleet, which is a u32.
+    // The fleet's capacity, a u32, bounds the number of elements.
     head.elements = u32::try_from(count).unwrap_or(u32::MAX);
     out[at..at + size_of::<FrameHead>()].copy_from_slice(bytes_of(&head));
 }
 
-/// The bytes of a request.
+/// Encodes a request.
 pub(crate) fn write_request(sender: Sender, number: u64, request: &Request) -> Vec<u8> {
     let ranges = request.selection.ranges();
     let head = RequestHead {
-        run: request.heard.0,
-        number: request.heard.1,
+        run: request.acknowledged.0,
+        number: request.acknowledged.1,
         asked_ns: request.asked_ns,
         services: request.selection.services,
         every: request.selection.every,
-        // Bounded by MOST_RANGES.
+        // Bounded by MAX_RANGES.
         ranges: ranges.len() as u32,
         reserved: 0,
     };
@@ -244,7 +249,7 @@ pub(crate) fn write_request(sender: Sender, number: u64, request: &Request) -> V
     out
 }
 
-/// Reads a message of a host that is not trusted. `most`: elements that a frame may have.
+/// Decodes a message of an untrusted host. `most` is the maximum number of elements of a frame.
 ///
 /// # Errors
 /// [`MessageError`].
@@ -291,13 +296,13 @@ fn read_frame(bytes: &[u8], most: usize) -> Result<Body<'_>, MessageError> {
     let (head, rest) = split::<FrameHead>(bytes)?;
     let status = Status {
         asked_ns: head.asked_ns,
-        heard_ns: head.heard_ns,
+        received_ns: head.received_ns,
         sent_ns: head.sent_ns,
         dropped: head.dropped,
-        voice: Voice {
+        leader: LeaderStatus {
             worker: Worker::decode(head.worker),
             term: head.term,
-            heard: head.heard,
+            highest_term: head.highest_term,
         },
         realtime_ns: head.realtime_ns,
     };
@@ -312,7 +317,7 @@ fn read_frame(bytes: &[u8], most: usize) -> Result<Body<'_>, MessageError> {
 
 fn read_request(bytes: &[u8]) -> Result<Request, MessageError> {
     let (head, rest) = split::<RequestHead>(bytes)?;
-    let (found, allowed) = (head.ranges as usize, MOST_RANGES);
+    let (found, allowed) = (head.ranges as usize, MAX_RANGES);
     if found > allowed {
         return Err(MessageError::Ranges { found, allowed });
     }
@@ -325,7 +330,7 @@ fn read_request(bytes: &[u8]) -> Result<Request, MessageError> {
         .map(pod_read_unaligned::<[u32; 2]>)
         .map(|[first, last]| (first, last));
     Ok(Request {
-        heard: (head.run, head.number),
+        acknowledged: (head.run, head.number),
         asked_ns: head.asked_ns,
         selection: Selection::new(head.services, head.every, ranges.collect()),
     })
@@ -366,7 +371,7 @@ fn split<T: Pod>(bytes: &[u8]) -> Result<(T, &[u8]), MessageError> {
     Ok((pod_read_unaligned(head), rest))
 }
 
-/// Reason that a message was refused.
+/// Why a message was refused.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub(crate) enum MessageError {
     #[error("it is not a message of a link")]
@@ -398,7 +403,7 @@ pub(crate) enum MessageError {
 }
 
 impl MessageError {
-    /// The reason in reports.
+    /// The name of the reason in reports.
     pub(crate) const fn name(&self) -> &'static str {
         match self {
             Self::Foreign => "not a message of a link",
@@ -433,13 +438,13 @@ mod tests {
     fn status() -> Status {
         Status {
             asked_ns: 1,
-            heard_ns: 2,
+            received_ns: 2,
             sent_ns: 3,
             dropped: 4,
-            voice: Voice {
+            leader: LeaderStatus {
                 worker: Worker::Alive,
                 term: u64::MAX - 1,
-                heard: u64::MAX,
+                highest_term: u64::MAX,
             },
             realtime_ns: 5,
         }
@@ -464,7 +469,7 @@ mod tests {
 
     fn request() -> Request {
         Request {
-            heard: (8, 1_000),
+            acknowledged: (8, 1_000),
             asked_ns: 55,
             selection: Selection::new(Carried::BUDGETS.bit(), 3, vec![(1, 4), (9, 9)]),
         }

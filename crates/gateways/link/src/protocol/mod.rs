@@ -1,4 +1,4 @@
-//! What two links tell each other: pure, without clock, network, thread and shared memory.
+//! The protocol between two links: pure, without clock, network, thread and shared memory.
 
 pub(crate) mod carried;
 #[cfg(test)]

@@ -1,43 +1,45 @@
-//! The offset between another host's monotonic clock and this one, from round trips.
+//! The offset between another host's monotonic clock and this host's, from round trips.
 //!
-//! A request leaves at `asked` (own clock), is taken at `heard`, answered at `sent` (their clock), and the answer
-//! arrives at `now` (own clock). Nothing arrives before it was sent, so the offset `θ`, which is added to their
-//! times to get ours, lies between `asked − heard` and `now − sent`, however long either way took. Each round trip
-//! gives such bounds; they widen with time by what two clocks may drift apart, and their intersection holds.
+//! A request leaves at `asked` (own clock), is received at `received` and answered at `sent` (their
+//! clock), and the answer arrives at `now` (own clock). Nothing arrives before it was sent. The
+//! offset `θ`, which turns their times into ours, therefore lies between `asked − received` and
+//! `now − sent`, however long either direction took. Each round trip gives such bounds. They widen
+//! with time by the possible drift between two clocks, and their intersection holds.
 //!
-//! Stamps are moved by an offset that is not above the lower bound: what was measured there is never taken for
-//! younger than it is, and never lies in the future. It stays the same while the bounds allow, so that distances
-//! between stamps stay as they are.
+//! Stamps are moved by an offset at or below the lower bound. A measurement of the other host is
+//! then never taken for younger than it is, and never lies in the future. The offset stays the same
+//! while the bounds allow, so that distances between stamps do not change.
 //!
-//! Where an operator states that realtime clocks are kept together, further bounds follow from them
+//! If an operator states that realtime clocks are kept together, these give further bounds
 //! ([`crate::protocol::wall`]). They count where they fit those of the round trips.
 
 use std::collections::VecDeque;
 
-use crate::protocol::wall::{Kept, READ_NS, STEADY_NS};
+use crate::protocol::wall::{READ_NS, RealtimeClock, STEADY_NS};
 
-/// Maximum by which two clocks drift apart: Linux slews at most 500 ppm, and each crystal is within 100 ppm of its
-/// frequency (`man 2 adjtimex`; usual data sheets).
+/// Upper bound of the drift between two clocks: Linux slews at most 500 ppm, and each crystal is
+/// within 100 ppm of its frequency (`man 2 adjtimex`; usual data sheets).
 const DRIFT_PPM: i128 = 1_200;
 /// Number of round trips that count, and the shortest time between two.
-const MOST_BOUNDS: usize = 64;
-const BOUNDS_EVERY_NS: u64 = 100_000_000;
-/// Room below the lower bound that a new offset gets, so that it can stay for a while, and the most by which an
-/// offset may make stamps older than they are known to be.
-const ROOM_NS: i128 = 200_000;
-const MOST_BELOW_NS: i128 = 1_500_000;
-/// Bounds of a round trip that took longer say too little.
-const LONGEST_TRIP_NS: u64 = STEADY_NS;
-/// As [`ROOM_NS`] and [`MOST_BELOW_NS`], for bounds by realtime clocks, which move by as much as clocks are read inexactly.
-const KEPT_ROOM_NS: i128 = 2 * READ_NS as i128;
-const KEPT_MOST_BELOW_NS: i128 = 3 * KEPT_ROOM_NS;
-/// For how long bounds by realtime clocks count after the message that they came with.
-const KEPT_FOR_NS: u64 = 1_000_000_000;
-/// How long realtime clocks that contradict round trips are not used.
+const MAX_BOUNDS: usize = 64;
+const BOUNDS_INTERVAL_NS: u64 = 100_000_000;
+/// Margin of a new offset below the lower bound, so that it can stay for a while. `MAX_BELOW_NS`
+/// bounds by how much an offset may make stamps older than necessary.
+const MARGIN_NS: i128 = 200_000;
+const MAX_BELOW_NS: i128 = 1_500_000;
+/// Maximum duration of a round trip. Bounds of longer ones are too wide to help.
+const MAX_TRIP_NS: u64 = STEADY_NS;
+/// Same as [`MARGIN_NS`] and [`MAX_BELOW_NS`], for bounds by realtime clocks. Those move by the
+/// reading error of the clocks.
+const REALTIME_MARGIN_NS: i128 = 2 * READ_NS as i128;
+const REALTIME_MAX_BELOW_NS: i128 = 3 * REALTIME_MARGIN_NS;
+/// How long bounds by realtime clocks count after their message.
+const REALTIME_TIMEOUT_NS: u64 = 1_000_000_000;
+/// How long realtime clocks are not used after they contradicted round trips.
 const DISTRUST_NS: u64 = 60_000_000_000;
 
-/// The most by which two clocks drift apart in that time.
-fn apart_ns(time_ns: u64) -> i128 {
+/// Upper bound of the drift between two clocks within a time, ns.
+fn max_drift_ns(time_ns: u64) -> i128 {
     i128::from(time_ns) * DRIFT_PPM / 1_000_000
 }
 
@@ -45,13 +47,13 @@ fn apart_ns(time_ns: u64) -> i128 {
 struct Bounds {
     lo_ns: i128,
     hi_ns: i128,
-    /// When they were found, monotonic ns of this host.
+    /// When they were measured, monotonic ns of this host.
     at_ns: u64,
 }
 
 impl Bounds {
     fn at(self, now_ns: u64) -> Self {
-        let drift_ns = apart_ns(now_ns.saturating_sub(self.at_ns));
+        let drift_ns = max_drift_ns(now_ns.saturating_sub(self.at_ns));
         Self {
             lo_ns: self.lo_ns - drift_ns,
             hi_ns: self.hi_ns + drift_ns,
@@ -59,7 +61,7 @@ impl Bounds {
         }
     }
 
-    /// What both say.
+    /// The intersection of both.
     fn and(self, other: Self) -> Self {
         Self {
             lo_ns: self.lo_ns.max(other.lo_ns),
@@ -69,82 +71,85 @@ impl Bounds {
     }
 }
 
-/// The four times of a round trip; the middle ones are the other host's.
+/// The four times of a round trip. The middle ones are the other host's.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Trip {
     pub(crate) asked_ns: u64,
-    pub(crate) heard_ns: u64,
+    pub(crate) received_ns: u64,
     pub(crate) sent_ns: u64,
     pub(crate) now_ns: u64,
 }
 
-/// What is known of another host's clock.
+/// The estimated offset of another host's clock.
 #[derive(Debug, Default)]
 pub(crate) struct Offset {
     bounds: VecDeque<Bounds>,
-    /// Those by realtime clocks, of the newest message.
-    kept: Option<Bounds>,
+    /// Bounds by realtime clocks, from the newest message.
+    realtime: Option<Bounds>,
     /// Until when realtime clocks are not used.
     distrust_until_ns: u64,
     /// The offset in use, ns.
     used_ns: Option<i128>,
-    /// Times that the offset in use was replaced.
+    /// Number of changes of the offset in use.
     pub(crate) refits: u64,
-    /// Times that a clock has stepped: bounds contradicted each other.
+    /// Number of clock steps: bounds contradicted each other.
     pub(crate) steps: u64,
-    /// Times that realtime clocks said what round trips rule out.
+    /// Number of times that round trips ruled out what realtime clocks said.
     pub(crate) contradictions: u64,
 }
 
 impl Offset {
-    /// Takes note of a round trip, and of what both realtime clocks said: the sender's number, and this host's. False if its
-    /// times contradict themselves.
-    pub(crate) fn note(&mut self, trip: Trip, clocks: Option<(u64, Kept)>) -> bool {
+    /// Adds a round trip and, if known, both realtime clocks: the sender's reading and this host's.
+    /// Returns false if the times contradict themselves.
+    pub(crate) fn note(&mut self, trip: Trip, clocks: Option<(u64, RealtimeClock)>) -> bool {
         let took_ns = trip.now_ns.checked_sub(trip.asked_ns);
-        let there_ns = trip.sent_ns.checked_sub(trip.heard_ns);
+        let there_ns = trip.sent_ns.checked_sub(trip.received_ns);
         let (Some(took_ns), Some(_)) = (took_ns, there_ns) else {
             return false;
         };
-        // The lower bound is of when they took it, at the earliest when it was asked.
+        // The lower bound holds for the instant at which the other host received the request. That
+        // may be as early as `asked_ns`.
         let found = Bounds {
-            lo_ns: i128::from(trip.asked_ns) - i128::from(trip.heard_ns) - apart_ns(took_ns),
+            lo_ns: i128::from(trip.asked_ns) - i128::from(trip.received_ns) - max_drift_ns(took_ns),
             hi_ns: i128::from(trip.now_ns) - i128::from(trip.sent_ns),
             at_ns: trip.now_ns,
         };
-        if took_ns > LONGEST_TRIP_NS {
+        if took_ns > MAX_TRIP_NS {
             return false;
         }
         if found.lo_ns > found.hi_ns {
-            // It took longer there than here: a clock stood still, or was set, in between.
+            // More time passed there than here: one of the clocks stopped or was set in between.
             self.steps += u64::from(!self.bounds.is_empty());
             self.forget();
             return false;
         }
         self.take(found);
-        self.keep(found, clocks);
+        self.update_realtime(found, clocks);
         self.fit(trip.now_ns);
         true
     }
 
-    /// Forgets what was measured, since it may be of another boot.
+    /// Drops all measurements, because the other host may have booted again.
     pub(crate) fn forget(&mut self) {
         self.bounds.clear();
-        self.kept = None;
+        self.realtime = None;
     }
 
-    /// Whether anything was measured since then.
+    /// Whether there is a measurement since then.
     pub(crate) fn is_measured(&self) -> bool {
         !self.bounds.is_empty()
     }
 
-    /// What realtime clocks say counts unless round trips rule it out: then those are right, for a while whatever they say.
-    fn keep(&mut self, newest: Bounds, clocks: Option<(u64, Kept)>) {
-        self.kept = None;
+    /// Derives bounds from realtime clocks. If round trips rule them out, the round trips win, and
+    /// realtime clocks are not used for a while.
+    fn update_realtime(&mut self, newest: Bounds, clocks: Option<(u64, RealtimeClock)>) {
+        self.realtime = None;
         let now_ns = newest.at_ns;
         let (Some((theirs_ns, own)), Some(trips)) = (clocks, self.trips(now_ns)) else {
             return;
         };
-        // Older bounds may have widened the newest ones: nothing is ever ahead of its arrival.
+        // The combined bounds may be wider than the newest ones. The newest ones guarantee that no
+        // stamp is ahead of its arrival.
         let trips = trips.and(newest);
         let between_ns = i128::from(theirs_ns) - i128::from(own.realtime_ns);
         let within_ns = i128::from(own.within_ns) + 2 * i128::from(READ_NS);
@@ -158,7 +163,7 @@ impl Offset {
             self.contradictions += u64::from(is_trusted);
             self.distrust_until_ns = now_ns.saturating_add(DISTRUST_NS);
         } else if is_trusted {
-            self.kept = Some(found);
+            self.realtime = Some(found);
         }
     }
 
@@ -168,9 +173,11 @@ impl Offset {
             self.bounds.clear();
             self.steps += 1;
         }
-        // Of those that come faster, the better one is kept: the newest cannot be the worse of two for long.
+        // Round trips in quick succession share an entry with their intersection, so a wide newest
+        // entry cannot stay for long.
         let recent = self.bounds.back().copied();
-        let recent = recent.filter(|last| found.at_ns.saturating_sub(last.at_ns) < BOUNDS_EVERY_NS);
+        let recent =
+            recent.filter(|last| found.at_ns.saturating_sub(last.at_ns) < BOUNDS_INTERVAL_NS);
         if let Some(recent) = recent {
             self.bounds.pop_back();
             let at_ns = recent.at_ns;
@@ -180,7 +187,7 @@ impl Offset {
             });
             return;
         }
-        if self.bounds.len() == MOST_BOUNDS {
+        if self.bounds.len() == MAX_BOUNDS {
             self.bounds.pop_front();
         }
         self.bounds.push_back(found);
@@ -190,35 +197,40 @@ impl Offset {
         let Some(trips) = self.trips(now_ns) else {
             return;
         };
-        let kept = self.kept(now_ns);
-        // Bounds of each kind have room of their own below them; the higher place is nearer to the truth.
+        let realtime = self.realtime(now_ns);
+        // Each kind of bounds has a margin of its own. The higher candidate is nearer to the true
+        // offset.
         let below = |of_trips_ns: i128, of_kept_ns: i128| {
             let by_trips_ns = trips.lo_ns - of_trips_ns;
-            kept.map_or(by_trips_ns, |kept| by_trips_ns.max(kept.lo_ns - of_kept_ns))
+            realtime.map_or(by_trips_ns, |realtime| {
+                by_trips_ns.max(realtime.lo_ns - of_kept_ns)
+            })
         };
-        let (most_ns, least_ns) = (below(0, 0), below(MOST_BELOW_NS, KEPT_MOST_BELOW_NS));
+        let (most_ns, least_ns) = (below(0, 0), below(MAX_BELOW_NS, REALTIME_MAX_BELOW_NS));
         let holds = |used_ns: i128| used_ns <= most_ns && used_ns >= least_ns;
         if !self.used_ns.is_some_and(holds) {
             self.refits += u64::from(self.used_ns.is_some());
-            self.used_ns = Some(below(ROOM_NS, KEPT_ROOM_NS));
+            self.used_ns = Some(below(MARGIN_NS, REALTIME_MARGIN_NS));
         }
     }
 
-    /// The bounds that all round trips give.
+    /// The intersection of the bounds of all round trips.
     fn trips(&self, now_ns: u64) -> Option<Bounds> {
         let all = self.bounds.iter().map(|bounds| bounds.at(now_ns));
         all.reduce(Bounds::and)
     }
 
-    /// The bounds that realtime clocks give: they do not widen, since what keeps the clocks together does so all the time.
-    fn kept(&self, now_ns: u64) -> Option<Bounds> {
-        let is_new = |kept: &Bounds| now_ns.saturating_sub(kept.at_ns) <= KEPT_FOR_NS;
-        self.kept.filter(is_new)
+    /// The bounds by realtime clocks. They do not widen with time, because the clocks are kept
+    /// together continuously.
+    fn realtime(&self, now_ns: u64) -> Option<Bounds> {
+        let is_new =
+            |realtime: &Bounds| now_ns.saturating_sub(realtime.at_ns) <= REALTIME_TIMEOUT_NS;
+        self.realtime.filter(is_new)
     }
 
-    /// Whether realtime clocks narrow the bounds.
-    pub(crate) fn is_kept(&self, now_ns: u64) -> bool {
-        self.kept(now_ns).is_some()
+    /// Whether realtime clocks narrow the bounds now.
+    pub(crate) fn uses_realtime(&self, now_ns: u64) -> bool {
+        self.realtime(now_ns).is_some()
     }
 
     /// The offset in use, ns; `None` before the first round trip.
@@ -226,15 +238,17 @@ impl Offset {
         self.used_ns.filter(|_| self.is_measured())
     }
 
-    /// The most by which stamps may be made older than they are, ns.
+    /// Upper bound of how much older stamps may look than they are, ns.
     pub(crate) fn uncertainty_ns(&self, now_ns: u64) -> Option<u64> {
         let trips = self.trips(now_ns)?;
-        let known = self.kept(now_ns).map_or(trips, |kept| trips.and(kept));
+        let known = self
+            .realtime(now_ns)
+            .map_or(trips, |realtime| trips.and(realtime));
         u64::try_from(known.hi_ns - self.used_ns?).ok()
     }
 }
 
-/// A time of the other host as one of this host; 0 means that it is not known, and stays.
+/// Converts a time of the other host to this host's clock. 0 means unknown and stays 0.
 pub(crate) fn shifted(stamp_ns: u64, offset_ns: i128) -> u64 {
     if stamp_ns == 0 {
         return 0;
@@ -249,7 +263,7 @@ mod tests {
 
     use super::*;
 
-    /// Two clocks: ours is their time plus an offset that drifts.
+    /// Two clocks. Ours is theirs plus an offset that drifts.
     struct Clocks {
         offset_ns: i128,
         drift_ppm: i128,
@@ -266,19 +280,24 @@ mod tests {
     }
 
     fn trip(clocks: &Clocks, asked_ns: u64, there_ns: u64, back_ns: u64) -> Trip {
-        let heard_ns = asked_ns + there_ns;
+        let received_ns = asked_ns + there_ns;
         Trip {
             asked_ns,
-            heard_ns: clocks.theirs(heard_ns),
-            sent_ns: clocks.theirs(heard_ns + 50_000),
-            now_ns: heard_ns + 50_000 + back_ns,
+            received_ns: clocks.theirs(received_ns),
+            sent_ns: clocks.theirs(received_ns + 50_000),
+            now_ns: received_ns + 50_000 + back_ns,
         }
     }
 
-    /// What realtime clocks say that are `apart_ns` from each other, and whose operator states that they are within.
-    fn clocks_say(clocks: &Clocks, now_ns: u64, apart_ns: i64, within_ns: u64) -> (u64, Kept) {
+    /// Readings of realtime clocks that are `apart_ns` from each other, with the operator's bound.
+    fn realtime_readings(
+        clocks: &Clocks,
+        now_ns: u64,
+        apart_ns: i64,
+        within_ns: u64,
+    ) -> (u64, RealtimeClock) {
         let realtime_ns = 1_700_000_000_000_000_000;
-        let own = Kept {
+        let own = RealtimeClock {
             realtime_ns,
             within_ns,
         };
@@ -287,7 +306,7 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the ways take, and however asymmetric they are.
+        /// Holds for any path delays, however asymmetric.
         #[test]
         fn a_stamp_is_never_moved_past_its_true_time_and_is_late_by_no_more_than_the_uncertainty(
             offset_ns in -1_000_000_000_000_i64..1_000_000_000_000,
@@ -307,9 +326,9 @@ mod tests {
                 prop_assert!(used_ns <= true_ns + 1, "{used_ns} {true_ns}");
                 prop_assert!(true_ns - used_ns <= i128::from(uncertain_ns) + 1);
                 let took_ns = there_ns + back_ns + 50_000;
-                // Bounds that came soon after others widen as those do.
-                let widened_ns = apart_ns(took_ns) + 2 * apart_ns(BOUNDS_EVERY_NS);
-                let most_ns = i128::from(took_ns) + widened_ns + MOST_BELOW_NS;
+                // Bounds that follow others closely widen with them.
+                let widened_ns = max_drift_ns(took_ns) + 2 * max_drift_ns(BOUNDS_INTERVAL_NS);
+                let most_ns = i128::from(took_ns) + widened_ns + MAX_BELOW_NS;
                 prop_assert!(i128::from(uncertain_ns) <= most_ns, "{uncertain_ns} of {most_ns}");
                 now_ns += 40_000_000;
             }
@@ -318,8 +337,9 @@ mod tests {
     }
 
     proptest! {
-        /// Whatever the ways take: where the operator's word holds nothing looks fresher, and the uncertainty is that word's. Where
-        /// it does not, stamps are still within what the round trips allow, and never ahead.
+        /// Holds for any path delays. If the operator's bound holds, no stamp looks fresher than it
+        /// is, and the uncertainty follows the bound. If it does not, stamps stay within the bounds
+        /// of round trips and are never ahead.
         #[test]
         fn clocks_that_are_kept_together_bound_the_uncertainty_and_never_beyond_what_round_trips_say(
             offset_ns in -1_000_000_000_000_i64..1_000_000_000_000,
@@ -340,15 +360,15 @@ mod tests {
                 }
                 let trip = trip(&clocks, now_ns, there_ns, back_ns);
                 now_ns = trip.now_ns;
-                let say = clocks_say(&clocks, now_ns, apart_ns, within_ns);
-                prop_assert!(offset.note(trip, Some(say)));
+                let readings = realtime_readings(&clocks, now_ns, apart_ns, within_ns);
+                prop_assert!(offset.note(trip, Some(readings)));
                 let (true_ns, used_ns) = (clocks.true_ns(now_ns), offset.used_ns().unwrap());
                 prop_assert!(used_ns <= true_ns + i128::from(back_ns) + 1_000, "ahead of what was sent last");
                 let uncertain_ns = i128::from(offset.uncertainty_ns(now_ns).unwrap());
                 if right {
                     prop_assert!(used_ns <= true_ns + 1, "{used_ns} {true_ns}");
                     prop_assert!(true_ns - used_ns <= uncertain_ns + 1);
-                    let most_ns = 2 * i128::from(within_ns) + 4 * i128::from(READ_NS) + KEPT_MOST_BELOW_NS;
+                    let most_ns = 2 * i128::from(within_ns) + 4 * i128::from(READ_NS) + REALTIME_MAX_BELOW_NS;
                     prop_assert!(uncertain_ns <= most_ns, "{uncertain_ns} of {most_ns}");
                 }
             }
@@ -368,24 +388,27 @@ mod tests {
         let mut run = |offset: &mut Offset, seconds: u64, apart_ns: i64| {
             for _ in 0..seconds * 10 {
                 now_ns += 100_000_000;
-                let say = clocks_say(&clocks, now_ns, apart_ns, 20_000);
-                assert!(offset.note(trip(&clocks, now_ns - 350_000, 150_000, 150_000), Some(say)));
+                let readings = realtime_readings(&clocks, now_ns, apart_ns, 20_000);
+                assert!(offset.note(
+                    trip(&clocks, now_ns - 350_000, 150_000, 150_000),
+                    Some(readings)
+                ));
                 let late_ns = clocks.true_ns(now_ns) - offset.used_ns().unwrap();
                 assert!(late_ns >= 0, "{apart_ns}: {late_ns}");
             }
             (
-                offset.is_kept(now_ns),
+                offset.uses_realtime(now_ns),
                 offset.contradictions,
                 offset.uncertainty_ns(now_ns).unwrap(),
             )
         };
-        let (is_kept, contradictions, uncertain_ns) = run(&mut offset, 5, 10_000);
+        let (uses_realtime, contradictions, uncertain_ns) = run(&mut offset, 5, 10_000);
         assert!(
-            is_kept && contradictions == 0 && uncertain_ns < 60_000,
+            uses_realtime && contradictions == 0 && uncertain_ns < 60_000,
             "{uncertain_ns}"
         );
-        let (is_kept, contradictions, uncertain_ns) = run(&mut offset, 200, 40_000_000);
-        assert!(!is_kept && uncertain_ns > 300_000, "{uncertain_ns}");
+        let (uses_realtime, contradictions, uncertain_ns) = run(&mut offset, 200, 40_000_000);
+        assert!(!uses_realtime && uncertain_ns > 300_000, "{uncertain_ns}");
         assert_eq!(contradictions, 1, "in 200 s");
         assert!(!run(&mut offset, 50, 0).0, "right again, but not for long");
         assert!(run(&mut offset, 20, 0).0);
@@ -400,13 +423,13 @@ mod tests {
         };
         let mut offset = Offset::default();
         assert!(offset.note(trip(&clocks, 5_000_000_000, 100_000, 100_000), None));
-        // This host was suspended for half a millisecond while the answer was under way.
+        // This host was suspended for half a millisecond while the answer was in flight.
         let suspended = Trip {
             now_ns: 6_000_050_000,
             ..trip(&clocks, 6_000_000_000, 300_000, 100_000)
         };
         let suspended = Trip {
-            sent_ns: suspended.heard_ns + 1_000_000,
+            sent_ns: suspended.received_ns + 1_000_000,
             ..suspended
         };
         assert!(!offset.note(suspended, None));
@@ -421,7 +444,7 @@ mod tests {
         };
         let mut offset = Offset::default();
         for at in 0..3_000_u64 {
-            // One way in ten is slow.
+            // One path in ten is slow.
             let slow_ns = if at % 10 == 9 { 3_000_000 } else { 0 };
             let asked_ns = 1_000_000_000 + at * 100_000_000;
             let trip = trip(&clocks, asked_ns, 150_000 + slow_ns, 120_000 + slow_ns);
@@ -449,7 +472,7 @@ mod tests {
             assert_eq!(offset.steps, 1, "{step_ns}");
             let late_ns = clocks.offset_ns - offset.used_ns().unwrap();
             assert!(
-                (0..MOST_BELOW_NS + 300_000).contains(&late_ns),
+                (0..MAX_BELOW_NS + 300_000).contains(&late_ns),
                 "{step_ns}: {late_ns}"
             );
         }
@@ -458,17 +481,17 @@ mod tests {
     #[test]
     fn times_that_contradict_themselves_are_not_taken() {
         let mut offset = Offset::default();
-        for (asked_ns, heard_ns, sent_ns, now_ns) in [
-            // Answered before it was asked, or sent before it was taken.
+        for (asked_ns, received_ns, sent_ns, now_ns) in [
+            // Answered before the request, or sent before it was received.
             (9, 1, 1, 8),
             (1, 9, 8, 9),
-            // The other host held it longer than it took.
+            // The other host held it longer than the round trip took.
             (10, 0, 100, 20),
             (1, 0, 0, 20_000_000_000),
         ] {
             let trip = Trip {
                 asked_ns,
-                heard_ns,
+                received_ns,
                 sent_ns,
                 now_ns,
             };

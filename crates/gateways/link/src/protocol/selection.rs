@@ -1,25 +1,25 @@
-//! What a receiver wants of a fleet's frames.
+//! Which of a fleet's frames a receiver requests.
 
 use crate::protocol::carried::Carried;
 
-/// Maximum number of ranges of robots in a request.
-pub(crate) const MOST_RANGES: usize = 64;
+/// Maximum number of robot ranges in a request.
+pub(crate) const MAX_RANGES: usize = 64;
 
-/// Services, every how many frames, and which robots.
+/// Services, decimation and robots.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Selection {
     /// [`Carried::bit`]s.
     pub(crate) services: u32,
-    /// Every how many ticks a frame is wanted, at least 1.
+    /// Decimation: the frames of every n-th tick, n at least 1.
     pub(crate) every: u32,
-    /// First and last ids, sorted and disjoint; empty: all robots.
+    /// First and last ids, sorted and disjoint. Empty: all robots.
     ranges: Vec<(u32, u32)>,
 }
 
 impl Selection {
-    /// Sorts and joins the ranges; those that hold nothing are left out, and so are those beyond [`MOST_RANGES`].
+    /// Sorts and joins the ranges. Empty ranges, and those beyond [`MAX_RANGES`], are dropped.
     pub(crate) fn new(services: u32, every: u32, mut ranges: Vec<(u32, u32)>) -> Self {
-        ranges.truncate(MOST_RANGES);
+        ranges.truncate(MAX_RANGES);
         ranges.retain(|(first, last)| first <= last);
         ranges.sort_unstable();
         ranges.dedup_by(|next, before| {
@@ -44,12 +44,13 @@ impl Selection {
         self.services & service.bit() != 0
     }
 
-    /// Whether the frame of `tick` is wanted. The same ticks for all services, so that they fit each other.
+    /// Whether the frames of `tick` are selected. All services use the same ticks, so that their
+    /// frames match.
     pub(crate) const fn wants_tick(&self, tick: u64) -> bool {
         tick.is_multiple_of(self.every as u64)
     }
 
-    /// Whether the robot is wanted.
+    /// Whether the robot is selected.
     pub(crate) fn has_robot(&self, robot: u32) -> bool {
         self.ranges.is_empty() || self.is_listed(robot)
     }
@@ -59,7 +60,7 @@ impl Selection {
         at > 0 && robot <= self.ranges[at - 1].1
     }
 
-    /// The elements that are wanted, as runs of bytes that lie together.
+    /// The selected elements, as contiguous runs of bytes.
     pub(crate) fn runs<'a>(
         &'a self,
         service: Carried,
@@ -112,10 +113,7 @@ mod tests {
         }
         let many = (0..100).map(|at| (at * 2, at * 2)).collect();
         let selection = Selection::new(0, 0, many);
-        assert_eq!(
-            (selection.every, selection.ranges().len()),
-            (1, MOST_RANGES)
-        );
+        assert_eq!((selection.every, selection.ranges().len()), (1, MAX_RANGES));
     }
 
     #[test]

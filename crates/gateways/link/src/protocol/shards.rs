@@ -1,36 +1,37 @@
-//! A fleet that is split over several workers: which of them speaks for which robots.
+//! The shards of a fleet that is split over several workers.
 
 use joulebus_wire::fnv1a;
 
-/// Shards of a fleet.
-pub(crate) const MOST_SHARDS: usize = 64;
-/// Workers that may speak for a shard, one at a time.
-pub(crate) const MOST_WORKERS: usize = 4;
+/// Maximum number of shards of a fleet.
+pub(crate) const MAX_SHARDS: usize = 64;
+/// Maximum number of candidates for a shard.
+pub(crate) const MAX_CANDIDATES: usize = 4;
 
-/// Robots with one worker at a time.
+/// A set of robots with one leading worker at a time.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Shard {
     pub(crate) name: String,
-    /// Names of the links of its worker, and of those that stand by.
+    /// Names of the links of its candidates: the worker and its standbys.
     pub(crate) workers: Vec<String>,
-    /// First and last ids, sorted and disjoint; empty if robots are shared out by hashing.
+    /// First and last ids, sorted and disjoint. Empty if hashing assigns the robots.
     pub(crate) robots: Vec<(u32, u32)>,
 }
 
-/// All shards: the same on every host.
+/// All shards, the same on every host.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Shards {
     all: Vec<Shard>,
-    /// Of each shard's name: a robot is looked up for each row of each frame.
+    /// Hash of each shard's name, kept because every row of every frame looks up its robot.
     hashes: Vec<u64>,
-    /// Robots go where their weight is greatest, instead of by lists.
+    /// Hashing assigns the robots, not lists.
     is_hashed: bool,
-    /// Of all the above, in every message: hosts that disagree refuse each other.
+    /// Digest of all fields above, sent in every message. Hosts with different shards refuse each
+    /// other.
     digest: u32,
 }
 
 impl Shards {
-    /// By the lists of the shards, or by hashing where none has one.
+    /// Creates the shards. Hashing assigns the robots if no shard lists any.
     pub(crate) fn new(all: Vec<Shard>) -> Self {
         let is_hashed = all.iter().all(|shard| shard.robots.is_empty());
         let mut text = String::new();
@@ -43,7 +44,7 @@ impl Shards {
             text.push_str(&format!("{name}={workers:?}{robots:?};"));
         }
         let hash = fnv1a(text.bytes());
-        // 0 stands for a fleet that is not split.
+        // 0 is reserved for a fleet without shards.
         let digest = ((hash >> 32) as u32 ^ hash as u32).max(1);
         let hashes = all.iter().map(|shard| fnv1a(shard.name.bytes()));
         Self {
@@ -62,7 +63,7 @@ impl Shards {
         self.digest
     }
 
-    /// The shard of a robot: by lists `None` if none has it.
+    /// The shard of a robot. With lists `None` if no shard has it.
     pub(crate) fn of_robot(&self, robot: u32) -> Option<usize> {
         if !self.is_hashed {
             let has = |shard: &Shard| {
@@ -72,17 +73,17 @@ impl Shards {
             };
             return self.all.iter().position(has);
         }
-        // Rendezvous hashing: where a shard is added or removed, only robots of that shard move.
+        // Rendezvous hashing: adding or removing a shard moves only robots of that shard.
         let robot = mixed(robot.into());
         let places = self.hashes.iter().enumerate();
         let heaviest = places.max_by_key(|(at, hash)| (mixed(*hash ^ robot), *at));
         heaviest.map(|(at, _)| at)
     }
 
-    /// The shard that a link with this name speaks for.
+    /// The shard for which the link of this name is a candidate.
     pub(crate) fn of_worker(&self, link: &str) -> Option<usize> {
-        let speaks = |shard: &Shard| shard.workers.iter().any(|worker| worker == link);
-        self.all.iter().position(speaks)
+        let is_candidate = |shard: &Shard| shard.workers.iter().any(|worker| worker == link);
+        self.all.iter().position(is_candidate)
     }
 }
 

@@ -1,130 +1,133 @@
-//! The sending side of a stream: frames for one receiver, as many as it takes.
+//! The sending side of a stream: frames for one receiver, at the rate that its link carries.
 
 use std::collections::{BTreeMap, VecDeque};
 
 use crate::protocol::carried::Carried;
 use crate::protocol::message::{
-    FleetId, HEADS_BYTES, Outgoing, Request, Sender, Status, Voice, write_frame,
+    FleetId, HEADS_BYTES, LeaderStatus, Outgoing, Request, Sender, Status, write_frame,
 };
 
-/// A receiver that has not asked for so long is no longer sent anything.
-pub(crate) const SILENT_AFTER_NS: u64 = 1_500_000_000;
-/// How often a receiver is told the status, frames or not.
-pub(crate) const STATUS_EVERY_NS: u64 = 100_000_000;
-/// Frames of a service that may be on their way beside those that the way itself holds: one that is being sent, one
+/// Timeout of a receiver without requests. Its stream then ends.
+pub(crate) const SILENCE_TIMEOUT_NS: u64 = 1_500_000_000;
+/// Interval between statuses, whether or not frames are sent.
+pub(crate) const STATUS_INTERVAL_NS: u64 = 100_000_000;
+/// Maximum number of frames in flight beyond the bandwidth–delay product: one in transmission, one
 /// behind it.
-const MOST_UNHEARD: u64 = 2;
-/// Frames are sent about that often; only for the number that a long way holds.
-const FRAME_EVERY_NS: u64 = 25_000_000;
-/// A frame that has not been acknowledged for so long is lost.
-const LOST_AFTER_NS: u64 = 1_000_000_000;
+const MAX_EXTRA_IN_FLIGHT: u64 = 2;
+/// Assumed interval between frames, for the number in flight on a path with a long delay.
+const FRAME_INTERVAL_NS: u64 = 25_000_000;
+/// Timeout of an acknowledgement. The frame then counts as lost.
+const ACK_TIMEOUT_NS: u64 = 1_000_000_000;
 
-/// Statuses on their way that are remembered.
-const MOST_TOLD: usize = 64;
-/// Lanes before those without a frame are forgotten: sources come and go.
-const MOST_LANES: usize = 256;
+/// Maximum number of remembered statuses in flight.
+const MAX_STATUSES: usize = 64;
+/// Number of lanes above which idle ones are dropped, because sources come and go.
+const MAX_LANES: usize = 256;
 
 /// A frame in memory of this host.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LocalFrame<'a> {
     pub(crate) service: Carried,
-    /// The source of samples, since the frames of one do not replace those of another; 0 for all else.
+    /// The source of samples, because frames of one source do not replace those of another. 0 for
+    /// other services.
     pub(crate) source: u64,
-    /// The tick, by which every n-th is chosen; 0 for samples, of which all are sent.
+    /// The tick, for decimation. 0 for samples, which are all sent.
     pub(crate) tick: u64,
     pub(crate) header: &'a [u8],
     pub(crate) elements: &'a [u8],
 }
 
-/// Frames of a service, and of one source, that wait, and those that are on their way.
+/// The queue of one service and source: frames in flight and at most one that waits.
 #[derive(Debug, Default)]
 struct Lane {
-    /// Number and time of each message on its way.
-    unheard: VecDeque<(u64, u64)>,
-    /// The newest frame that could not be sent at once: its header and its elements.
+    /// Number and time of each message in flight.
+    in_flight: VecDeque<(u64, u64)>,
+    /// The newest frame that could not be sent at once: its header and elements.
     waiting: Option<(Vec<u8>, Vec<u8>)>,
 }
 
 impl Lane {
     fn is_idle(&self) -> bool {
-        self.waiting.is_none() && self.unheard.is_empty()
+        self.waiting.is_none() && self.in_flight.is_empty()
     }
 }
 
-/// What has been sent to a receiver.
+/// Totals of the frames sent to a receiver.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 pub(crate) struct Sent {
     pub(crate) frames: u64,
     pub(crate) bytes: u64,
-    /// Frames that were replaced by newer ones before the link was free.
+    /// Frames replaced by newer ones while the link was busy.
     pub(crate) dropped: u64,
-    /// Frames that were not acknowledged within a second.
+    /// Frames not acknowledged within a second.
     pub(crate) unheard: u64,
 }
 
 /// The frames for one receiver, from its first request until it is silent.
 #[derive(Debug)]
 pub(crate) struct Stream {
-    /// Its run is when the stream began: after a silence it is another.
+    /// Its run is the start of the stream. A stream after a silence has another run.
     sender: Sender,
     request: Request,
-    /// When the newest request was taken, monotonic ns.
-    heard_ns: u64,
+    /// When the newest request was received, monotonic ns.
+    received_ns: u64,
     /// Number of the last message.
     number: u64,
-    told_ns: u64,
-    /// Number and time of each status on its way: short, so what it takes is the way itself.
-    told: VecDeque<(u64, u64)>,
-    /// Shortest time from sending a status to its acknowledgement, ns.
+    status_ns: u64,
+    /// Number and time of each status in flight. Statuses are short, so their round trip measures
+    /// the delay of the path.
+    statuses: VecDeque<(u64, u64)>,
+    /// Shortest time from a status to its acknowledgement, ns.
     shortest_ns: u64,
-    lanes: BTreeMap<Place, Lane>,
+    lanes: BTreeMap<LaneKey, Lane>,
     /// [`Status::realtime_ns`].
     realtime_ns: u64,
     sent: Sent,
 }
 
 /// A service and the source of samples.
-type Place = (Carried, u64);
+type LaneKey = (Carried, u64);
 
 impl Stream {
-    /// The stream that a request begins.
+    /// Starts a stream for a receiver's first request.
     pub(crate) fn new(fleet: FleetId, request: Request, now_ns: u64) -> Self {
         Self {
             sender: Sender { fleet, run: now_ns },
             request,
-            heard_ns: now_ns,
+            received_ns: now_ns,
             number: 0,
-            told_ns: 0,
-            told: VecDeque::new(),
-            shortest_ns: LOST_AFTER_NS,
+            status_ns: 0,
+            statuses: VecDeque::new(),
+            shortest_ns: ACK_TIMEOUT_NS,
             lanes: BTreeMap::new(),
             realtime_ns: 0,
             sent: Sent::default(),
         }
     }
 
-    /// Takes a further request of the receiver, which arrived at `now_ns`. One that is late does no harm: it acknowledges
-    /// less, and the next one is right again.
+    /// Handles a further request, which arrived at `now_ns`. A late one does no harm: it
+    /// acknowledges less, and the next one corrects that.
     pub(crate) fn request(&mut self, request: Request, now_ns: u64) {
-        self.heard_ns = now_ns;
-        let (run, number) = request.heard;
-        // Numbers of another run, or not yet sent, acknowledge nothing.
+        self.received_ns = now_ns;
+        let (run, number) = request.acknowledged;
+        // Ignore the acknowledgement of another run or of messages not yet sent.
         if run == self.sender.run && number <= self.number {
-            self.heard(number, now_ns);
+            self.acknowledge(number, now_ns);
         }
         self.lanes
             .retain(|(service, _), _| request.selection.wants(*service));
         self.request = request;
     }
 
-    fn heard(&mut self, number: u64, now_ns: u64) {
+    fn acknowledge(&mut self, number: u64, now_ns: u64) {
         for lane in self.lanes.values_mut() {
-            let heard = lane.unheard.partition_point(|(sent, _)| *sent <= number);
-            lane.unheard.drain(..heard);
+            let count = lane.in_flight.partition_point(|(sent, _)| *sent <= number);
+            lane.in_flight.drain(..count);
         }
-        // Of those that one request acknowledges, only the last may have arrived just before it.
-        let heard = self.told.partition_point(|(sent, _)| *sent <= number);
-        if let Some((last, sent_ns)) = self.told.drain(..heard).next_back()
+        // One request may acknowledge several statuses. Only the last one may have
+        // arrived there just before.
+        let count = self.statuses.partition_point(|(sent, _)| *sent <= number);
+        if let Some((last, sent_ns)) = self.statuses.drain(..count).next_back()
             && last == number
         {
             let took_ns = now_ns.saturating_sub(sent_ns);
@@ -132,8 +135,8 @@ impl Stream {
         }
     }
 
-    /// What messages say of this host's realtime clock from now on: [`Status::realtime_ns`].
-    pub(crate) const fn tells(&mut self, realtime_ns: Option<u64>) {
+    /// Sets this host's realtime clock for further messages: [`Status::realtime_ns`].
+    pub(crate) const fn set_realtime(&mut self, realtime_ns: Option<u64>) {
         self.realtime_ns = match realtime_ns {
             Some(realtime_ns) => realtime_ns,
             None => 0,
@@ -142,10 +145,10 @@ impl Stream {
 
     /// Whether the receiver has been silent for too long.
     pub(crate) const fn is_over(&self, now_ns: u64) -> bool {
-        now_ns.saturating_sub(self.heard_ns) > SILENT_AFTER_NS
+        now_ns.saturating_sub(self.received_ns) > SILENCE_TIMEOUT_NS
     }
 
-    /// The receiver's selection.
+    /// The receiver's newest request.
     pub(crate) const fn request_of(&self) -> &Request {
         &self.request
     }
@@ -154,17 +157,17 @@ impl Stream {
         self.sent
     }
 
-    /// Whether a frame waits.
+    /// Whether a frame waits to be sent.
     pub(crate) fn waits(&self) -> bool {
         self.lanes.values().any(|lane| lane.waiting.is_some())
     }
 
-    /// A new frame: writes its message into `out` and returns true, or keeps it, in place of an older one, until
-    /// the receiver has acknowledged enough.
+    /// Offers a new frame. Writes its message into `out` and returns true, or holds the frame, in
+    /// place of an older one, until the receiver has acknowledged enough.
     pub(crate) fn offer(
         &mut self,
         frame: LocalFrame<'_>,
-        voice: Voice,
+        leader: LeaderStatus,
         now_ns: u64,
         out: &mut Vec<u8>,
     ) -> bool {
@@ -172,16 +175,16 @@ impl Stream {
         if !selection.wants(frame.service) || !selection.wants_tick(frame.tick) {
             return false;
         }
-        let place = (frame.service, frame.source);
-        if !self.lanes.contains_key(&place) && self.lanes.len() == MOST_LANES {
+        let key = (frame.service, frame.source);
+        if !self.lanes.contains_key(&key) && self.lanes.len() == MAX_LANES {
             self.lanes.retain(|_, lane| !lane.is_idle());
         }
-        let is_free = self.is_free(place, now_ns);
-        let lane = self.lanes.entry(place).or_default();
+        let is_free = self.is_free(key, now_ns);
+        let lane = self.lanes.entry(key).or_default();
         let older = lane.waiting.take();
         self.sent.dropped += u64::from(older.is_some());
         if is_free {
-            self.write((place, frame.header, frame.elements), voice, now_ns, out);
+            self.write((key, frame.header, frame.elements), leader, now_ns, out);
             return true;
         }
         let (mut header, mut elements) = older.unwrap_or_default();
@@ -193,90 +196,91 @@ impl Stream {
         false
     }
 
-    /// Writes what is due now into `out`, a frame that waited or the status; false if nothing is. Call it until it
-    /// returns false.
-    pub(crate) fn due(&mut self, voice: Voice, now_ns: u64, out: &mut Vec<u8>) -> bool {
-        let waits = |(place, lane): (&Place, &Lane)| lane.waiting.is_some().then_some(*place);
-        let waiting: Vec<Place> = self.lanes.iter().filter_map(waits).collect();
-        for place in waiting {
-            if self.is_free(place, now_ns)
+    /// Writes the next due message into `out`: a waiting frame or the status. Returns false if
+    /// there is none. Call it until then.
+    pub(crate) fn due(&mut self, leader: LeaderStatus, now_ns: u64, out: &mut Vec<u8>) -> bool {
+        let waits = |(key, lane): (&LaneKey, &Lane)| lane.waiting.is_some().then_some(*key);
+        let waiting: Vec<LaneKey> = self.lanes.iter().filter_map(waits).collect();
+        for key in waiting {
+            if self.is_free(key, now_ns)
                 && let Some((header, elements)) = self
                     .lanes
-                    .get_mut(&place)
+                    .get_mut(&key)
                     .and_then(|lane| lane.waiting.take())
             {
-                self.write((place, &header, &elements), voice, now_ns, out);
+                self.write((key, &header, &elements), leader, now_ns, out);
                 return true;
             }
         }
-        if now_ns.saturating_sub(self.told_ns) < STATUS_EVERY_NS {
+        if now_ns.saturating_sub(self.status_ns) < STATUS_INTERVAL_NS {
             return false;
         }
-        self.tell(voice, now_ns, out);
+        self.write_status(leader, now_ns, out);
         true
     }
 
-    /// Writes the status into `out`, whenever it was told last.
-    pub(crate) fn tell(&mut self, voice: Voice, now_ns: u64, out: &mut Vec<u8>) {
+    /// Writes the status into `out`, whenever the last one was sent.
+    pub(crate) fn write_status(&mut self, leader: LeaderStatus, now_ns: u64, out: &mut Vec<u8>) {
         self.number += 1;
-        self.told_ns = now_ns;
-        let status = self.status(voice, now_ns);
+        self.status_ns = now_ns;
+        let status = self.status(leader, now_ns);
         write_frame(out, (self.sender, self.number), status, None);
-        if self.told.len() == MOST_TOLD {
-            self.told.pop_front();
+        if self.statuses.len() == MAX_STATUSES {
+            self.statuses.pop_front();
         }
-        self.told.push_back((self.number, now_ns));
+        self.statuses.push_back((self.number, now_ns));
         self.sent.bytes += out.len() as u64;
     }
 
-    /// Whether a further frame of the lane may be on its way. One that is lost does not count for ever.
-    fn is_free(&mut self, place: Place, now_ns: u64) -> bool {
-        let Some(lane) = self.lanes.get_mut(&place) else {
+    /// Whether a further frame of the lane may be in flight. A lost frame stops counting after a
+    /// while.
+    fn is_free(&mut self, key: LaneKey, now_ns: u64) -> bool {
+        let Some(lane) = self.lanes.get_mut(&key) else {
             return true;
         };
-        let lost_after_ns = LOST_AFTER_NS.max(self.shortest_ns.saturating_mul(4));
+        let lost_after_ns = ACK_TIMEOUT_NS.max(self.shortest_ns.saturating_mul(4));
         let is_lost = |(_, sent_ns): &(u64, u64)| now_ns.saturating_sub(*sent_ns) > lost_after_ns;
-        while lane.unheard.front().is_some_and(is_lost) {
-            lane.unheard.pop_front();
+        while lane.in_flight.front().is_some_and(is_lost) {
+            lane.in_flight.pop_front();
             self.sent.unheard += 1;
         }
-        let on_the_way = self.shortest_ns / FRAME_EVERY_NS;
-        (lane.unheard.len() as u64) < MOST_UNHEARD + on_the_way
+        let on_the_way = self.shortest_ns / FRAME_INTERVAL_NS;
+        (lane.in_flight.len() as u64) < MAX_EXTRA_IN_FLIGHT + on_the_way
     }
 
     fn write(
         &mut self,
-        (place, header, elements): (Place, &[u8], &[u8]),
-        voice: Voice,
+        (key, header, elements): (LaneKey, &[u8], &[u8]),
+        leader: LeaderStatus,
         now_ns: u64,
         out: &mut Vec<u8>,
     ) {
         self.number += 1;
-        self.told_ns = now_ns;
-        let status = self.status(voice, now_ns);
+        self.status_ns = now_ns;
+        let status = self.status(leader, now_ns);
         out.clear();
-        // One allocation, also where only some robots are wanted.
+        // Reserve once, even if only some robots are selected.
         out.reserve(HEADS_BYTES + header.len() + elements.len());
-        let mut runs = self.request.selection.runs(place.0, elements);
+        let mut runs = self.request.selection.runs(key.0, elements);
         let frame = Some(Outgoing {
-            service: place.0,
+            service: key.0,
             header,
             elements: &mut runs,
         });
         write_frame(out, (self.sender, self.number), status, frame);
-        let lane = self.lanes.entry(place).or_default();
-        lane.unheard.push_back((self.number, now_ns));
+        let lane = self.lanes.entry(key).or_default();
+        lane.in_flight.push_back((self.number, now_ns));
         self.sent.frames += 1;
         self.sent.bytes += out.len() as u64;
     }
 
-    const fn status(&self, voice: Voice, now_ns: u64) -> Status {
+    const fn status(&self, leader: LeaderStatus, now_ns: u64) -> Status {
         Status {
             asked_ns: self.request.asked_ns,
-            heard_ns: self.heard_ns,
+            received_ns: self.received_ns,
             sent_ns: now_ns,
             dropped: self.sent.dropped,
-            voice,
+            leader,
             realtime_ns: self.realtime_ns,
         }
     }

@@ -1,21 +1,22 @@
-//! Realtime clocks that something keeps together, PTP for instance, and what follows for monotonic ones.
+//! Clock offsets from realtime clocks that are kept together, for instance by PTP.
 //!
-//! Realtime minus monotonic is a number that changes only where the realtime clock is set: Linux slews both alike. Each
-//! host tells its own. Where two realtime clocks differ by no more than `within`, the offset between the monotonic ones is
-//! the difference of the two numbers, give or take `within`, however long a message takes.
+//! Realtime minus monotonic changes only when the realtime clock is set, because Linux slews both
+//! alike. Each host sends its own difference. If two realtime clocks differ by at most `within`,
+//! the offset between the monotonic clocks is the difference of the two numbers ± `within`,
+//! whatever the delay of the message.
 
-/// Least time for which a realtime clock was not set before it is used, as long as the longest way of a message that counts:
-/// the number of its receiver was the same when it was sent.
+/// Minimum time since the realtime clock was set before it is used. It equals the longest delay of
+/// a message that counts, so that the receiver's number has not changed since the message was sent.
 pub(crate) const STEADY_NS: u64 = 10_000_000_000;
-/// The most by which the number may lie beside the one that is told.
+/// Maximum error of the reported clock offset.
 pub(crate) const READ_NS: u64 = 1_000;
 
-/// By how much readings may contradict each other: processors' counters, and the kernel's rounding.
+/// Tolerance between readings: processor counters and the kernel's rounding.
 const INEXACT_NS: u64 = 100;
 
-/// What this host's realtime clock says, and how far those of two hosts may be apart.
+/// This host's realtime clock, with the bound between the clocks of two hosts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Kept {
+pub(crate) struct RealtimeClock {
     /// Realtime minus monotonic, ns; never 0.
     pub(crate) realtime_ns: u64,
     pub(crate) within_ns: u64,
@@ -24,24 +25,25 @@ pub(crate) struct Kept {
 /// Both clocks of a host, read together.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Reading {
-    /// Monotonic ns.
+    /// Monotonic clock, ns.
     pub(crate) now_ns: u64,
     /// Bounds of realtime minus monotonic, ns.
     pub(crate) between_ns: (u64, u64),
-    /// Something keeps the realtime clock, as the kernel says.
+    /// The kernel reports the realtime clock as synchronised.
     pub(crate) is_synchronised: bool,
 }
 
-/// Realtime minus monotonic on this host, since the realtime clock was set last.
+/// Realtime minus monotonic on this host, since the realtime clock was last set.
 #[derive(Debug, Default)]
 pub(crate) struct Wall {
-    /// Bounds that hold for all readings since then.
+    /// Intersection of the bounds of all readings since then.
     between_ns: Option<(u64, u64)>,
     since_ns: u64,
 }
 
 impl Wall {
-    /// Takes note of a reading. The number, where the clock is kept and was not set for a while.
+    /// Adds a reading. Returns the difference if the clock is synchronised and was not set for a
+    /// while.
     pub(crate) fn note(&mut self, reading: Reading) -> Option<u64> {
         let (lo_ns, hi_ns) = reading.between_ns;
         let (lo_ns, hi_ns) = (
@@ -88,7 +90,7 @@ mod tests {
             assert_eq!(wall.note(read(at_s, (R, R + 80), true)), None, "{at_s}");
         }
         assert_eq!(wall.note(read(15, (R, R + 80), true)), Some(R + 40));
-        // Each reading narrows it, and one that was interrupted does not widen it.
+        // Each reading narrows the bounds. One that was interrupted does not widen them.
         assert_eq!(wall.note(read(16, (R + 60, R + 140), true)), Some(R + 70));
         assert_eq!(
             wall.note(read(17, (R - SECOND, R + 75), true)),

@@ -1,4 +1,5 @@
-//! Both sides of a stream over a simulated network that delays, loses, repeats, reorders and parts them.
+//! Both sides of a stream over a simulated network that delays, loses, repeats, reorders and
+//! partitions.
 
 use std::collections::BTreeMap;
 
@@ -11,16 +12,16 @@ use crate::protocol::offset::shifted;
 use crate::protocol::receiver::Receiver;
 use crate::protocol::selection::Selection;
 use crate::protocol::stream::{LocalFrame, Stream};
-use crate::protocol::wall::{Kept, READ_NS, Reading, Wall};
+use crate::protocol::wall::{READ_NS, Reading, RealtimeClock, Wall};
 
 const FLEET: FleetId = FleetId { name: 3, shards: 0 };
 const STEP_NS: u64 = 1_000_000;
 const TICK_NS: u64 = 33_000_000;
 const ROWS: usize = 4;
-/// The receiver's clock at the beginning, and how far the sender's is behind it.
+/// The receiver's clock at the start, and how far the sender's is behind it.
 const BEGIN_NS: u64 = 900_000_000_000;
 
-/// What the network does within a span of time.
+/// Conditions of the network for a span of time.
 #[derive(Debug, Clone, Copy)]
 struct Weather {
     delay_ns: u64,
@@ -38,10 +39,10 @@ const CALM: Weather = Weather {
     is_cut: false,
 };
 
-/// One way, with a bandwidth.
+/// One direction of the network, with a bandwidth.
 #[derive(Default)]
 struct Way {
-    /// By time of arrival and order of sending.
+    /// Messages in flight by time of arrival and order of sending.
     under_way: BTreeMap<(u64, u64), Vec<u8>>,
     sent: u64,
     free_ns: u64,
@@ -77,17 +78,17 @@ impl Way {
     }
 }
 
-/// Realtime clocks of both hosts, and the word of their operator.
+/// Realtime clocks of both hosts, and the operator's bound.
 #[derive(Default)]
 struct Clocks {
     within_ns: u64,
-    /// How far the sender's is ahead of the receiver's.
+    /// How far the sender's clock is ahead of the receiver's.
     apart_ns: i64,
-    /// The kernels say that something keeps them.
+    /// The kernels report the clocks as synchronised.
     is_synchronised: bool,
-    /// When the operator's word did not hold last: messages may be under way for some time.
+    /// When the operator's bound was last broken. Messages of that time may still be in flight.
     wrong_ns: Option<u64>,
-    /// Round trips have shown that it does not hold: it must not matter.
+    /// Round trips show that the bound is broken, so it must do no harm.
     is_shown: bool,
     there: Wall,
     here: Wall,
@@ -103,13 +104,13 @@ impl Clocks {
         }
     }
 
-    /// Whether nothing may look fresher than it is.
+    /// Whether no stamp may look fresher than it is.
     fn are_harmless(&self, now_ns: u64) -> bool {
         let was_right = |wrong_ns: u64| now_ns - wrong_ns > 10 * SECOND;
         self.is_shown || self.wrong_ns.is_none_or(was_right)
     }
 
-    /// What a host reads of both its clocks, a little inexactly.
+    /// A host's reading of both its clocks, slightly inexact.
     fn reading(&self, now_ns: u64, realtime_ns: i128) -> Reading {
         let lo_ns = u64::try_from(realtime_ns).unwrap();
         Reading {
@@ -120,7 +121,7 @@ impl Clocks {
     }
 }
 
-/// Two hosts, one fleet of ticks that begin when the simulation does.
+/// Two hosts, and one fleet whose ticks start with the simulation.
 struct Hosts {
     now_ns: u64,
     offset_ns: i128,
@@ -134,9 +135,9 @@ struct Hosts {
     tick: u64,
     sent: u64,
     dropped: u64,
-    /// Ticks that arrived, with the time at which they did.
+    /// Ticks that arrived, with their times of arrival.
     arrived: Vec<(u64, u64)>,
-    /// Requests of the receiver.
+    /// Number of the receiver's requests.
     asked: u64,
     out: Vec<u8>,
 }
@@ -210,7 +211,7 @@ impl Hosts {
         if let (Some(stream), Some(clocks)) = (&mut self.stream, &mut self.clocks) {
             let realtime_ns = REALTIME_NS + self.offset_ns + i128::from(clocks.apart_ns);
             let reading = clocks.reading(there_ns, realtime_ns);
-            stream.tells(clocks.there.note(reading));
+            stream.set_realtime(clocks.there.note(reading));
         }
         let ticks = (self.now_ns - BEGIN_NS) / TICK_NS;
         while self.tick < ticks {
@@ -253,11 +254,11 @@ impl Hosts {
             if let Some(clocks) = &mut self.clocks {
                 let reading = clocks.reading(self.now_ns, REALTIME_NS);
                 let within_ns = clocks.within_ns;
-                let kept = clocks.here.note(reading).map(|realtime_ns| Kept {
+                let kept = clocks.here.note(reading).map(|realtime_ns| RealtimeClock {
                     realtime_ns,
                     within_ns,
                 });
-                self.receiver.reads(kept);
+                self.receiver.set_clock(kept);
             }
             if let Ok(accepted) = self.receiver.take(&message, bytes.len(), self.now_ns) {
                 let header: ForecastHeader = accepted.frame.header();
@@ -273,8 +274,8 @@ impl Hosts {
                 self.arrived.push((header.tick, self.now_ns));
             }
         }
-        self.receiver.falls_silent(self.now_ns);
-        if let Some(request) = self.receiver.ask(self.now_ns) {
+        self.receiver.becomes_silent(self.now_ns);
+        if let Some(request) = self.receiver.request_if_due(self.now_ns) {
             self.asked += 1;
             self.back
                 .send(&request, self.now_ns, weather, u64::MAX / 2_000_000_000);
@@ -329,7 +330,7 @@ fn one_request_acknowledges_two_frames_where_the_way_is_free() {
 
 #[test]
 fn a_link_hardly_slower_than_the_fleet_carries_what_it_can() {
-    // 720 bytes a frame: one takes 36 to 80 ms.
+    // A frame has 720 bytes and takes 36 to 80 ms.
     for bytes_per_s in [9_000, 12_000, 15_000, 18_000, 20_000] {
         let mut hosts = Hosts::new(0, bytes_per_s, 1);
         hosts.run(60 * SECOND, CALM);
@@ -341,7 +342,7 @@ fn a_link_hardly_slower_than_the_fleet_carries_what_it_can() {
 
 #[test]
 fn a_link_slower_than_the_fleet_brings_the_newest_frames_and_counts_those_that_it_leaves_out() {
-    // A frame has about 700 bytes: 30 a second are 21 kB/s.
+    // A frame has about 700 bytes, so 30 a second are 21 kB/s.
     let mut hosts = Hosts::new(0, 7_000, 1);
     hosts.run(60 * SECOND, CALM);
     let late: Vec<u64> = hosts
@@ -370,23 +371,23 @@ fn after_a_partition_everything_goes_on_by_itself_and_silence_is_told_within_its
     for cut_ns in [SECOND / 2, 2 * SECOND, 60 * SECOND] {
         let mut hosts = Hosts::new(5_000, FAST, 1);
         hosts.run(5 * SECOND, CALM);
-        assert!(hosts.receiver.is_heard());
+        assert!(hosts.receiver.is_sending());
         let cut = Weather {
             is_cut: true,
             ..CALM
         };
         let from_ns = hosts.now_ns;
         hosts.run(cut_ns.min(1_400_000_000), cut);
-        assert!(hosts.receiver.is_heard());
+        assert!(hosts.receiver.is_sending());
         hosts.run(cut_ns.saturating_sub(1_400_000_000), cut);
         assert_eq!(
-            hosts.receiver.is_heard(),
+            hosts.receiver.is_sending(),
             cut_ns < SECOND,
-            "told within 1.6 s of {from_ns}"
+            "reported within 1.6 s of {from_ns}"
         );
         let healed_ns = hosts.now_ns;
         hosts.run(5 * SECOND, CALM);
-        assert!(hosts.receiver.is_heard());
+        assert!(hosts.receiver.is_sending());
         let back = hosts.arrived.iter().find(|(_, at_ns)| *at_ns > healed_ns);
         let (_, back_ns) = back.expect("frames come again");
         assert!(back_ns - healed_ns < SECOND, "{}", back_ns - healed_ns);
@@ -415,12 +416,12 @@ fn a_false_number_or_run_hides_nothing_and_a_time_that_lies_ahead_is_refused() {
     let mut hosts = Hosts::new(7_000, FAST, 1);
     hosts.run(2 * SECOND, CALM);
     for at in 0..50 {
-        // The newest real frame again, with one thing changed.
+        // The newest real frame again, with one change.
         let before = hosts.arrived.len();
         let stream = hosts.stream.as_mut().unwrap();
         let mut forged = Vec::new();
         let there_ns = u64::try_from(i128::from(hosts.now_ns) - hosts.offset_ns).unwrap();
-        stream.tell(Worker::Alive.into(), there_ns, &mut forged);
+        stream.write_status(Worker::Alive.into(), there_ns, &mut forged);
         let field = match at % 3 {
             0 => RUN,
             1 => NUMBER,
@@ -438,7 +439,7 @@ fn a_false_number_or_run_hides_nothing_and_a_time_that_lies_ahead_is_refused() {
         received.other_runs > 10 && received.future > 5,
         "{received:?}"
     );
-    // Each of the other runs spoke once, and the one that is heard went on.
+    // Each of the other runs sent once, and the accepted one continued.
     assert_eq!(received.contested, received.other_runs, "{received:?}");
     assert_eq!(hosts.receiver.offset().steps, 0);
 }
@@ -449,7 +450,7 @@ fn a_frame_that_says_it_was_sent_after_its_message_is_refused() {
     hosts.run(2 * SECOND, CALM);
     let at = SENT + 40 + std::mem::offset_of!(ForecastHeader, sent_ns);
     for ahead_ns in [1, SECOND, u64::MAX / 2] {
-        // The newest real frame that is under way.
+        // The newest real frame in flight.
         while hosts
             .there
             .under_way
@@ -481,7 +482,7 @@ fn a_frame_that_says_it_was_sent_after_its_message_is_refused() {
     assert!((29..=32).contains(&(hosts.arrived.len() - before)));
 }
 
-/// Where these fields begin in a message.
+/// Offsets of these fields in a message.
 const RUN: usize = 48;
 const NUMBER: usize = 56;
 const SENT: usize = 96;
@@ -533,7 +534,8 @@ proptest! {
         prop_assert!(came.abs_diff(hosts.tick - tick) <= 1, "{came} of {}", hosts.tick - tick);
         let received = hosts.receiver.received();
         prop_assert_eq!(received.frames, hosts.arrived.len() as u64);
-        // Messages of a run may arrive after the first of the next one, which its sender began after a silence.
+        // Messages of a run may arrive after the first one of the next run, which the sender starts
+        // after a silence.
         prop_assert!(received.contested == 0 || hosts.streams > 1);
         prop_assert!(hosts.arrived.len() as u64 <= hosts.tick);
         let late_ns = hosts.age_ns(*ticks.last().unwrap(), hosts.arrived.last().unwrap().1);
@@ -553,8 +555,9 @@ fn clocks() -> impl Strategy<Value = (i64, bool)> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(60))]
 
-    /// 60 histories of weather and of realtime clocks that are right, wrong, set, and not kept at all. Where the operator's word
-    /// holds nothing looks fresher than it is, in any case nothing is from the future, and calm brings the stated uncertainty.
+    /// 60 histories of a faulty network and of realtime clocks that are right, wrong, set, or not
+    /// synchronised. If the operator's bound holds, no stamp looks fresher than it is. In any case
+    /// none is from the future, and a calm network restores the stated uncertainty.
     #[test]
     fn with_realtime_clocks_in_any_weather_nothing_looks_fresher_than_it_is(
         spans in prop::collection::vec((weather(), clocks()), 1..10),
@@ -576,7 +579,7 @@ proptest! {
         hosts.run(75 * SECOND, CALM);
         let offset = hosts.receiver.offset();
         let uncertain_ns = offset.uncertainty_ns(hosts.now_ns).unwrap();
-        prop_assert_eq!(offset.is_kept(hosts.now_ns), at_last_ns == 0);
+        prop_assert_eq!(offset.uses_realtime(hosts.now_ns), at_last_ns == 0);
         if at_last_ns == 0 {
             let most_ns = 2 * within_ns + 20 * READ_NS;
             prop_assert!(uncertain_ns <= most_ns, "{uncertain_ns} of {most_ns}");

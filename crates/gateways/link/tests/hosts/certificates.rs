@@ -1,5 +1,5 @@
-//! Mutual TLS with certificates of a fleet's own authority. Needs `openssl`: without it these tests say so and pass, and with
-//! `CI=true` they fail.
+//! Mutual TLS with certificates of the fleet's own authority. Needs `openssl`: without it these
+//! tests log that they skip, and with `CI=true` they fail.
 
 use std::fs;
 use std::path::Path;
@@ -11,7 +11,7 @@ use zenoh::Wait as _;
 
 use crate::host::{FOLLOW, Host, SAMPLES, free_address, has_lost_edge, is_asked_by};
 
-/// Makes certificates as the documentation says, valid for `days`.
+/// Makes certificates as the documentation describes, valid for `days`.
 pub(crate) fn certificates(folder: &Path, days: u32, hosts: &[&str]) -> bool {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../tools/fleet_certificates.sh");
     let hosts = hosts.iter().map(|name| format!("{name}=127.0.0.1"));
@@ -31,13 +31,13 @@ pub(crate) fn certificates(folder: &Path, days: u32, hosts: &[&str]) -> bool {
     is_made
 }
 
-/// A link's file with the certificate of `of` in `folder`.
+/// A link's file that uses the certificate of `of` in `folder`.
 fn file(name: &str, of: &str, folder: &Path, network: &str, sides: &str) -> String {
     let tls = tls(folder, of);
     format!("name = \"{name}\"\n[network]\n{network}\n{tls}\n{sides}")
 }
 
-/// The part of a link's file with the certificate of `of` in `folder`.
+/// The TLS section of a link's file with the certificate of `of` in `folder`.
 pub(crate) fn tls(folder: &Path, of: &str) -> String {
     let folder = folder.display();
     format!(
@@ -58,7 +58,7 @@ fn only_certificates_of_the_fleets_authority_are_let_in_and_samples_come_under_t
         return;
     }
     certificates(&other, 30, &["desk"]);
-    // Over when it is used.
+    // Expires before it is used.
     certificates(&own, 0, &["late"]);
     let address = free_address().replacen("tcp", "tls", 1);
     let base = Host::new();
@@ -67,9 +67,9 @@ fn only_certificates_of_the_fleets_authority_are_let_in_and_samples_come_under_t
     let connect = format!("connect = [\"{address}\"]");
     let takes = "[worker]\n[[worker.take]]\nfrom = \"edge\"\n";
     let mut link = base.link(&file("base", "base", &own, &listen, takes));
-    // A planner gets frames only once a sample was taken.
+    // A planner gets frames only after a sample was accepted.
     let mut before = 0;
-    // The robots' host, and then a planners' host that says to be it.
+    // The robots' host, and then a planners' host that uses the robots' host's name.
     for (certificate, authority, is_let_in, may_publish) in [
         ("edge", &own, true, true),
         ("desk", &own, true, false),
@@ -98,7 +98,7 @@ fn only_certificates_of_the_fleets_authority_are_let_in_and_samples_come_under_t
         let given = report["given"][0]["frames"].as_u64().unwrap_or(0);
         assert_eq!(given > 0, is_let_in, "{certificate}: {report}");
         if may_publish {
-            // After its last samples; the worker takes them with its next tick.
+            // The last samples are still in flight: the worker takes them at its next tick.
             eventually("the end of the link is known", || has_lost_edge(&link));
         }
         let mut beside = base.planner();
@@ -112,7 +112,7 @@ fn only_certificates_of_the_fleets_authority_are_let_in_and_samples_come_under_t
     assert!(frames(&mut link) > 10);
 }
 
-/// Whether a stranger gets a connection, with this certificate and key or with none.
+/// Whether a stranger can connect, with this certificate and key or with none.
 fn connects(address: &str, authority: &Path, certificate: Option<&str>) -> bool {
     let mut config = zenoh::Config::default();
     let mut set = |key: &str, value: String| config.insert_json5(key, &value).unwrap();
@@ -162,11 +162,11 @@ fn who_shows_no_certificate_gets_no_connection() {
     let _worker = base.worker();
     let listen = format!("listen = [\"{address}\"]");
     let link = base.link(&file("base", "base", folder.path(), &listen, "[worker]\n"));
-    // It gives up after three seconds.
+    // The connection attempt ends after three seconds.
     eventually("a connection", || {
         connects(&address, folder.path(), Some("desk"))
     });
-    // A connection with TLS is lost where another thread writes it than reads it.
+    // A TLS connection breaks if one thread writes it while another reads it.
     let threads = threads(link.pid());
     let has = |name: &str| threads.iter().any(|it| it.starts_with(name));
     assert!(has("rx-") && !has("tx-"), "{threads:?}");
@@ -176,7 +176,7 @@ fn who_shows_no_certificate_gets_no_connection() {
 /// Samples that the worker has accepted.
 fn accepted(base: &Host) -> u64 {
     let mut accepted = None;
-    eventually("the worker is heard", || {
+    eventually("the worker is connected", || {
         let watched = base.watched();
         accepted = watched.and_then(|watched| watched["samples_accepted"].as_u64());
         accepted.is_some()

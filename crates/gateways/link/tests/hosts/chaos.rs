@@ -1,4 +1,5 @@
-//! Cuts, kills and stops of everything between robots and planners, at random: what was promised holds after each, and at the end.
+//! Random cuts, kills and pauses of everything between robots and planners. The promises are
+//! checked after each fault and at the end.
 
 use std::time::Duration;
 
@@ -10,11 +11,11 @@ use crate::host::{FOLLOW, Host, SAMPLES, of_other, of_worker};
 use crate::namespaces::{Wires, listening};
 use crate::planner::Reader;
 
-/// Faults in the gate; more by this variable.
+/// Number of faults in the gate. The variable allows more.
 pub(crate) const FAULTS: usize = 6;
 pub(crate) const MORE: &str = "JOULEBUS_LINK_FAULTS";
 
-/// Numbers that look random and are the same in each run.
+/// A pseudo-random sequence that is the same in every run.
 pub(crate) struct Chance(pub(crate) u64);
 
 impl Chance {
@@ -31,7 +32,7 @@ impl Chance {
     }
 }
 
-/// Robots on one host, their worker on another, a planner beside the robots.
+/// Robots on one host, their worker on another, and a planner beside the robots.
 struct Fleet {
     wires: Wires,
     here: Host,
@@ -49,7 +50,7 @@ impl Fleet {
         of_other("edge", &listening(), &format!("{SAMPLES}{FOLLOW}"))
     }
 
-    /// One fault, and its end.
+    /// Injects one fault, and removes it.
     fn fault(&mut self, chance: &mut Chance) -> &'static str {
         match chance.below(6) {
             0 => self.cut(chance.while_s(900), "a short cut"),
@@ -93,7 +94,8 @@ impl Fleet {
     }
 }
 
-/// Reads on until a sample that was taken after this call is forecast; nothing comes twice, backwards or from the future.
+/// Reads until a frame has a sample that was taken after this call. No frame may come twice,
+/// backwards or from the future.
 fn goes_on(planner: &mut Reader, last: &mut (u64, u64), after: &str) {
     let now_ns = joulebus_bus::clock::monotonic_ns();
     loop {
@@ -108,7 +110,8 @@ fn goes_on(planner: &mut Reader, last: &mut (u64, u64), after: &str) {
     }
 }
 
-/// What a host says of each robot's ledger: robot, energy, metered and unmetered time; nothing where it hears no worker.
+/// A host's ledger of each robot: robot, energy, metered and unmetered time. Empty while the host
+/// has no worker.
 fn ledgers(host: &Host) -> Vec<[Value; 4]> {
     let Some(report) = host.watched() else {
         return Vec::new();
@@ -141,7 +144,7 @@ fn through_cuts_kills_and_stops_frames_stay_in_order_and_ledgers_and_samples_are
     goes_on(&mut planner, &mut last, "the start");
     for at in 0..faults {
         let fault = fleet.fault(&mut chance);
-        // A link that was killed was the worker's end to those beside it: they find the next one.
+        // Programs beside a killed link took it for the end of the worker. They find the next one.
         goes_on(&mut planner, &mut last, fault);
         if faults > FAULTS {
             println!("figure: {} of {faults}: {fault}", at + 1);
@@ -149,9 +152,9 @@ fn through_cuts_kills_and_stops_frames_stay_in_order_and_ledgers_and_samples_are
     }
     planner.leave();
     let sent = robots.end().json()["samples_sent"].as_u64().unwrap();
-    // All that was sent has come, and what did not is known.
+    // Every sample sent has arrived or is counted as lost.
     let mut own = Vec::new();
-    eventually("both hosts say the same", || {
+    eventually("both hosts report the same", || {
         own = ledgers(&fleet.here);
         own.len() == 3 && own == ledgers(&fleet.there)
     });

@@ -1,5 +1,5 @@
-//! A real etcd server: `JOULEBUS_ETCD`, or the one that is installed. Without one these tests say so and pass, and with
-//! `CI=true` they fail.
+//! A real etcd server: the one of `JOULEBUS_ETCD`, or an installed one. Without one these tests log
+//! that they skip, and with `CI=true` they fail.
 
 use std::io::{Read as _, Write as _};
 use std::net::TcpStream;
@@ -9,19 +9,20 @@ use std::process::Command;
 use joulebus_testkit::{Child, eventually};
 use rustix::process::Signal;
 
-/// A server with data of its own, which survive its restarts.
+/// A server with its own data, which survives its restarts.
 pub(crate) struct Etcd {
     directory: tempfile::TempDir,
     host: String,
     port: u16,
     around: Box<dyn Fn(&Command) -> Command>,
-    /// Folder with `fleet-ca.pem`, `etcd.pem` and `etcd.key`, where it talks to those with a certificate of that authority only.
+    /// Folder with `fleet-ca.pem`, `etcd.pem` and `etcd.key`. The server then accepts only clients
+    /// with a certificate of that authority.
     certificates: Option<PathBuf>,
     server: Option<Child>,
 }
 
 impl Etcd {
-    /// Starts one on `host`, an address; `around`: what makes a command one of that host.
+    /// Starts a server on the address `host`. `around` turns a command into one of that host.
     pub(crate) fn start(
         host: &str,
         port: u16,
@@ -30,7 +31,7 @@ impl Etcd {
         Self::start_with(host, port, around, None)
     }
 
-    /// As [`Etcd::start`], with certificates.
+    /// Same as [`Etcd::start`], with certificates.
     pub(crate) fn start_with(
         host: &str,
         port: u16,
@@ -50,7 +51,7 @@ impl Etcd {
             return None;
         }
         let mut etcd = Self {
-            // In memory: while a disk is busy etcd renews no lease.
+            // In memory, because etcd renews no lease while a disk is busy.
             directory: tempfile::tempdir_in("/dev/shm").unwrap(),
             host: host.to_owned(),
             port,
@@ -74,7 +75,7 @@ impl Etcd {
         let mut command = Command::new(named.unwrap_or_else(|| "etcd".into()));
         command.args(["--listen-client-urls", &endpoint]);
         command.args(["--advertise-client-urls", &endpoint]);
-        // Alone, and still it wants a port for others: one that the system chooses.
+        // A single member still needs a peer port. Let the system choose it.
         command.args(["--listen-peer-urls", "http://127.0.0.1:0"]);
         command.arg("--data-dir").arg(self.directory.path());
         if let Some(folder) = &self.certificates {
@@ -90,7 +91,7 @@ impl Etcd {
         self.server = Some(server);
     }
 
-    /// The server dies.
+    /// Kills the server.
     pub(crate) fn kill(&mut self) {
         if let Some(server) = &mut self.server {
             server.kill();
@@ -111,7 +112,7 @@ impl Etcd {
         }
     }
 
-    /// Posts to its gateway, on this host.
+    /// Posts to the server's gateway from this host.
     pub(crate) fn post(&self, verb: &str, body: &str) -> String {
         let mut answer = String::new();
         eventually("etcd answers", || {

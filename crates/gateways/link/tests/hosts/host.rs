@@ -1,4 +1,4 @@
-//! A host: shared memory of its own, in a network namespace of its own where the test makes one.
+//! A host of a test: its own shared memory, and its own network namespace if the test makes one.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -27,7 +27,7 @@ impl Host {
         Self::within(None)
     }
 
-    /// A host of a fleet with so many robots.
+    /// Creates a host of a fleet with that many robots.
     pub(crate) fn of(robots: usize) -> Self {
         Self::with(None, robots)
     }
@@ -61,14 +61,16 @@ impl Host {
         self.directory.path().join("fleet.toml")
     }
 
-    /// What this host is told of its fleet; `None` where no frame comes within the three seconds that the watch waits.
+    /// The fleet as this host sees it. `None` if no frame comes within the three seconds of the
+    /// watch.
     pub(crate) fn watched(&self) -> Option<Value> {
         let words = ["watch", "--once", "--format", "json"];
         let watched = Child::spawn("watch", self.joulebus(&words)).wait();
         (watched.code() == Some(0)).then(|| watched.json())
     }
 
-    /// Samples that the worker of this host says to have accepted or dropped; `None` where it is not heard.
+    /// Number of samples that this host's worker has accepted or dropped. `None` while it is not
+    /// seen.
     pub(crate) fn known_samples(&self) -> Option<u64> {
         let report = self.watched()?;
         let dropped = report["samples_dropped"].as_object()?.values();
@@ -76,7 +78,7 @@ impl Host {
         Some(report["samples_accepted"].as_u64()? + dropped)
     }
 
-    /// Puts a file beside this host's others.
+    /// Writes a file beside this host's other files.
     pub(crate) fn write(&self, name: &str, text: &str) {
         fs::write(self.directory.path().join(name), text).unwrap();
     }
@@ -94,7 +96,7 @@ impl Host {
         command
     }
 
-    /// `joulebus` with these words and this host's config.
+    /// The `joulebus` program with these arguments and this host's config.
     pub(crate) fn joulebus(&self, words: &[&str]) -> Command {
         let mut command = self.command(joulebus());
         command.args(words).arg("--config").arg(self.config());
@@ -113,7 +115,7 @@ impl Host {
         Child::spawn("sim", self.joulebus(&words))
     }
 
-    /// A link of this file, not started.
+    /// The command of a link with this file, not started.
     pub(crate) fn link_command(&self, text: &str) -> Command {
         let path = self.directory.path().join("link.toml");
         fs::write(&path, text).unwrap();
@@ -123,7 +125,7 @@ impl Host {
         command
     }
 
-    /// Starts a link, and waits until it is open.
+    /// Starts a link with this file, and waits until it is open.
     pub(crate) fn link(&self, text: &str) -> Child {
         let mut command = self.link_command(text);
         command.env("JOULEBUS_LOG", "joulebus_link=debug");
@@ -136,43 +138,43 @@ impl Host {
         Reader::join(&self.config())
     }
 
-    /// Files left behind by the fleet.
+    /// Files that the fleet has left behind.
     pub(crate) fn stale_files(&self) -> Vec<PathBuf> {
         let domain = Config::load(self.config()).unwrap().domain().unwrap();
         left_behind(domain.shm_prefix(), domain.root())
     }
 }
 
-/// Waits until a link has been asked for its frames by the one of that name: from then on it gives them.
+/// Waits until the named link has requested frames of `link`, which sends them from then on.
 pub(crate) fn is_asked_by(link: &Child, name: &str) {
-    let says = format!("link {name} asks for ");
-    // Perhaps before it said that it is open.
-    eventually(&says, || link.errors().contains(&says));
+    let expected = format!("link {name} asks for ");
+    // The request may arrive before the link logs that it is open.
+    eventually(&expected, || link.errors().contains(&expected));
 }
 
-/// Whether a link has said that the one of the robots' host is gone or silent.
+/// Whether the link has logged that the robots' host is gone or silent.
 pub(crate) fn has_lost_edge(link: &Child) -> bool {
-    let said = link.errors();
-    said.contains("the link of edge is gone") || said.contains("no samples come from edge")
+    let errors = link.errors();
+    errors.contains("the link of edge is gone") || errors.contains("no samples come from edge")
 }
 
-/// Times that a scene is played which was disturbed.
+/// Maximum number of attempts at a scene.
 pub(crate) const ATTEMPTS: usize = 5;
 
-/// Plays a scene in which no message may be lost while its links hear each other, until they did all the time. `scene` returns
-/// how often one heard nothing: a link that gets no processor for a second is taken for gone, and what was on its way to it is
-/// lost, and counted, as is promised.
+/// Repeats a scene that allows no lost message until all its links stayed connected. `scene`
+/// returns how often a link received nothing. A link that gets no processor for a second counts as
+/// gone, and its messages in flight are lost and counted, as promised.
 pub(crate) fn undisturbed(mut scene: impl FnMut() -> u64) {
     let is_undisturbed = (0..ATTEMPTS).any(|_| scene() == 0);
     assert!(is_undisturbed, "nothing came for a while, {ATTEMPTS} times");
 }
 
-/// An address of this host that nobody listens on, and no other test gets.
+/// An address of this host that nobody listens on and no other test gets.
 pub(crate) fn free_address() -> String {
     format!("tcp/127.0.0.1:{}", free_port())
 }
 
-/// The file of the worker's link.
+/// The file of a worker's link.
 pub(crate) fn of_worker(address: &str, takes: &[&str]) -> String {
     let takes: String = takes
         .iter()

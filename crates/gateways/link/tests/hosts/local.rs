@@ -20,7 +20,8 @@ fn planners_elsewhere_read_the_bits_of_the_worker_and_nothing_looks_fresher_than
     undisturbed(read_elsewhere);
 }
 
-/// Frames in which a clock may not be known well yet: each round trip bounds it, and the first ones may take long.
+/// Frames that may precede a good clock offset: each round trip bounds it, and the first ones may
+/// be slow.
 const EARLY: usize = 30;
 
 /// Returns how often nothing came from the worker's link.
@@ -56,7 +57,7 @@ fn read_elsewhere() -> u64 {
     }
     near.leave();
     far.leave();
-    // Programs that need more than forecasts; each gives up after 3 s.
+    // Programs that need more than forecasts. Each times out after 3 s.
     eventually("it is watched", || there.known_samples().is_some());
     eventually("it is answered", || {
         let asked = ["ask", "--robot", "2", "--idle", "3", "--format", "json"];
@@ -93,7 +94,7 @@ fn samples_of_another_host() -> u64 {
     let worker = here.worker();
     let base = here.link(&of_worker(&address, &["edge"]));
     let edge = there.link(&of_other("edge", &address, &format!("{SAMPLES}{FOLLOW}")));
-    // What is published before is not given.
+    // Samples published before the request are not sent.
     is_asked_by(&edge, "base");
     let mut robots = there.robots(&[
         "--format",
@@ -105,7 +106,7 @@ fn samples_of_another_host() -> u64 {
         "--name",
         "edge-robots",
     ]);
-    // A robots' host reads forecasts of its own robots, too.
+    // A robots' host also reads forecasts of its own robots.
     let mut planner = there.planner();
     let mut known = 0;
     while known < 100 {
@@ -120,11 +121,11 @@ fn samples_of_another_host() -> u64 {
     let robots = robots.wait();
     assert_eq!(robots.code(), Some(0), "{robots:?}");
     let sent = robots.json()["samples_sent"].as_u64().unwrap();
-    // The last ones are not known of where they were lost with their link.
+    // The last samples are unknown if they were lost with their link.
     eventually("all samples are accounted for", || {
         here.known_samples() == Some(sent) || has_lost_edge(&base)
     });
-    // Before the other one: its end is no silence.
+    // End the base first: its end then counts as no silence.
     let base = ended(base);
     ended(edge);
     let taken = base.json()["taken"][0].clone();
@@ -187,7 +188,7 @@ fn clocks_that_are_kept_together_bound_the_uncertainty_where_the_kernel_says_tha
     let desk = there.link(&format!("{}{kept}", of_other("desk", &address, FOLLOW)));
     let mut planner = there.planner();
     let begun = std::time::Instant::now();
-    // Not before a clock was not set for ten seconds.
+    // The clock must not have been set for ten seconds.
     while begun.elapsed() < Duration::from_secs(13) {
         let frame = planner.frame();
         assert!(frame.sent_ns <= frame.read_ns);
@@ -215,10 +216,11 @@ fn links_and_workers_start_in_any_order_and_one_that_is_not_there_keeps_none_fro
          {SAMPLES}{FOLLOW}"
     );
     let desk = there.link(&text);
-    // Nobody answers for longer than it may take to try all of them, and that is told.
-    eventually("it is told that nobody answers", || {
-        let said = desk.errors();
-        said.contains("nothing has come from base so far") && said.contains("base has not asked")
+    // No router answers for longer than an attempt at all of them may take, and that is logged.
+    eventually("it is logged that nobody answers", || {
+        let errors = desk.errors();
+        errors.contains("nothing has come from base so far")
+            && errors.contains("base has not asked")
     });
     for (host, address) in [(&first, &other), (&second, &one)] {
         let worker = host.worker();
@@ -234,8 +236,9 @@ fn links_and_workers_start_in_any_order_and_one_that_is_not_there_keeps_none_fro
     let _ = ended(desk);
 }
 
-/// `ends` begins a part of the fleet, waits until the planner reads, and ends the part; until the planner is told so. A link
-/// that gets no processor for a second is taken for gone before, as is promised.
+/// `ends` starts a part of the fleet, waits until the planner reads, and ends the part. Repeated
+/// until the planner sees the expected end: a link that gets no processor for a second counts as
+/// gone before that, as promised.
 fn gone_as(planner: &mut Reader, expected: &str, mut ends: impl FnMut(&mut Reader)) {
     for _ in 0..ATTEMPTS {
         ends(planner);
@@ -271,12 +274,12 @@ fn planners_elsewhere_learn_how_a_worker_ended_and_read_the_next_one_without_joi
     });
     let _worker = here.worker();
     planner.fresh();
-    // The link of its host is killed: the worker may run.
+    // The link of the worker's host is killed. The worker may still run.
     base.kill();
     assert_eq!(planner.gone(), "Unreachable");
     let mut base = here.link(&of_worker(&address, &[]));
     planner.fresh();
-    // It is asked to end.
+    // The link is asked to end.
     assert_eq!(base.end().code(), Some(0));
     assert_eq!(planner.gone(), "Unreachable");
     let _base = here.link(&of_worker(&address, &[]));
@@ -309,11 +312,11 @@ fn a_receiver_gets_the_ticks_and_robots_that_it_asks_for() {
     let (mut near, mut planner) = (here.planner(), there.planner());
     let period_ns = near.frame().period_ns;
     let (mut ticks, mut last_read_ns) = (Vec::new(), 0);
-    // Not one of twenty pairs in a row without a loss between them: then nothing is consecutive.
+    // Without twenty pairs in a row that lost nothing, no ticks are consecutive.
     while ticks.len() < 8 || !(ticks.windows(2).any(|pair| pair[1] == pair[0] + 1)) {
         assert!(ticks.len() < 20, "{ticks:?}");
         let frame = planner.frame();
-        // Stale is what is older than two periods of the frames that were asked for.
+        // A frame is stale if it is older than two periods of the requested frames.
         assert_eq!(frame.period_ns, 5 * period_ns);
         let mut robots = frame.rows.iter().map(|row| row.robot);
         assert!(
@@ -323,7 +326,7 @@ fn a_receiver_gets_the_ticks_and_robots_that_it_asks_for() {
         ticks.push(frame.tick);
         last_read_ns = frame.read_ns;
     }
-    // The worker's, of which one in five is told: one that was sent later is later.
+    // The worker sends every fifth of its frames. A later one has a later time.
     let mut later = near.frame();
     while later.sent_ns < last_read_ns {
         later = near.frame();

@@ -1,4 +1,4 @@
-//! Real links between hosts with shared memory of their own: real workers, robots and planners.
+//! Real links between hosts with their own shared memory, workers, robots and planners.
 #![forbid(unsafe_code)]
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 

@@ -1,5 +1,5 @@
-//! Hosts in network namespaces, joined by virtual cables that are cut and have delay. Needs root and `ip`: without them these
-//! tests say so and pass, and with `CI=true` they fail.
+//! Hosts in network namespaces, joined by virtual cables that have delay and can be cut. Needs root
+//! and `ip`: without them these tests log that they skip, and with `CI=true` they fail.
 
 use std::io::{BufRead as _, BufReader};
 use std::process::{Command, Stdio};
@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use crate::host::{FOLLOW, Host, SAMPLES, of_other, of_worker, undisturbed};
 
-/// Some hosts with an address each, on one switch.
+/// Hosts with an address each, on one switch.
 pub(crate) struct Wires {
     names: Vec<String>,
     switch: String,
@@ -23,7 +23,7 @@ fn ip(words: &str) -> bool {
 }
 
 impl Wires {
-    /// `None` where namespaces cannot be made.
+    /// Makes the hosts. `None` where namespaces cannot be made.
     pub(crate) fn new(hosts: usize) -> Option<Self> {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let prefix = format!(
@@ -77,7 +77,7 @@ impl Wires {
         Host::within(Some(self.names[at].clone()))
     }
 
-    /// A command on a host.
+    /// A command that runs on a host.
     pub(crate) fn within(&self, at: usize, command: &Command) -> Command {
         let mut within = Command::new("ip");
         within.args(["netns", "exec", &self.names[at]]);
@@ -85,7 +85,8 @@ impl Wires {
         within
     }
 
-    /// A further way between the first two hosts: 40 to 60 ms each way, one packet of a hundred lost, the others out of order.
+    /// Adds a second path between the first two hosts: 40 to 60 ms in each direction, with 1 % of
+    /// the packets lost and the others reordered.
     fn long_way(&self) -> Way {
         let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/hosts/wan.py");
         let mut command = Command::new("python3");
@@ -99,14 +100,14 @@ impl Wires {
         way
     }
 
-    /// Cuts or mends the cable of a host; packets are lost in silence.
+    /// Cuts or restores the cable of a host. Packets are lost silently.
     pub(crate) fn set(&self, host: usize, is_whole: bool) {
         let state = if is_whole { "up" } else { "down" };
         assert!(ip(&format!("-n {} link set p{host} {state}", self.switch)));
     }
 }
 
-/// The process that passes packets on.
+/// The process that forwards packets.
 struct Way(std::process::Child);
 
 impl Drop for Way {
@@ -169,7 +170,7 @@ fn a_partition_is_told_within_its_bound_and_after_it_all_goes_on_by_itself() {
     let dropped = report["samples_dropped"].as_object().unwrap().values();
     let dropped: u64 = dropped.filter_map(serde_json::Value::as_u64).sum();
     let known = report["samples_accepted"].as_u64().unwrap() + dropped;
-    // Those after the last frame that came are not known to have been sent.
+    // Frames after the last one that arrived are not known to have been sent.
     assert!(known <= sent, "{known} of {sent}: {report}");
     assert!(dropped > 0, "the cut's samples are counted: {report}");
     assert_eq!((here.stale_files(), there.stale_files()), (vec![], vec![]));
@@ -198,7 +199,8 @@ fn over_a_long_way() -> u64 {
         let frame = planner.frame();
         assert!((frame.epoch, frame.tick) > last, "{last:?} {frame:?}");
         last = (frame.epoch, frame.tick);
-        // All clocks are this machine's: what was sent over there was sent at least the shortest way ago.
+        // All clocks are this machine's. A frame from the other host is at least one shortest path
+        // delay old.
         let age_ns = frame.read_ns.checked_sub(frame.sent_ns);
         assert!(
             age_ns.is_some_and(|age_ns| age_ns >= 40_000_000),
@@ -211,7 +213,7 @@ fn over_a_long_way() -> u64 {
     let silences = taken["silences"].as_u64().unwrap();
     let is_whole = taken["lost"] == 0 && taken["repeated"] == 0;
     assert!(silences > 0 || is_whole, "{report}");
-    // Half the round trip at most, and what the clocks may drift.
+    // At most half the round trip, plus the possible drift of the clocks.
     let uncertainty_s = taken["clock_uncertainty_s"].as_f64();
     let is_known = uncertainty_s.is_some_and(|uncertainty_s| (0.0..0.5).contains(&uncertainty_s));
     assert!(silences > 0 || is_known, "{report}");

@@ -1,20 +1,20 @@
-//! A planner in a process of its own, as on a host of its own: it tells the test what it reads.
+//! A planner in a process of its own, as on a separate host. It reports to the test what it reads.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use joulebus_bus::clock;
-use joulebus_consumer::{Event, Planner};
+use joulebus_consumer::{Event, Subscriber};
 use joulebus_testkit::{Member, send_to_test};
 use joulebus_wire::Forecast;
 use serde::{Deserialize, Serialize};
 
 const CONFIG: &str = "JOULEBUS_LINK_PLANNER";
 
-/// Rows of a frame that the test is told.
+/// Maximum number of rows of a frame that are reported.
 const ROWS: usize = 10;
 
-/// A forecast: its times, and all else as it lies in memory.
+/// A forecast: its times, and the other fields as they lie in memory.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Row {
     pub(crate) robot: u32,
@@ -36,19 +36,19 @@ pub(crate) struct Frame {
     pub(crate) rows: Vec<Row>,
 }
 
-/// What a planner saw.
+/// What a planner has read.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(crate) enum Seen {
     Frame(Frame),
     Gone(String),
 }
 
-/// The process: until it is killed.
+/// The planner's process, which runs until it is killed.
 pub(crate) fn run() {
     let Some(config) = std::env::var_os(CONFIG) else {
         return;
     };
-    let mut planner = Planner::connect(PathBuf::from(config)).unwrap();
+    let mut planner = Subscriber::connect(PathBuf::from(config)).unwrap();
     send_to_test("joined");
     loop {
         let runs = planner.counts().workers;
@@ -76,7 +76,7 @@ fn row(row: &Forecast) -> Row {
         robot: row.robot,
         stamp_ns: row.stamp_ns,
         target_ns: row.target_ns,
-        has_power: row.power_w().is_some(),
+        has_power: row.expected_w().is_some(),
         bits: bytemuck::bytes_of(&rest).to_vec(),
     }
 }
@@ -105,7 +105,7 @@ impl Reader {
         }
     }
 
-    /// The next frame, if one comes in time.
+    /// The next frame, or `None` after that time.
     pub(crate) fn frame_within(&mut self, time: Duration) -> Option<Frame> {
         let line = self.0.try_next_line(time)?;
         match serde_json::from_str(&line).unwrap() {
@@ -114,7 +114,7 @@ impl Reader {
         }
     }
 
-    /// A frame that was sent after this call.
+    /// The next frame that was sent after this call.
     pub(crate) fn fresh(&mut self) -> Frame {
         let now_ns = clock::monotonic_ns();
         loop {
@@ -125,7 +125,7 @@ impl Reader {
         }
     }
 
-    /// A frame with a sample that was taken after this call.
+    /// The next frame with a sample that was taken after this call.
     pub(crate) fn fresh_sample(&mut self) -> Frame {
         let now_ns = clock::monotonic_ns();
         loop {
@@ -136,7 +136,7 @@ impl Reader {
         }
     }
 
-    /// Waits for the end of the worker, and returns how it was told.
+    /// Waits for the end of the worker, and returns which kind of end was reported.
     pub(crate) fn gone(&mut self) -> String {
         loop {
             if let Seen::Gone(how) = self.next() {
@@ -148,7 +148,7 @@ impl Reader {
     /// All frames that it has read.
     pub(crate) fn all_frames(self) -> Vec<Frame> {
         let lines = self.0.all_lines();
-        // It was killed, perhaps in the middle of the last one.
+        // The planner was killed, perhaps while it wrote the last line.
         let seen = lines
             .iter()
             .filter_map(|line| serde_json::from_str(line).ok());

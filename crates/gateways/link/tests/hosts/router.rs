@@ -1,4 +1,4 @@
-//! Links that are clients of a stock zenoh router.
+//! Links that connect as clients to a stock zenoh router.
 
 use joulebus_testkit::{Child, Member, send_to_test};
 use zenoh::Wait as _;
@@ -8,7 +8,7 @@ use crate::namespaces::Wires;
 
 const ROUTER: &str = "JOULEBUS_LINK_ROUTER";
 
-/// A router of zenoh's own, in this process.
+/// Starts a zenoh router in this process.
 fn router(address: &str) -> zenoh::Session {
     let mut config = zenoh::Config::default();
     for (key, value) in [
@@ -21,7 +21,7 @@ fn router(address: &str) -> zenoh::Session {
     zenoh::open(config).wait().unwrap()
 }
 
-/// The process of a router, until it is killed: the variable has its address.
+/// A router's process, which runs until it is killed. The variable has its address.
 pub(crate) fn run() {
     if let Ok(address) = std::env::var(ROUTER) {
         let _session = router(&address);

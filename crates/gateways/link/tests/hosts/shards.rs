@@ -1,4 +1,5 @@
-//! A fleet that is split over two workers on two hosts, with robots on a third and planners on a fourth.
+//! A fleet that is split over two workers on two hosts, with robots on a third and planners on a
+//! fourth.
 
 use std::collections::BTreeSet;
 
@@ -11,7 +12,7 @@ use crate::planner::Frame;
 const LISTS: &str = "[[shard]]\nname = \"north\"\nworkers = [\"north-1\"]\nrobots = [\"0-4\"]\n\
     [[shard]]\nname = \"south\"\nworkers = [\"south-1\"]\nrobots = [\"5-9\"]\n";
 
-/// The hosts, and what runs on them.
+/// The four hosts, and the programs on them.
 struct Fleet {
     north: Host,
     south: Host,
@@ -77,7 +78,7 @@ fn number(report: &Value, key: &str) -> u64 {
     report[key].as_u64().unwrap()
 }
 
-/// Whether a question of four robots is answered with yes for each.
+/// Whether a question about four robots is answered with yes for each.
 fn is_answered(host: &Host, words: &[&str]) -> bool {
     let words = [words, &["--format", "json"]].concat();
     let ended = Child::spawn("ask", host.joulebus(&words)).wait();
@@ -102,7 +103,7 @@ fn one_fleet(shards: &str) -> u64 {
     let workers = [fleet.north.worker(), fleet.south.worker()];
     let [north, south, edge, desk] = fleet.links();
     for name in ["north-1", "south-1"] {
-        // What is published before is not given.
+        // Samples published before the request are not sent.
         is_asked_by(&edge, name);
     }
     let words = ["--format", "json", "--robots", "10"];
@@ -121,7 +122,7 @@ fn one_fleet(shards: &str) -> u64 {
         whole += u32::from(with_power(&frame) == all);
     }
     planner.leave();
-    // Robots of both shards are compared; on a busy machine a frame may be stale now and then.
+    // Compares robots of both shards. On a busy machine a frame may be stale now and then.
     let words = ["ask", "--rank", "1,8,4,6", "--idle", "5"];
     while !is_answered(&fleet.desk, &words) {}
     let source = source.end();
@@ -133,13 +134,13 @@ fn one_fleet(shards: &str) -> u64 {
             .map(|host| host.known_samples())
             .sum::<Option<u64>>()
     };
-    // The last ones are not known of where they were lost with their link.
+    // The last samples are unknown if they were lost with their link.
     let is_silent = || has_lost_edge(&north) || has_lost_edge(&south);
     eventually("all samples are accounted for", || {
         known() == Some(sent) || is_silent()
     });
     let mut silences = 0;
-    // Each before those that it takes from: their end is no silence.
+    // End receivers before their senders: the end of a sender then counts as no silence.
     for mut link in [desk, north, south, edge] {
         let ended = link.end();
         let report = ended.json();
@@ -171,7 +172,7 @@ fn one_fleet(shards: &str) -> u64 {
 #[test]
 fn every_n_th_frame_of_several_shards_has_all_their_robots_whenever_each_sends_its_own() {
     let fleet = Fleet::new(LISTS);
-    // Ticks count from the worker's start: those of the other come at other times.
+    // Ticks count from the worker's start, so the two workers tick at different times.
     let _north = fleet.north.worker();
     std::thread::sleep(std::time::Duration::from_millis(90));
     let _south = fleet.south.worker();
@@ -190,9 +191,9 @@ fn every_n_th_frame_of_several_shards_has_all_their_robots_whenever_each_sends_i
         assert_eq!(frame.period_ns, 8 * period_ns);
         match with_power(&frame) == all {
             true => whole += 1,
-            // Of the beginning, however long that takes.
+            // Frames of the start-up, however long it takes.
             false if whole == 0 => {}
-            // On a busy machine.
+            // A busy machine may cause partial frames.
             false => parts += 1,
         }
     }
@@ -217,12 +218,12 @@ fn when_a_shard_ends_its_robots_are_known_to_be_stale_and_the_others_go_on() {
     south.end();
     links[3].wait_for_line("the worker of south-1 has ended");
     let frame = until(&mut planner, &of_north);
-    // Still there, and without a forecast; the fleet is the same run.
+    // The shard's robots are still listed, without a forecast. The fleet is the same run.
     assert_eq!(robots(&frame), (0..10).collect::<Vec<u32>>());
     assert_eq!(frame.epoch, first.epoch);
     south = fleet.south.worker();
     assert_eq!(until(&mut planner, &all).epoch, first.epoch);
-    // The last one that is heard: now the fleet has ended.
+    // The last worker that is connected: now the fleet has ended.
     south.end();
     until(&mut planner, &of_north);
     north.end();

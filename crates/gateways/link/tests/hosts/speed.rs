@@ -1,4 +1,5 @@
-//! What a link costs beside zenoh itself: measures, and decides nothing. In a release build:
+//! Measures what a link costs beside zenoh itself. It prints figures and asserts nothing about
+//! them. In a release build:
 //! `cargo test --release -p joulebus-link --test hosts -- --include-ignored --nocapture speed`.
 
 use std::fs;
@@ -6,7 +7,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use joulebus_bus::clock;
-use joulebus_consumer::{Event, Planner};
+use joulebus_consumer::{Event, Subscriber};
 use joulebus_testkit::{Member, send_to_test};
 use serde::{Deserialize, Serialize};
 use zenoh::Wait as _;
@@ -20,12 +21,12 @@ const LISTEN: &str = "JOULEBUS_LINK_LISTEN";
 const POLL: &str = "JOULEBUS_LINK_POLL";
 const KEY: &str = "raw/frames";
 const TICK: Duration = Duration::from_nanos(33_333_333);
-/// Frames of each measurement: ten seconds.
+/// Number of frames of a measurement: ten seconds.
 const FRAMES: usize = 300;
 const FIRST: usize = 30;
 
-/// A session with what a link sets of the transport: a peer that is silent for a second is gone, and a long frame finds room.
-/// All else is zenoh's default.
+/// A zenoh session with the transport settings of a link: a peer that is silent for a second is
+/// gone, and there is room for a long frame. All other settings are zenoh's defaults.
 fn session(key: &str, address: &str) -> zenoh::Session {
     let mut config = zenoh::Config::default();
     for (key, value) in [
@@ -39,7 +40,7 @@ fn session(key: &str, address: &str) -> zenoh::Session {
     zenoh::open(config).wait().unwrap()
 }
 
-/// A frame as a process saw it.
+/// A frame as a process has read it.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 struct Seen {
     tick: u64,
@@ -47,8 +48,8 @@ struct Seen {
     read_ns: u64,
 }
 
-/// Tells the test when the first frames have come, and all that came after them at once: what is told meanwhile would cost the
-/// processor time that is measured.
+/// Reports to the test when the first frames have arrived, and at the end all later ones together.
+/// Reports in between would cost the processor time that is measured.
 fn collect(mut next: impl FnMut(&mut Vec<Seen>)) {
     send_to_test("joined");
     let mut seen = Vec::new();
@@ -61,11 +62,12 @@ fn collect(mut next: impl FnMut(&mut Vec<Seen>)) {
         next(&mut seen);
     }
     send_to_test(serde_json::to_string(&seen).unwrap());
-    // What it costs is read before it ends.
+    // The test reads this process's cost before it ends.
     std::thread::sleep(Duration::from_secs(3_600));
 }
 
-/// The processes of zenoh alone: `address` and bytes of a message, or only the address; and planners of a config.
+/// The processes that use zenoh alone, with an `address` and the size of a message or only the
+/// address, and planners of a config.
 pub(crate) fn run() {
     if let Ok(of) = std::env::var(SEND) {
         let (address, bytes) = of.split_once(' ').unwrap();
@@ -85,7 +87,7 @@ pub(crate) fn run() {
         });
     }
     if let Some(config) = std::env::var_os(LISTEN) {
-        let mut planner = Planner::connect(PathBuf::from(config)).unwrap();
+        let mut planner = Subscriber::connect(PathBuf::from(config)).unwrap();
         collect(|seen| {
             if let Event::Frame(frame) = planner.wait_next(Duration::from_secs(1)).unwrap() {
                 seen.push(Seen {
@@ -98,7 +100,7 @@ pub(crate) fn run() {
     }
     if let Some(config) = std::env::var_os(POLL) {
         let config = joulebus_config::Config::load(PathBuf::from(config)).unwrap();
-        let mut planner = Planner::polling(&config, "near", Duration::from_millis(100)).unwrap();
+        let mut planner = Subscriber::polling(&config, "near", Duration::from_millis(100)).unwrap();
         collect(|seen| {
             let each = |header: &joulebus_wire::ForecastHeader, _: &[_]| {
                 seen.push(Seen {
@@ -127,7 +129,7 @@ fn send_raw(address: &str, bytes: usize) {
     }
 }
 
-/// Processor time of processes so far, in ticks of the kernel's clock (100 a second).
+/// Processor time that the processes have used, in ticks of the kernel's clock (100 a second).
 fn spent(pids: &[u32]) -> u64 {
     let of = |pid: &u32| {
         let stat = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap();
@@ -144,7 +146,7 @@ fn spread(mut all_ns: Vec<u64>) -> (f64, f64) {
     (at(50), at(99))
 }
 
-/// One-way times, µs, and the processor's share of those that carried the frames.
+/// One-way times, µs, and the processor share of the processes that carried the frames.
 #[derive(Debug, Clone, Copy)]
 struct Cost {
     p50: f64,
@@ -166,7 +168,7 @@ fn process(key: &str, value: impl AsRef<std::ffi::OsStr>) -> Member {
     member
 }
 
-/// What a process has collected, and the processor time of `pids` meanwhile.
+/// The frames of a process, and the processor time of `pids` in between.
 fn collected(from: &mut Member, pids: &[u32]) -> (Vec<Seen>, u64) {
     assert_eq!(from.next_line(), "begun");
     let begin = spent(pids);
@@ -179,7 +181,7 @@ fn took_ns(seen: &[Seen]) -> Vec<u64> {
     took.collect()
 }
 
-/// zenoh alone.
+/// Measures zenoh alone.
 fn raw(bytes: usize) -> Cost {
     let address = free_address();
     let sender = process(SEND, format!("{address} {bytes}"));
@@ -189,7 +191,7 @@ fn raw(bytes: usize) -> Cost {
     cost(spread(took_ns(&seen)), ticks)
 }
 
-/// From the worker to a planner beside it, which does not compute.
+/// Measures the path from the worker to a planner beside it, without computation.
 fn hop(here: &Host) -> Cost {
     let mut near = process(LISTEN, here.config());
     let pids = [near.pid()];
@@ -197,14 +199,15 @@ fn hop(here: &Host) -> Cost {
     cost(spread(took_ns(&seen)), ticks)
 }
 
-/// Forecasts over a link, from sending by the worker to reading elsewhere; and the frames that it left out.
+/// Measures forecasts over a link, from the worker's sending to the reading elsewhere, with the
+/// number of dropped frames.
 fn linked(here: &Host, robots: usize) -> (Cost, u64) {
     let there = Host::of(robots);
     let address = free_address();
     let base = here.link(&of_worker(&address, &[]));
     let follows = format!("{FOLLOW}services = []\n");
     let mut desk = there.link(&of_other("desk", &address, &follows));
-    // It looks now and then, and wakes no processor at a tick.
+    // This planner polls now and then, so that it wakes no processor at a tick.
     let mut near = process(POLL, here.config());
     let mut far = process(LISTEN, there.config());
     let (read, ticks) = collected(&mut far, &[base.pid(), desk.pid()]);
@@ -219,7 +222,7 @@ fn linked(here: &Host, robots: usize) -> (Cost, u64) {
     (cost(spread(took_ns), ticks), dropped)
 }
 
-/// Rounds, of which medians are shown.
+/// Number of rounds. Their medians are shown.
 const ROUNDS: usize = 3;
 
 fn median(rounds: &[Cost]) -> Cost {
@@ -242,7 +245,8 @@ fn show(what: &str, robots: usize, cost: Cost) {
     );
 }
 
-/// zenoh alone, the way from a worker to a planner beside it, and a link, in turn beside the same worker and robots.
+/// Measures zenoh alone, the path to a planner beside the worker, and a link, in turn and with the
+/// same worker and robots.
 #[test]
 #[ignore = "prints figures: docs/scale.md has the command"]
 fn speed_of_forecasts_over_a_link_beside_zenoh_alone() {
@@ -251,7 +255,7 @@ fn speed_of_forecasts_over_a_link_beside_zenoh_alone() {
         let here = Host::of(robots);
         let _worker = here.worker();
         let _robots = here.robots(&["--robots", &robots.to_string()]);
-        // As many as a link's message has.
+        // The size of a link's message.
         let bytes = 112 + 320 + 72 * robots;
         for round in 1..=ROUNDS {
             raws.push(raw(bytes));
@@ -277,7 +281,7 @@ fn speed_of_forecasts_over_a_link_beside_zenoh_alone() {
     }
 }
 
-/// A host with a config for so many robots, and the fleet's file of four shards.
+/// A host with a config for that many robots, and the file of four shards.
 fn of_shards(robots: usize) -> Host {
     let host = Host::of(robots);
     let shard = |at: usize| format!("[[shard]]\nname = \"s{at}\"\nworkers = [\"base-{at}\"]\n");
@@ -288,7 +292,7 @@ fn of_shards(robots: usize) -> Host {
 
 const SHARDS: usize = 4;
 
-/// Robots on one host, four workers with a shard each, planners on a further one.
+/// Robots on one host, four workers with a shard each, and planners on a further host.
 #[test]
 #[ignore = "prints figures: docs/scale.md has the command"]
 fn speed_of_a_fleet_on_four_shards() {

@@ -1,4 +1,5 @@
-//! A shard whose worker's host dies: another host's worker goes on, and never do two speak.
+//! Failover of a shard: when the leader's host dies, another host's worker continues, and two never
+//! lead at once.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -21,37 +22,38 @@ use crate::host::{Host, free_address};
 use crate::namespaces::Wires;
 use crate::planner::{Frame, Reader};
 
-/// Time to live of the lease, s. Longer than a link or etcd may get no processor on a busy machine: a lease that ends meanwhile
-/// is what is promised, and begins a term that the tests do not expect. With a takeover and a second, less than the ten for
-/// which a worker that stands by keeps samples.
+/// Time to live of the lease, s. It is longer than a link or etcd may go without a processor on a
+/// busy machine: a lease that ends in that time would start a term that the tests do not expect.
+/// Together with a takeover and one second it is shorter than the ten seconds for which a standby
+/// worker keeps samples.
 const TTL_S: u64 = 4;
-/// The same where terms may begin at any time: cuts and stops of some seconds are to end leases.
+/// Time to live where terms may start at any time: cuts and pauses of some seconds must end leases.
 const SHORT_TTL_S: u64 = 2;
-/// Within which another serves after the lease's end.
+/// Maximum time from the end of the lease until another host leads.
 const TAKEOVER_NS: u64 = 3_000_000_000;
-/// Time that an account may lose at a takeover, s.
-const MOST_LOST_S: f64 = 1.1;
+/// Maximum time that a ledger may lose at a takeover, s.
+const MAX_LOST_S: f64 = 1.1;
 const SECOND_NS: u64 = 1_000_000_000;
 const ROBOTS: u32 = 4;
-/// Between two samples of a robot, s.
+/// Interval between two samples of a robot, s.
 const PERIOD_S: f64 = 1.0 / 30.0;
 const SHARDS: &str = "[[shard]]\nname = \"hall\"\nworkers = [\"base-1\", \"base-2\"]\n";
 const NAMES: [&str; 2] = ["base-1", "base-2"];
 
-/// Two hosts with a worker each that may serve, and one with robots and planners.
+/// Two hosts with a candidate each, and a host with robots and planners.
 struct Scene {
     bases: [Host; 2],
     field: Host,
-    /// Where the links of the first two listen.
+    /// Addresses on which the links of the candidates listen.
     addresses: [String; 2],
-    /// How the links of the three are secured.
+    /// Security settings of the three links' files.
     security: [String; 3],
     lease: String,
     wires: Option<Arc<Wires>>,
 }
 
 impl Scene {
-    /// On this host; an operator decides who serves.
+    /// A scene on this host, where an operator chooses the leader.
     fn by_hand() -> Self {
         Self::with(
             [Host::new(), Host::new()],
@@ -60,7 +62,7 @@ impl Scene {
         )
     }
 
-    /// On this host, with an etcd.
+    /// A scene on this host with an etcd.
     fn with_lease() -> Option<(Self, Etcd)> {
         let port = free_port();
         let etcd = Etcd::start("127.0.0.1", port, copy)?;
@@ -69,7 +71,7 @@ impl Scene {
         Some((scene, etcd))
     }
 
-    /// Four hosts with a cable each: the two workers', the robots', and that of etcd.
+    /// Four hosts with a cable each: two candidates, the robots, and etcd.
     fn wired(ttl_s: u64) -> Option<(Self, Etcd)> {
         let wires = Arc::new(Wires::new(4)?);
         let store = Arc::clone(&wires);
@@ -115,15 +117,15 @@ impl Scene {
         self.bases[at].link(&self.base_file(at))
     }
 
-    /// Both links, and the worker of the first serves. The second link starts when it does: it takes the shard where the first
-    /// has not done so within 0.3 s.
+    /// Starts both candidates' links, and waits until the first worker leads. The second link
+    /// starts once it does, because it would take the shard after 0.3 s.
     fn base_links(&self, workers: &mut [Child; 2]) -> [Child; 2] {
         let first = self.base_link(0);
         workers[0].wait_for_line("ready:");
         [first, self.base_link(1)]
     }
 
-    /// Waits until a host that stands by has a state of the worker that serves, taken after this call.
+    /// Waits until a standby host has a state of the leader that was taken after this call.
     fn state_crosses_to(&self, at: usize) {
         let replica = Places::of(&Config::load(self.bases[at].config()).unwrap()).replica;
         let now_ns = clock::monotonic_ns();
@@ -133,7 +135,7 @@ impl Scene {
         });
     }
 
-    /// A worker that has begun to stand by.
+    /// Starts a worker, and waits until it stands by.
     fn worker(&self, at: usize) -> Child {
         let words = ["run", "--standby", "--format", "json"];
         let mut worker = Child::spawn(NAMES[at], self.bases[at].joulebus(&words));
@@ -154,7 +156,7 @@ impl Scene {
             .robots(&["--format", "json", "--robots", &ROBOTS.to_string()])
     }
 
-    /// Has the worker of a host serve.
+    /// Requests that the worker of a host leads.
     fn take_over(&self, at: usize) {
         let mut command = self.bases[at].link_command(&self.base_file(at));
         command.arg("--take-over");
@@ -203,7 +205,7 @@ fn fresh(planner: &mut Reader) -> Frame {
     fresh_after(planner, clock::monotonic_ns())
 }
 
-/// A robot's ledger, J and s, up to a sample, s.
+/// A robot's ledger up to a sample, J and s.
 #[derive(Debug, Clone, Copy)]
 struct Account {
     stamp_s: f64,
@@ -213,7 +215,7 @@ struct Account {
 }
 
 impl Account {
-    /// `None` while its budget has not come.
+    /// Reads an account. `None` while its budget is missing.
     fn of(robot: &Value) -> Option<Self> {
         Some(Self {
             stamp_s: robot["stamp_ns"].as_f64()? * 1e-9,
@@ -224,7 +226,7 @@ impl Account {
     }
 }
 
-/// What a host says of each robot's ledger.
+/// A host's ledgers of all robots.
 fn accounts(host: &Host) -> Vec<Account> {
     let mut accounts = Vec::new();
     eventually("the accounts of all robots", || {
@@ -236,16 +238,16 @@ fn accounts(host: &Host) -> Vec<Account> {
     accounts
 }
 
-/// The most that is unmetered because robots had no time to publish, s; ends them. Of two samples that follow each other in
-/// time all between is metered.
+/// Upper bound of the unmetered time that is due to robots that had no time to publish, s. Ends the
+/// robots. The time between two consecutive samples is metered.
 fn unpublished_s(robots: &mut Child) -> f64 {
     let skipped = robots.end().json()["ticks_skipped"].as_f64().unwrap();
-    // From the sample before each that was left out to the one after it.
+    // From the sample before each skipped one to the sample after it.
     2.0 * skipped * PERIOD_S
 }
 
-/// All energy and time of before is in the accounts of now, and of the time between, without that in which nothing was
-/// published, at most [`MOST_LOST_S`] is unmetered.
+/// Asserts that the accounts of now continue those of before: at most [`MAX_LOST_S`] beside the
+/// time without samples is unmetered.
 fn assert_continues((before, now): &(Vec<Account>, Vec<Account>), gaps_s: f64) {
     assert_eq!(
         (before.len(), now.len()),
@@ -256,17 +258,18 @@ fn assert_continues((before, now): &(Vec<Account>, Vec<Account>), gaps_s: f64) {
         assert!(now.drawn_j > before.drawn_j, "{both}");
         assert!(now.metered_s > before.metered_s, "{both}");
         let unmetered_s = now.unmetered_s - before.unmetered_s;
-        let most_s = MOST_LOST_S + gaps_s;
+        let most_s = MAX_LOST_S + gaps_s;
         assert!((0.0..most_s).contains(&unmetered_s), "{both}: {most_s}");
         let time_s = now.metered_s - before.metered_s + unmetered_s;
-        // By the stamps of the samples: what is told may be of a sample before or after by a second.
+        // By the stamps of the samples, because a reported sample may be a second earlier or later.
         let between_s = now.stamp_s - before.stamp_s;
         let allowed_s = between_s - 1.0..=between_s + 1.0;
         assert!(allowed_s.contains(&time_s), "{both}: {allowed_s:?}");
     }
 }
 
-/// Each with the run of the worker that sent it, in the order in which they were sent: no two workers speak in turn.
+/// Asserts that frames in the order of sending never return to an earlier run: workers do not
+/// alternate.
 fn assert_one_spoke_at_a_time(planners: Vec<Reader>) {
     let mut sent = Vec::new();
     for (at, planner) in planners.into_iter().enumerate() {
@@ -281,7 +284,7 @@ fn assert_one_spoke_at_a_time(planners: Vec<Reader>) {
     assert!(!turns.is_empty());
 }
 
-/// The permit has run out: it says so, and ends.
+/// Waits until the worker logs that its permit has run out, and ends.
 fn assert_gave_way(worker: &mut Child, term: u64) {
     let ended = worker.wait();
     assert_eq!(ended.code(), Some(1), "{ended:?}");
@@ -301,7 +304,7 @@ fn when_the_host_that_serves_dies_another_goes_on_within_its_bound_with_warm_win
     let mut robots = scene.robots();
     let mut planner = scene.field.planner();
     fresh(&mut planner);
-    // The other one has its state.
+    // The other candidate has the leader's state.
     scene.state_crosses_to(1);
     fresh(&mut planner);
     let before = accounts(&scene.field);
@@ -318,7 +321,7 @@ fn when_the_host_that_serves_dies_another_goes_on_within_its_bound_with_warm_win
     workers[1].wait_for_line("ready:");
     fresh(&mut planner);
     let over = (before, accounts(&scene.field));
-    // The host comes back, and stands by.
+    // The first host returns as a standby.
     let mut first = scene.worker(0);
     let mut link = scene.base_link(0);
     std::thread::sleep(Duration::from_secs(TTL_S + 1));
@@ -359,12 +362,12 @@ fn a_worker_that_is_cut_off_with_its_planners_is_silent_before_another_speaks_an
     let mut planner = scene.field.planner();
     let mut beside = vec![scene.bases[0].planner(), scene.bases[1].planner()];
     fresh(&mut planner);
-    // The planner there has read frames, too: it is told the end of a worker that it knows.
+    // The planner on that host must have read a frame to be notified of the worker's end.
     fresh(&mut beside[0]);
     scene.state_crosses_to(1);
     let before = accounts(&scene.field);
     scene.set_cable(0, false);
-    // What was sent before is of the one that is cut off.
+    // Frames sent before the cut belong to the host that is cut off.
     let cut_ns = clock::monotonic_ns();
     assert_eq!(beside[0].gone(), "Ended");
     assert_gave_way(&mut workers[0], 1);
@@ -376,7 +379,7 @@ fn a_worker_that_is_cut_off_with_its_planners_is_silent_before_another_speaks_an
     assert!(took_ns < TTL_S * SECOND_NS + TAKEOVER_NS, "{took_ns}");
     fresh(&mut planner);
     let cut_off = (before, accounts(&scene.field));
-    // It comes back, and another serves: it stands by, and follows.
+    // The first host returns while another leads: it stands by and follows.
     workers[0] = scene.worker(0);
     scene.set_cable(0, true);
     std::thread::sleep(Duration::from_secs(TTL_S + 1));
@@ -448,12 +451,12 @@ fn without_a_lease_operators_command_who_serves() {
             taken_over.push((before, accounts(&scene.field)));
         }
         fresh(&mut planner);
-        // Of the state that the other one gets each second.
+        // The standby receives a state every second.
         scene.state_crosses_to(1 - at);
     }
     let words = ["doctor", "--format", "json"];
-    let seen = Child::spawn("doctor", scene.bases[1].joulebus(&words)).wait();
-    let checks = seen.json()["checks"].clone();
+    let view = Child::spawn("doctor", scene.bases[1].joulebus(&words)).wait();
+    let checks = view.json()["checks"].clone();
     let permit = checks
         .as_array()
         .unwrap()
@@ -461,12 +464,12 @@ fn without_a_lease_operators_command_who_serves() {
         .find(|it| it["name"] == "permit");
     let found = permit.unwrap()["found"].as_str().unwrap();
     assert_eq!(found, "to serve in term 3, until it is withdrawn");
-    // A link that starts again goes on with the permit.
+    // A restarted link continues with the permit.
     links[1].kill();
     links[1] = scene.base_link(1);
     fresh(&mut planner);
     assert!(workers[1].is_running());
-    // Commanded once more, it is so already.
+    // A second request finds it done.
     scene.take_over(1);
     planner.leave();
     let gaps_s = unpublished_s(&mut robots);
@@ -488,7 +491,7 @@ fn while_the_store_is_away_nobody_serves_and_when_it_is_back_one_does() {
     let mut planner = scene.field.planner();
     let beside = vec![scene.bases[0].planner(), scene.bases[1].planner()];
     fresh(&mut planner);
-    // Dead, and hanging.
+    // Killed, and hanging.
     let all = [
         (Etcd::kill as fn(&mut Etcd), Etcd::again as fn(&mut Etcd)),
         (Etcd::pause, Etcd::resume),
@@ -503,9 +506,9 @@ fn while_the_store_is_away_nobody_serves_and_when_it_is_back_one_does() {
         back(&mut etcd);
         links[serving].wait_for_line("etcd answers again");
         fresh(&mut planner);
-        // Either: both are free to.
+        // Either candidate may lead.
         let serves = || workers.iter().position(|it| it.errors().contains("ready:"));
-        eventually("one says that it serves", || serves().is_some());
+        eventually("one logs that it serves", || serves().is_some());
         serving = serves().unwrap();
     }
     planner.leave();
@@ -543,8 +546,8 @@ fn etcd_is_reached_with_certificates_of_its_authority_and_with_no_others() {
         if is_let_in {
             worker.wait_for_line("ready:");
         } else {
-            // Perhaps before the link said that it is open.
-            eventually("it is told", || {
+            // The message may come before the link logs that it is open.
+            eventually("it is logged", || {
                 link.errors().contains("etcd does not answer")
             });
         }
@@ -570,7 +573,7 @@ fn states_and_terms_are_taken_under_the_name_in_the_certificate_alone() {
     let _field = scene.field_link();
     let _robots = scene.robots();
     let mut beside = scene.bases[0].planner();
-    // Of each other they take both.
+    // The candidates receive states and terms from each other.
     for (term, at) in [(1, 0), (2, 1), (3, 0)] {
         scene.take_over(at);
         workers[at].wait_for_line("ready:");
@@ -580,7 +583,7 @@ fn states_and_terms_are_taken_under_the_name_in_the_certificate_alone() {
         }
         scene.state_crosses_to(1 - at);
     }
-    // A planners' host that says to be the other one.
+    // A planners' host that uses the other candidate's name.
     links[1].end();
     scene.security[1] = tls(folder.path(), "desk");
     links[1] = scene.base_link(1);
@@ -612,8 +615,8 @@ fn a_worker_without_standby_is_told_and_not_heard_elsewhere() {
     let link = scene.base_link(0);
     let mut field = scene.field_link();
     let _robots = scene.robots();
-    // Perhaps before the link said that it is open.
-    eventually("it is told", || {
+    // The message may come before the link logs that it is open.
+    eventually("it is logged", || {
         link.errors().contains("start it with --standby")
     });
     let report = field.end().json();
@@ -658,7 +661,7 @@ fn etcd_with_users_and_passwords_is_logged_into_and_a_wrong_password_is_told() {
         if text.starts_with("for") {
             worker.wait_for_line("ready:");
         } else {
-            eventually("it is told", || {
+            eventually("it is logged", || {
                 link.errors().contains("authentication failed")
             });
         }
@@ -668,14 +671,14 @@ fn etcd_with_users_and_passwords_is_logged_into_and_a_wrong_password_is_told() {
     }
 }
 
-/// The two hosts under a supervisor that starts again what has ended, and the faults.
+/// The two hosts under a supervisor that restarts what has ended, and the faults.
 struct Supervised {
     scene: Scene,
     etcd: Etcd,
     workers: [Child; 2],
     links: [Child; 2],
     field: Child,
-    /// Exits of workers whose permit had run out.
+    /// Number of workers that ended because their permit had run out.
     gave_way: u64,
 }
 
@@ -724,7 +727,7 @@ impl Supervised {
         what
     }
 
-    /// Starts again what has ended.
+    /// Restarts what has ended.
     fn supervise(&mut self) {
         for at in 0..2 {
             if !self.workers[at].is_running() {
@@ -748,7 +751,8 @@ impl Supervised {
 
     /// Reads until the fleet is served again.
     fn settles(&mut self, planner: &mut Reader, last: &mut (u64, u64), fault: &str) {
-        // What the fault has ended may end late: the permit of a host that was cut off, say.
+        // A fault's effect may come late, for instance the end of the permit of a host that was cut
+        // off.
         for _ in 0..2 {
             let now_ns = clock::monotonic_ns();
             loop {
@@ -801,7 +805,7 @@ fn through_cuts_kills_and_stops_no_two_workers_speak_and_no_account_loses_what_i
                 before.metered_s - now.metered_s,
             ];
             lost_s = lost.into_iter().fold(lost_s, f64::max);
-            assert!(lost_s < MOST_LOST_S, "after {fault}: {before:?}, {now:?}");
+            assert!(lost_s < MAX_LOST_S, "after {fault}: {before:?}, {now:?}");
         }
         before = now;
         if faults > FAULTS {

@@ -1,4 +1,4 @@
-//! Messages of hosts that are no links, or are not trusted: refused, counted, and harmless.
+//! Messages of hosts that are no links or are not trusted: they are refused, counted and harmless.
 
 use zenoh::Wait as _;
 
@@ -17,14 +17,14 @@ fn session(addresses: [&str; 2]) -> zenoh::Session {
     zenoh::open(config).wait().unwrap()
 }
 
-/// Keys of a stream, of one that nobody sends, and of one that nobody asks for.
+/// Keys of a real stream, of a stream without a sender, and of one without a receiver.
 const STRANGE: [&str; 3] = [
     "joulebus/lab/outputs/base/desk",
     "joulebus/lab/samples/edge/base",
     "joulebus/lab/ask/outputs/base/nobody",
 ];
 
-/// Bytes that are told apart from the real ones by less and less.
+/// Forgeries that resemble a real message more and more.
 fn forgeries(real: &[u8]) -> Vec<Vec<u8>> {
     let mut all = vec![
         vec![],
@@ -53,13 +53,13 @@ fn damaged_repeated_and_foreign_messages_are_counted_and_the_stream_goes_on() {
     let _worker = here.worker();
     let _robots = here.robots(&["--robots", "3"]);
     let mut base = here.link(&of_worker(&address, &["edge"]));
-    // Peers pass nothing on: the stranger reaches both.
+    // Peers do not forward messages, so the stranger connects to both.
     let of_desk = free_address();
     let listen = format!("[network]\nlisten = [\"{of_desk}\"]");
     let text = of_other("desk", &address, FOLLOW).replacen("[network]", &listen, 1);
     let mut desk = there.link(&text);
     let stranger = session([&address, &of_desk]);
-    // What the stream really says, overheard and sent again, damaged and whole.
+    // Real messages of the stream, recorded and sent again, damaged and intact.
     let overheard = stranger
         .declare_subscriber("joulebus/lab/**")
         .wait()
@@ -74,7 +74,7 @@ fn damaged_repeated_and_foreign_messages_are_counted_and_the_stream_goes_on() {
         ));
         planner.frame();
     }
-    // It would hear its own.
+    // The recorder would receive its own messages.
     drop(overheard);
     let mut last = (0, 0);
     for (key, real) in real.iter().cycle().take(150) {
@@ -92,7 +92,11 @@ fn damaged_repeated_and_foreign_messages_are_counted_and_the_stream_goes_on() {
     planner.fresh();
     planner.leave();
     let desk = desk.end();
-    assert_eq!(desk.code(), Some(3), "refused messages are told: {desk:?}");
+    assert_eq!(
+        desk.code(),
+        Some(3),
+        "refused messages are reported: {desk:?}"
+    );
     let taken = desk.json()["taken"][0].clone();
     assert!(
         taken["refused"]["wrong length"].as_u64().unwrap() > 10,

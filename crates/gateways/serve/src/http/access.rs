@@ -1,4 +1,4 @@
-//! Who may ask: the token, the name that the server is reached by, and how often.
+//! Access control: the token, the server's names, and rate limits.
 
 use std::collections::HashMap;
 use std::io;
@@ -12,12 +12,14 @@ use subtle::ConstantTimeEq as _;
 use super::error::ApiError;
 use super::listen::Peer;
 
-/// Longest token file, bytes.
-const MOST_FILE_BYTES: u64 = 4_096;
+/// Maximum size of the token file, bytes.
+const MAX_FILE_BYTES: u64 = 4_096;
 /// Shortest and longest token, characters.
 const TOKEN_LENGTHS: std::ops::RangeInclusive<usize> = 16..=256;
-/// Name of the cookie that holds the token of a fleet's server. A browser sends the cookies of a host to all its ports, so
-/// that servers of several fleets need names of their own. A fleet's name has only letters that a cookie's may have.
+/// Name of the cookie with the token of a fleet's server.
+///
+/// A browser sends a host's cookies to all its ports, so the servers of several fleets need
+/// different names. The letters of a fleet's name are all allowed in a cookie's name.
 pub(super) fn cookie_name(fleet: &str) -> String {
     format!("joulebus_token_{fleet}")
 }
@@ -44,7 +46,7 @@ impl Token {
             path: path.to_owned(),
             error,
         };
-        let text = joulebus_files::read_secret(path, MOST_FILE_BYTES).map_err(failed)?;
+        let text = joulebus_files::read_secret(path, MAX_FILE_BYTES).map_err(failed)?;
         let text = text.trim_end_matches(['\n', '\r']);
         let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"-._~".contains(&byte);
         if !TOKEN_LENGTHS.contains(&text.len()) || !text.bytes().all(plain) {
@@ -56,7 +58,7 @@ impl Token {
         Ok(Self(text.as_bytes().to_vec()))
     }
 
-    /// In a time that does not depend on how much of it is right; the length is no secret.
+    /// Compares in constant time. The length is not secret.
     fn is(&self, found: &[u8]) -> bool {
         self.0.ct_eq(found).into()
     }
@@ -76,12 +78,12 @@ impl Token {
     }
 }
 
-/// What is decided before a request is looked at.
+/// The checks that precede the handling of a request.
 pub(super) struct Access {
     pub(super) token: Option<Token>,
-    /// As by [`cookie_name`].
+    /// The name by [`cookie_name`].
     pub(super) cookie: String,
-    /// Names that the server may be reached by, beside addresses and localhost.
+    /// Allowed names of the server, beside addresses and localhost.
     pub(super) hosts: Vec<String>,
 }
 
@@ -92,7 +94,7 @@ impl Access {
     /// The refusal.
     pub(super) fn check(&self, uri: &Uri, headers: &HeaderMap) -> Result<(), ApiError> {
         self.check_site(headers)?;
-        // What supervises processes has no token, and learns nothing of the fleet but whether a worker runs.
+        // Process supervisors have no token. They learn only whether a worker runs.
         let is_open = matches!(uri.path(), "/healthz" | "/readyz");
         match &self.token {
             Some(token) if !is_open && !token.is_in(headers, &self.cookie) => Err(ApiError::new(
@@ -147,7 +149,8 @@ impl Access {
     }
 }
 
-/// Pages of other sites can send requests, though not read the answers: they would still take places.
+/// Pages of other sites can send requests, though not read the answers. Without this check they
+/// would take up places.
 fn check_site(headers: &HeaderMap) -> Result<(), ApiError> {
     let is = |name: &str, value: &str| headers.get(name).is_some_and(|found| found == value);
     if is("sec-fetch-site", "cross-site") && !is("sec-fetch-mode", "navigate") {
@@ -165,13 +168,14 @@ fn name_of(host: &str) -> &str {
     host.split_once(':').map_or(host, |(name, _)| name)
 }
 
-/// Requests per second of one address or user, and how many at once.
+/// Requests per second of one address or user, and the size of a burst.
 const RATE: f64 = 200.0;
 const BURST: f64 = 1_000.0;
-/// Addresses and users remembered; those with a full allowance are forgotten first.
-const MOST_ADDRESSES: usize = 4_096;
+/// Maximum number of remembered addresses and users. Those with a full allowance are forgotten
+/// first.
+const MAX_ADDRESSES: usize = 4_096;
 
-/// How many more requests each address or user may make now.
+/// The remaining allowance of each address and user.
 #[derive(Debug, Default)]
 pub(super) struct Rates {
     left: HashMap<Peer, (f64, Instant)>,
@@ -187,11 +191,11 @@ impl Rates {
             let seconds = now.saturating_duration_since(since).as_secs_f64();
             (left + seconds * RATE).min(BURST)
         };
-        if self.left.len() >= MOST_ADDRESSES && !self.left.contains_key(&peer) {
+        if self.left.len() >= MAX_ADDRESSES && !self.left.contains_key(&peer) {
             self.left
                 .retain(|_, (left, since)| refilled(*left, *since) < BURST);
         }
-        if self.left.len() >= MOST_ADDRESSES && !self.left.contains_key(&peer) {
+        if self.left.len() >= MAX_ADDRESSES && !self.left.contains_key(&peer) {
             return Err(too_many());
         }
         let (left, since) = self.left.entry(peer).or_insert((BURST, now));
@@ -350,7 +354,7 @@ mod tests {
             .filter(|_| rates.take(one, later).is_ok())
             .count();
         assert_eq!(taken, 200);
-        // A user of this host is none of them.
+        // A user of this host has an allowance apart from all addresses.
         let taken = (0..5_000)
             .filter(|_| rates.take(Peer::User(0), later).is_ok())
             .count();
@@ -367,7 +371,7 @@ mod tests {
                 _ => Peer::User(number),
             };
             let _ = rates.take(peer, now);
-            assert!(rates.left.len() <= MOST_ADDRESSES);
+            assert!(rates.left.len() <= MAX_ADDRESSES);
         }
         assert!(
             rates

@@ -6,8 +6,8 @@ use std::sync::Arc;
 use joulebus_consumer::{AlarmChange, AlarmHistory};
 use serde::Serialize;
 
-/// Most changes kept.
-const MOST_CHANGES: usize = 200;
+/// Maximum number of changes kept.
+const MAX_CHANGES: usize = 200;
 
 /// A raised alarm.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -47,12 +47,12 @@ pub(super) struct AlarmLog {
 }
 
 impl AlarmLog {
-    /// Adds a change; [`AlarmLog::update`] shows it.
+    /// Adds a change. [`AlarmLog::update`] then publishes it.
     pub(super) fn add(&mut self, change: AlarmChange) {
         self.untold.push(change);
     }
 
-    /// Shows the changes added; `unix_of` turns monotonic times into those of the wall clock, ns.
+    /// Publishes the added changes. `unix_of` converts monotonic times to Unix time, ns.
     pub(super) fn update(&mut self, history: &AlarmHistory, unix_of: impl Fn(u64) -> u64) {
         if self.untold.is_empty() {
             return;
@@ -67,7 +67,7 @@ impl AlarmLog {
                 at_unix_ns: unix_of(change.at_ns),
                 raised_unix_ns: unix_of(change.raised_ns),
             });
-            alarms.changes.truncate(MOST_CHANGES);
+            alarms.changes.truncate(MAX_CHANGES);
         }
         let raised = history
             .raised()
@@ -80,7 +80,7 @@ impl AlarmLog {
         self.newest = Arc::new(alarms);
     }
 
-    /// What clients get.
+    /// The alarms as clients get them.
     pub(super) fn newest(&self) -> Arc<Alarms> {
         Arc::clone(&self.newest)
     }
@@ -90,7 +90,7 @@ impl AlarmLog {
 mod tests {
     use joulebus_wire::Alarm;
 
-    /// What `page/alarms.js` orders alarms by.
+    /// The order of alarms in `page/alarms.js`.
     #[test]
     fn the_page_knows_the_level_of_each_alarm() {
         let page = include_str!("../../page/alarms.js");

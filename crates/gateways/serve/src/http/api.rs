@@ -34,18 +34,18 @@ use super::view::View;
 use super::what_if::Asked;
 
 /// Largest body of a request, bytes.
-const MOST_BODY_BYTES: usize = 1 << 20;
+const MAX_BODY_BYTES: usize = 1 << 20;
 /// A request's body must have arrived within this time.
 const BODY_LIMIT: Duration = Duration::from_secs(5);
 /// The reading thread must have answered within this time.
 const ANSWER_LIMIT: Duration = Duration::from_secs(5);
-/// A stream that has nothing to say says so after this time.
+/// Interval after which an idle stream sends a keep-alive.
 const KEEP_ALIVE: Duration = Duration::from_secs(5);
-/// Messages a second of a stream: allowed, and unless asked otherwise.
+/// Allowed message rate of a stream, Hz, and the default at its end.
 const HZ: std::ops::RangeInclusive<f64> = 0.2..=10.0;
 const USUAL_HZ: f64 = 5.0;
 
-/// What the handlers share.
+/// State shared by the handlers.
 pub(super) struct App {
     pub(super) config: Config,
     pub(super) snapshots: watch::Receiver<Arc<Snapshot>>,
@@ -203,7 +203,7 @@ async fn history(State(app): State<Arc<App>>, Path(id): Path<String>) -> Answer 
     Ok(json(&record.ok_or_else(|| no_robot(robot))?))
 }
 
-/// What the reading thread answers.
+/// Waits for the answer of the reading thread.
 async fn within<T>(answer: oneshot::Receiver<T>) -> Result<T, ApiError> {
     let answered = timeout(ANSWER_LIMIT, answer)
         .await
@@ -276,7 +276,7 @@ async fn stream(State(app): State<Arc<App>>, Extension(peer): Extension<Peer>, u
 }
 
 impl Flow {
-    /// The next message; none when the server ends.
+    /// The next message. `None` when the server ends.
     async fn message(&mut self) -> Option<Bytes> {
         loop {
             self.ticks.tick().await;
@@ -325,7 +325,7 @@ async fn question(request: Request) -> Result<Question, ApiError> {
     }
     let body = timeout(
         BODY_LIMIT,
-        axum::body::to_bytes(request.into_body(), MOST_BODY_BYTES),
+        axum::body::to_bytes(request.into_body(), MAX_BODY_BYTES),
     )
     .await;
     let late = || {
@@ -336,7 +336,7 @@ async fn question(request: Request) -> Result<Question, ApiError> {
     };
     let body = body.map_err(|_| late())?.map_err(|_| {
         let text =
-            format!("the question is longer than {MOST_BODY_BYTES} bytes, or its transfer failed");
+            format!("the question is longer than {MAX_BODY_BYTES} bytes, or its transfer failed");
         ApiError::new(StatusCode::PAYLOAD_TOO_LARGE, text)
     })?;
     let wrong = |text: String| ApiError::new(StatusCode::BAD_REQUEST, text);

@@ -1,7 +1,9 @@
-//! Connections: how many, how long they may take, and which one gives way.
+//! Connection limits: how many connections, how long a transfer may take, and which connection is
+//! closed for another.
 //!
-//! A connection without a request is idle. When all places are taken, the one that has been idle longest is closed for
-//! a new one, so that idle connections keep nobody out; only streams and requests being answered keep their places.
+//! A connection without a request is idle. If all slots are taken, the connection that has been
+//! idle longest is closed for the new one. Idle connections therefore keep nobody out, and only
+//! streams and requests in progress keep their slots.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -17,9 +19,10 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::sync::Notify;
 use tokio::time::{Instant, Sleep, sleep};
 
-/// Most connections.
-pub(super) const MOST_CONNECTIONS: usize = 256;
-/// A client that does not take this many bytes of what waits for it, or all of it, within this time is disconnected.
+/// Maximum number of connections.
+pub(super) const MAX_CONNECTIONS: usize = 256;
+/// Within `WRITE_LIMIT` a client must take this many bytes of the queued ones, or all of them.
+/// Otherwise it is disconnected.
 const WRITE_BYTES: u64 = 64 << 10;
 const WRITE_LIMIT: Duration = Duration::from_secs(10);
 
@@ -32,19 +35,19 @@ pub(super) struct Connection {
 }
 
 impl Connection {
-    /// Waits until it must give way.
+    /// Waits until the connection has to close.
     pub(super) async fn closed(&self) {
         self.close.notified().await;
     }
 }
 
-/// All connections by their number, which rises.
+/// All connections by a growing number.
 #[derive(Debug, Default)]
 pub(super) struct Connections {
     open: Mutex<(u64, BTreeMap<u64, Arc<Connection>>)>,
 }
 
-/// A connection's place; given back when dropped.
+/// The slot of a connection, released when dropped.
 #[derive(Debug)]
 pub(super) struct Place {
     connections: Arc<Connections>,
@@ -53,17 +56,18 @@ pub(super) struct Place {
 }
 
 impl Connections {
-    /// A place for one more; none if all are taken by requests being answered.
+    /// Takes a slot for a connection. `None` if requests in progress take all of them.
     pub(super) fn enter(self: &Arc<Self>) -> Option<Place> {
         let mut open = self.lock();
         let (number, connections) = &mut *open;
-        if connections.len() >= MOST_CONNECTIONS {
+        if connections.len() >= MAX_CONNECTIONS {
             let is_idle = |connection: &Connection| connection.busy.load(Ordering::Relaxed) == 0;
             let idle = connections
                 .iter()
                 .find(|(_, connection)| is_idle(connection));
             let idle = *idle?.0;
-            // Its own place is given back later, to nobody.
+            // The closed connection's own slot is no longer in the map, so its later release does
+            // nothing.
             if let Some(connection) = connections.remove(&idle) {
                 connection.close.notify_one();
             }
@@ -79,7 +83,7 @@ impl Connections {
     }
 
     fn lock(&self) -> MutexGuard<'_, (u64, BTreeMap<u64, Arc<Connection>>)> {
-        // Nothing panics while it is held.
+        // Nothing panics while the lock is held.
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -107,7 +111,7 @@ impl Drop for Busy {
     }
 }
 
-/// A response's body, whose connection is busy until it has been sent or dropped.
+/// A response body. Its connection is busy until the body has been sent or dropped.
 #[derive(Debug)]
 pub(super) struct Marked {
     body: Body,
@@ -140,7 +144,7 @@ impl HttpBody for Marked {
     }
 }
 
-/// What a client must take, and by when.
+/// How much a client must take, and by when.
 #[derive(Debug, Default)]
 struct Due {
     /// Bytes that it has taken.
@@ -150,7 +154,7 @@ struct Due {
 }
 
 impl Due {
-    /// It has taken so many bytes of what waited.
+    /// Notes that the client took `bytes` of the queued ones.
     fn take(&mut self, bytes: usize) {
         self.taken += bytes as u64;
         if self.by.is_some_and(|(due, _)| self.taken >= due) {
@@ -158,7 +162,7 @@ impl Due {
         }
     }
 
-    /// It takes nothing now of `bytes` that wait; returns until when it must have.
+    /// Notes that the client takes nothing although `bytes` are queued. Returns the deadline.
     fn wait(&mut self, bytes: usize, now: Instant) -> Instant {
         let due = self.taken + WRITE_BYTES.min(bytes as u64);
         let (_, until) = *self.by.get_or_insert((due, now + WRITE_LIMIT));
@@ -166,7 +170,7 @@ impl Due {
     }
 }
 
-/// A stream whose writes fail when the client takes too little in [`WRITE_LIMIT`].
+/// A stream whose writes fail if the client takes too little within [`WRITE_LIMIT`].
 #[derive(Debug)]
 pub(super) struct Watched<S> {
     stream: S,
@@ -242,10 +246,10 @@ mod tests {
     #[test]
     fn the_longest_idle_connection_gives_way_and_busy_ones_do_not() {
         let connections = Arc::new(Connections::default());
-        let places: Vec<Place> = (0..MOST_CONNECTIONS)
+        let places: Vec<Place> = (0..MAX_CONNECTIONS)
             .filter_map(|_| connections.enter())
             .collect();
-        assert_eq!(places.len(), MOST_CONNECTIONS);
+        assert_eq!(places.len(), MAX_CONNECTIONS);
         let busy: Vec<Busy> = places
             .iter()
             .skip(2)
@@ -258,7 +262,7 @@ mod tests {
         let _all = [&first, &second].map(|place| Busy::new(&place.connection));
         assert!(connections.enter().is_none());
         drop(busy);
-        // Closed connections give nobody's place back.
+        // Dropping a closed connection releases no other connection's slot.
         drop(places);
         assert_eq!(connections.lock().1.len(), 2);
     }
@@ -274,7 +278,7 @@ mod tests {
             due.take(1);
             assert_eq!(due.wait(1_000, at(second)), at(10));
         }
-        // All that waited at first; what came later has its own time.
+        // This covers the bytes queued first. Later ones have a deadline of their own.
         due.take(991);
         assert_eq!(due.wait(9, at(9)), at(19));
         due.take(9);

@@ -1,4 +1,4 @@
-//! One robot at one time.
+//! The newest rows of one robot in a snapshot.
 
 use std::sync::{Arc, OnceLock};
 
@@ -16,14 +16,14 @@ pub(super) struct Entry {
     /// Place in the names of platforms.
     pub(super) platform: Option<usize>,
     pub(super) newest: Newest,
-    /// Energy that it has consumed, as far as this program has seen its ledgers, µJ; it does not fall.
+    /// Energy consumed according to the ledgers seen by this program, µJ. It never falls.
     pub(super) consumed_uj: Option<u64>,
-    /// As JSON, once it is needed.
+    /// Its JSON record, made on first use.
     pub(super) record: OnceLock<Arc<Object>>,
 }
 
 impl Entry {
-    /// Time since the stamp of its newest sample, ns; none if it was never heard.
+    /// Time since the stamp of its newest sample, ns. `None` before the first sample.
     pub(super) fn sample_age_ns(&self, now_ns: u64) -> Option<u64> {
         let forecast = &self.newest.forecast;
         let heard = forecast.flags & forecast_flag::SAMPLE != 0;

@@ -23,7 +23,7 @@ pub(super) struct FleetRecord {
     latency_s: LatencyTimes,
     questions_answered: Option<u64>,
     questions_refused: BTreeMap<&'static str, u64>,
-    /// As in `watch --format json`.
+    /// Same as in `watch --format json`.
     model_hash: Option<String>,
     pub(super) totals: Totals,
     /// Processes that record, if they are known.
@@ -35,7 +35,7 @@ pub(super) struct FleetRecord {
 pub(super) struct WorkerRecord {
     /// waiting, alive, stale or gone.
     pub(super) state: &'static str,
-    /// Time since its newest frame was sent, s.
+    /// Time since the newest frame was sent, s.
     age_s: Option<f64>,
     /// Why it is not alive.
     pub(super) reason: Option<String>,
@@ -52,7 +52,7 @@ pub(super) struct TickTimes {
     max: Option<f64>,
 }
 
-/// From a sample sent to its forecast sent.
+/// Latencies from sending a sample to sending its forecast.
 #[derive(Debug, Clone, Default, Serialize)]
 pub(super) struct LatencyTimes {
     p50: Option<f64>,
@@ -71,9 +71,9 @@ pub(super) struct Totals {
     pub(super) warn: usize,
     pub(super) error: usize,
     pub(super) stale: usize,
-    /// Of the newest readings; null if there is none.
+    /// Sum of the newest readings, W. Null if there is none.
     pub(super) power_w: Option<f64>,
-    /// Of the ledgers; null if there is none.
+    /// Sum of the ledgers, J. Null if there is none.
     pub(super) drawn_j: Option<f64>,
     pub(super) alarms: usize,
 }
@@ -120,7 +120,7 @@ fn histogram(counted: &Counted) -> Vec<(Option<f64>, u64)> {
     uppers.zip(counted.counts).collect()
 }
 
-/// What a record needs beside the board.
+/// Inputs of a record that are not on the board.
 pub(super) struct Around<'a> {
     pub(super) fleet: &'a str,
     pub(super) period_ns: u64,
@@ -221,7 +221,7 @@ impl Totals {
     }
 }
 
-/// None of no value, and of one that is not finite.
+/// The sum. `None` if empty or if any value is not finite.
 fn sum(values: impl Iterator<Item = f64>) -> Option<f64> {
     let (sum, count) = values.fold((0.0, 0), |(sum, count), value| (sum + value, count + 1));
     (count > 0 && f64::is_finite(sum)).then_some(sum)

@@ -1,4 +1,4 @@
-//! What the newest two minutes of each robot looked like.
+//! The last two minutes of each robot.
 
 use std::collections::HashMap;
 
@@ -11,7 +11,7 @@ pub(super) const STEP_NS: u64 = 500_000_000;
 /// Points of a robot: two minutes.
 const POINTS: usize = 240;
 
-/// One point; NaN where unknown.
+/// A point in time. NaN where unknown.
 #[derive(Debug, Clone, Copy)]
 struct Point {
     reading_w: f32,
@@ -39,7 +39,7 @@ struct Track {
     last: u64,
 }
 
-/// A ring of points for each robot; all robots have their points at the same times.
+/// A ring of points for each robot. All robots have their points at the same times.
 #[derive(Debug, Default)]
 pub(super) struct History {
     tracks: HashMap<u32, Track>,
@@ -90,7 +90,7 @@ impl History {
         self.end_unix_ns = now_unix_ns;
     }
 
-    /// The points of `robot`; none if it was not in the fleet for two minutes.
+    /// The points of `robot`. `None` if it has not been in the fleet for two minutes.
     pub(super) fn of(&self, robot: u32) -> Option<HistoryRecord> {
         let track = self.tracks.get(&robot)?;
         let first = track.first.max(self.steps.saturating_sub(POINTS as u64));

@@ -1,4 +1,4 @@
-//! Where clients connect: an address, a Unix socket, or both.
+//! The listening sockets: an address, a Unix socket, or both.
 
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Read, Write as _};
@@ -19,12 +19,12 @@ use rustix::process::geteuid;
 const SOCKET_MODE: u32 = 0o660;
 /// Connections that wait to be accepted.
 const WAITING: i32 = 128;
-/// What is written into the lock's file when it is made, so that it can be told from others of its name.
+/// Contents of the lock file. They distinguish it from other files of that name.
 const MARKER: &[u8] = b"the lock of a socket of joulebus\n";
 /// Why a path cannot be had.
 const ANOTHER: &str = "another server does; end it, or name another file";
 
-/// Who sends requests, as far as it is known.
+/// The client of a request, as far as it is known.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(super) enum Peer {
     /// A client of the network.
@@ -33,7 +33,7 @@ pub(super) enum Peer {
     User(u32),
 }
 
-/// What is listened at.
+/// The open listening sockets.
 #[derive(Debug)]
 pub(super) struct Listeners {
     pub(super) tcp: Option<TcpListener>,
@@ -44,7 +44,7 @@ pub(super) struct Listeners {
 #[derive(Debug)]
 pub(super) struct SocketFile {
     pub(super) path: PathBuf,
-    /// Somebody may have put another one there.
+    /// Identity of the socket's file, because another process may have replaced it.
     is: Identity,
     /// Given up after the socket is removed.
     _lock: SocketLock,
@@ -53,7 +53,7 @@ pub(super) struct SocketFile {
 impl Drop for SocketFile {
     fn drop(&mut self) {
         if identity(&self.path).is_ok_and(|found| found == self.is) {
-            // Who starts next removes what is left.
+            // A socket that cannot be removed now is removed by the next server.
             let _ = fs::remove_file(&self.path);
         }
     }
@@ -68,7 +68,7 @@ fn identity(path: &Path) -> io::Result<Identity> {
     Ok((found.dev(), found.ino(), ctime_s, ctime_ns))
 }
 
-/// Listens at an address; port 0 is any free one.
+/// Listens on an address. Port 0 takes any free port.
 ///
 /// # Errors
 /// The address cannot be used.
@@ -80,10 +80,11 @@ pub(super) fn at_address(address: SocketAddr) -> anyhow::Result<(TcpListener, So
     Ok((listener, address))
 }
 
-/// Listens at a socket, in place of one that a server which is gone has left.
+/// Listens on a Unix socket. Replaces the socket of a server that has died.
 ///
 /// # Errors
-/// Another server listens there or is about to, something else is there, or it cannot be made.
+/// Another server listens there or is starting, the path has another file, or the socket cannot be
+/// made.
 pub(super) fn at_socket(path: &Path) -> anyhow::Result<(UnixListener, SocketFile)> {
     let failed = || format!("cannot listen at {}", path.display());
     let lock = SocketLock::take(path)?;
@@ -100,8 +101,8 @@ pub(super) fn at_socket(path: &Path) -> anyhow::Result<(UnixListener, SocketFile
     Ok((listener, file))
 }
 
-/// A socket with its place and mode, at which nobody listens yet: until then every connection is refused, so that a generous
-/// umask admits nobody.
+/// Binds a socket with its mode, without listening. Connections are refused until it listens, so a
+/// generous umask admits nobody.
 fn bind(path: &Path) -> io::Result<OwnedFd> {
     let address = net::SocketAddrUnix::new(path)?;
     let (family, kind) = (net::AddressFamily::UNIX, net::SocketType::STREAM);
@@ -111,7 +112,8 @@ fn bind(path: &Path) -> io::Result<OwnedFd> {
     Ok(socket)
 }
 
-/// Removes a socket that nobody has open. The caller has the lock: nobody else puts one there.
+/// Removes a socket that no process has open. The caller holds the lock, so no other server can put
+/// one there.
 fn remove_stale(path: &Path) -> anyhow::Result<()> {
     let Ok(found) = fs::symlink_metadata(path) else {
         return Ok(());
@@ -130,7 +132,8 @@ fn remove_stale(path: &Path) -> anyhow::Result<()> {
     fs::remove_file(path).with_context(|| format!("cannot listen at {shown}"))
 }
 
-/// The right to have a socket at a path: a lock on the file `PATH.lock`, which the system gives up when a server is killed.
+/// The exclusive right to a socket's path: a lock on the file `PATH.lock`. The system releases it
+/// when a server is killed.
 #[derive(Debug)]
 struct SocketLock {
     path: PathBuf,
@@ -175,7 +178,8 @@ impl SocketLock {
     }
 }
 
-/// Writes the marker into a lock that was just made. False if the file is somebody else's, which is left as it is.
+/// Writes the marker into a new lock file. Returns false for a file of another program, and leaves
+/// it unchanged.
 fn mark(file: &mut File) -> io::Result<bool> {
     let about = file.metadata()?;
     if !about.is_file() || about.nlink() != 1 || about.uid() != geteuid().as_raw() {
@@ -184,7 +188,7 @@ fn mark(file: &mut File) -> io::Result<bool> {
     let mut found = Vec::new();
     let most = MARKER.len() as u64 + 1;
     Read::by_ref(file).take(most).read_to_end(&mut found)?;
-    // One that was killed while it wrote has left a part.
+    // A server that was killed while it wrote has left a part of the marker.
     if found != MARKER && MARKER.starts_with(&found) {
         file.write_all(&MARKER[found.len()..])?;
         return Ok(true);
@@ -194,7 +198,7 @@ fn mark(file: &mut File) -> io::Result<bool> {
 
 impl Drop for SocketLock {
     fn drop(&mut self) {
-        // While it is locked; one that is left does no harm.
+        // Remove it while it is locked. A file that stays does no harm.
         let _ = fs::remove_file(&self.path);
     }
 }
@@ -217,7 +221,7 @@ mod tests {
         let refused = at_socket(&path).map(drop).unwrap_err().to_string();
         assert!(refused.contains("another server does"), "{refused}");
         drop(first);
-        // Of another program, which knows nothing of our lock.
+        // A socket of another program, which does not use our lock.
         fs::remove_file(&path)?;
         let other = UnixListener::bind(&path)?;
         drop(file);
@@ -255,7 +259,7 @@ mod tests {
             let refused = at_socket(&path).map(drop).unwrap_err().to_string();
             assert!(refused.contains("something else"), "{refused}");
             assert_eq!(fs::read(&lock)?, text);
-            // A second name of somebody's file, and a link to it.
+            // A hard link to another program's file, and a symbolic link to it.
             fs::rename(&lock, &other)?;
             fs::hard_link(&other, &lock)?;
             assert!(at_socket(&path).is_err());
@@ -266,7 +270,7 @@ mod tests {
             fs::remove_file(&lock)?;
             assert!(!path.exists());
         }
-        // What servers that were killed have left.
+        // Files that killed servers have left.
         for text in [&b""[..], &MARKER[..7], MARKER] {
             fs::write(&lock, text)?;
             drop(at_socket(&path)?);
@@ -295,7 +299,7 @@ mod tests {
         let folder = tempfile::tempdir()?;
         let path = folder.path().join("fleet.sock");
         for _ in 0..50 {
-            // What a killed one left, which all of them find.
+            // A killed server's socket, which all threads find.
             drop(UnixListener::bind(&path)?);
             let (begin, end) = (Barrier::new(SERVERS), Barrier::new(SERVERS));
             let start = || {

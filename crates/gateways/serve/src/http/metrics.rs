@@ -18,7 +18,8 @@ use super::snapshot::Snapshot;
 /// The type of the text.
 pub(super) const KIND: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// The text at `now_ns` (monotonic); series of at most `most_robots` robots, those with the smallest ids.
+/// The metrics at `now_ns` (monotonic). At most `most_robots` robots have series of their own,
+/// those with the smallest ids.
 pub(super) fn text(
     snapshot: &Arc<Snapshot>,
     now_ns: u64,
@@ -44,7 +45,7 @@ struct Metrics {
     most_robots: usize,
 }
 
-/// For a metric that has no labels of its own.
+/// The labels of a metric without labels.
 const NO_LABELS: [(&str, &str); 0] = [];
 
 type Labels = Vec<(&'static str, String)>;
@@ -300,7 +301,7 @@ fn power_w(forecast: &Forecast) -> [(&'static str, Option<f64>); 4] {
     let interval_w = forecast.interval_w();
     [
         ("reading", read.then(|| forecast.reading_w.into())),
-        ("forecast", forecast.power_w().map(f64::from)),
+        ("forecast", forecast.expected_w().map(f64::from)),
         ("lo", interval_w.map(|(lo_w, _)| lo_w.into())),
         ("hi", interval_w.map(|(_, hi_w)| hi_w.into())),
     ]

@@ -1,8 +1,9 @@
 //! `joulebus serve --http`: a page, an API and metrics of a fleet.
 //!
-//! One thread reads shared memory ([`reader`]), another answers all clients ([`connections`], [`api`]). The reading
-//! thread replaces one shared snapshot ten times a second and never waits for a client; a message is made of the newest
-//! snapshot when a client can take it, so that nothing is queued for slow ones.
+//! One thread reads shared memory ([`reader`]), another serves all clients ([`connections`],
+//! [`api`]). The reading thread replaces one shared snapshot ten times a second and never waits for
+//! a client. A message is made of the newest snapshot when a client can take it, so nothing is
+//! queued for slow clients.
 
 mod access;
 mod alarms;
@@ -61,26 +62,26 @@ use fleet::Recorder;
 use listen::{Listeners, Peer, SocketFile};
 use reader::Reader;
 
-/// A request's head must have arrived within this time; so must the next one of an open connection begin.
+/// Timeout of a request's head, and of the pause before the next request on a connection.
 const HEAD_LIMIT: Duration = Duration::from_secs(5);
 /// Largest head of a request, bytes, and most of its fields.
-const MOST_HEAD_BYTES: usize = 16 << 10;
-const MOST_HEADERS: usize = 64;
+const MAX_HEAD_BYTES: usize = 16 << 10;
+const MAX_HEADERS: usize = 64;
 /// Bytes that the system keeps for a client that does not take them.
 const SEND_BUFFER_BYTES: usize = 64 << 10;
-/// Bytes of a connection kept here: with so many unsent, no further message is made.
-const MOST_KEPT_BYTES: usize = 64 << 10;
+/// Maximum number of unsent bytes of a connection. Beyond it no further message is made.
+const MAX_KEPT_BYTES: usize = 64 << 10;
 /// Nice value of the thread that answers clients, and of those that compute for them.
 const NICE: u8 = 10;
 /// Interval of looking for recorders.
 const INSPECT_EVERY: Duration = Duration::from_secs(5);
 /// After a failed `accept`: no free descriptor, which passes.
-const ACCEPT_AGAIN: Duration = Duration::from_millis(50);
+const RETRY_ACCEPT: Duration = Duration::from_millis(50);
 
-/// What is served, where and to whom.
+/// Options of the server.
 #[derive(Debug, Clone)]
 pub(crate) struct Options {
-    /// At least one of address and socket.
+    /// At least one of address and socket is set.
     pub(crate) address: Option<SocketAddr>,
     pub(crate) socket: Option<PathBuf>,
     pub(crate) token_file: Option<PathBuf>,
@@ -88,7 +89,7 @@ pub(crate) struct Options {
     pub(crate) metrics_robots: usize,
 }
 
-/// What was served.
+/// The report of a server that has ended.
 #[derive(Debug, Clone, Serialize)]
 pub(crate) struct HttpReport {
     /// Null without an address.
@@ -112,7 +113,7 @@ pub(crate) struct HttpServer {
     web: Option<JoinHandle<()>>,
 }
 
-/// What connections share.
+/// State shared by all connections.
 struct Shared {
     app: Arc<App>,
     router: Router,
@@ -128,8 +129,8 @@ impl HttpServer {
     /// Joins the fleet and serves it.
     ///
     /// # Errors
-    /// An address that others reach without a token; a token file that cannot be used; the fleet cannot be joined, or
-    /// the address not be listened at.
+    /// The address is open to other hosts without a token, the token file cannot be used, the fleet
+    /// cannot be joined, or the address cannot be listened on.
     pub(crate) fn start(config: &Config, options: &Options) -> anyhow::Result<Self> {
         let token = options.token_file.as_deref().map(Token::read).transpose();
         let token = token.map_err(|error| UsageError(error.to_string()))?;
@@ -198,7 +199,7 @@ impl HttpServer {
         })
     }
 
-    /// Where it listens, for people.
+    /// The addresses that it listens on, for display.
     pub(crate) fn places(&self) -> Vec<String> {
         let address = self.address.map(|address| format!("http://{address}"));
         let socket = self.socket.as_ref();
@@ -206,7 +207,7 @@ impl HttpServer {
         address.into_iter().chain(socket).collect()
     }
 
-    /// Whether it has ended by itself; [`HttpServer::finish`] tells why.
+    /// Whether it has ended by itself. [`HttpServer::finish`] returns the reason.
     pub(crate) fn is_over(&self) -> bool {
         self.reader.is_over() || self.web.as_ref().is_none_or(JoinHandle::is_finished)
     }
@@ -260,7 +261,7 @@ async fn accept_at_address(
     listener: &tokio::net::TcpListener,
 ) -> io::Result<(tokio::net::TcpStream, Peer)> {
     let (stream, peer) = listener.accept().await?;
-    // Only how much a client may leave untaken, and how soon it is sent: the connection works without.
+    // This limits unsent bytes and their delay. The connection also works without.
     let _ = stream.set_nodelay(true);
     let _ = rustix::net::sockopt::set_socket_send_buffer_size(&stream, SEND_BUFFER_BYTES);
     Ok((stream, Peer::Address(peer.ip())))
@@ -285,18 +286,18 @@ where
         match next().await {
             Ok((stream, peer)) => match shared.connections.enter() {
                 Some(place) => drop(tokio::spawn(serve(stream, peer, place, Arc::clone(shared)))),
-                // All are busy: the client sees that it is closed.
+                // All slots are busy. The client sees its connection closed.
                 None => drop(stream),
             },
             Err(error) => {
                 tracing::warn!(%error, "a connection was not accepted");
-                tokio::time::sleep(ACCEPT_AGAIN).await;
+                tokio::time::sleep(RETRY_ACCEPT).await;
             }
         }
     }
 }
 
-/// Serves a connection until it ends or gives way.
+/// Serves a connection until it ends or has to close.
 async fn serve<S>(stream: S, peer: Peer, place: Place, shared: Arc<Shared>)
 where
     S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
@@ -309,9 +310,9 @@ where
     let served = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(HEAD_LIMIT)
-        .max_header_size(MOST_HEAD_BYTES)
-        .max_headers(MOST_HEADERS)
-        .max_buf_size(MOST_KEPT_BYTES)
+        .max_header_size(MAX_HEAD_BYTES)
+        .max_headers(MAX_HEADERS)
+        .max_buf_size(MAX_KEPT_BYTES)
         .serve_connection(TokioIo::new(Watched::new(stream)), respond);
     tokio::select! {
         result = served => {
@@ -356,13 +357,14 @@ async fn respond(
 }
 
 impl Shared {
-    /// Whether a request is answered; with a token in the address, by a cookie and the way to the page.
+    /// Checks a request before it is handled. A token in the URL is answered with a cookie and a
+    /// redirect to the page.
     fn check(&self, request: &Request<Incoming>, peer: Peer) -> Result<Option<Response>, ApiError> {
         let mut rates = self.rates.lock().unwrap_or_else(PoisonError::into_inner);
         rates.take(peer, Instant::now())?;
         drop(rates);
         let (uri, headers) = (request.uri(), request.headers());
-        // Whom the socket's folder, group and mode let in needs no token.
+        // The socket's directory, group and mode replace the token.
         if matches!(peer, Peer::User(_)) {
             return self.access.check_site(headers).map(|()| None);
         }
@@ -380,7 +382,7 @@ impl Shared {
     }
 }
 
-/// What every response has, and the mark of its connection until its body has been sent.
+/// Adds the headers of every response, and marks the connection busy until the body has been sent.
 fn finish(response: Response, busy: Busy) -> Response {
     let (mut parts, body) = response.into_parts();
     for (name, value) in [
@@ -409,7 +411,7 @@ async fn look_for_recorders(config: Config, found: watch::Sender<Option<Vec<Reco
     }
 }
 
-/// The processes that record; none if that cannot be found out.
+/// The processes that record now. `None` if that cannot be determined.
 fn recorders(config: &Config) -> Option<Vec<Recorder>> {
     let inspection = inspect(&config.domain().ok()?).ok()?;
     let nodes = inspection.nodes.into_iter();

@@ -1,13 +1,14 @@
-//! What plans of robots start from, as the worker writes it while somebody asks.
+//! The rows on which plans start. The worker writes them only while a program reads them.
 
 use joulebus_bus::clock;
-use joulebus_consumer::{Budgets, Feed, OpenError, PlanStates, Planner};
+use joulebus_consumer::{Budgets, ConnectError, Feed, PlanStates, Subscriber};
 use joulebus_plan::RobotRows;
 use tokio::sync::oneshot;
 
 /// A frame must arrive within this time, ns.
 const PATIENCE_NS: u64 = 3_000_000_000;
-/// The services are left when nobody has asked for this time, ns: the worker then writes less.
+/// Time without a question after which the reader leaves the services, ns. The worker then writes
+/// less.
 const LEAVE_AFTER_NS: u64 = 10_000_000_000;
 
 /// Why there are no rows.
@@ -54,13 +55,13 @@ impl PlanRows {
         });
     }
 
-    /// Whether somebody waits for an answer.
+    /// Whether a client waits for an answer.
     pub(super) const fn are_asked(&self) -> bool {
         !self.waiting.is_empty()
     }
 
     /// Answers what can be answered.
-    pub(super) fn turn(&mut self, planner: &Planner, now_ns: u64) {
+    pub(super) fn turn(&mut self, planner: &Subscriber, now_ns: u64) {
         if self.waiting.is_empty() {
             if now_ns.saturating_sub(self.asked_ns) > LEAVE_AFTER_NS {
                 self.feeds = None;
@@ -88,7 +89,7 @@ impl PlanRows {
         }
     }
 
-    fn refuse(&mut self, error: &OpenError) {
+    fn refuse(&mut self, error: &ConnectError) {
         for waiting in self.waiting.drain(..) {
             let _ = waiting.reply.send(Err(RowsError::Open(error.to_string())));
         }
@@ -96,7 +97,7 @@ impl PlanRows {
 }
 
 impl Feeds {
-    fn open(planner: &Planner) -> Result<Self, OpenError> {
+    fn open(planner: &Subscriber) -> Result<Self, ConnectError> {
         Ok(Self {
             states: planner.plan_states()?,
             budgets: planner.budgets()?,
@@ -105,7 +106,8 @@ impl Feeds {
 
     /// None while there is no frame that is at most two ticks old.
     fn rows(&mut self, robots: &[u32]) -> Option<Result<Vec<RobotRows>, RowsError>> {
-        // The state first: the budget of the same tick has been sent before it. A failure to receive passes.
+        // Read the state first: the budget of the same tick was sent before it. A failed receive is
+        // transient.
         let states = self.states.latest().ok().flatten()?;
         let budgets = self.budgets.latest().ok().flatten()?;
         let now_ns = clock::monotonic_ns();

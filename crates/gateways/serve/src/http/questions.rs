@@ -1,7 +1,7 @@
-//! Questions about plans: a few wait, one is computed, on a thread of its own.
+//! The queue of questions about plans: a few wait, and one is computed on a thread of its own.
 //!
-//! A client that hangs up leaves the queue at once. What is computed for it keeps its place until it ends, which is
-//! after the robot being computed: so that clients that ask and hang up queue nothing.
+//! A client that hangs up leaves the queue at once. A computation keeps its slot until it ends,
+//! which is after the current robot. Clients that ask and hang up therefore queue nothing.
 
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
@@ -9,15 +9,17 @@ use std::time::{Duration, Instant};
 use axum::http::StatusCode;
 use joulebus_config::Config;
 use joulebus_models::load_models;
-use joulebus_plan::{AnswerReport, AnswersReport, Fleet, Question, Reply, RobotRows, Work};
+use joulebus_plan::answering::Work;
+use joulebus_plan::report::{AnswerReport, AnswersReport};
+use joulebus_plan::{Fleet, Question, Reply, RobotRows};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 
 use super::error::ApiError;
-use super::what_if::MOST_STEPS;
+use super::what_if::MAX_PATH_STEPS;
 
 /// Questions that may be computed or wait.
-const MOST_QUESTIONS: usize = 4;
-/// Time to compute one; it ends after the robot during which the time is over.
+const MAX_QUESTIONS: usize = 4;
+/// Timeout of a computation. It ends after the robot that exceeds the time.
 const COMPUTE_LIMIT: Duration = Duration::from_secs(10);
 
 /// The queue of questions, and what they are computed with.
@@ -29,7 +31,7 @@ pub(super) struct Questions {
     plans: Arc<OnceLock<Fleet>>,
 }
 
-/// A question's turn to be computed: there is one, whoever still waits for the answer.
+/// The right to compute. One question has it at a time, whether or not its client still waits.
 #[derive(Debug)]
 pub(super) struct Turn {
     _place: OwnedSemaphorePermit,
@@ -39,21 +41,22 @@ pub(super) struct Turn {
 impl Questions {
     pub(super) fn new() -> Self {
         Self {
-            places: Arc::new(Semaphore::new(MOST_QUESTIONS)),
+            places: Arc::new(Semaphore::new(MAX_QUESTIONS)),
             turn: Arc::new(Semaphore::new(1)),
             plans: Arc::default(),
         }
     }
 
-    /// Waits for a turn, in the order of asking, and loads the models if nobody has.
+    /// Waits for the right to compute, in the order of the questions. Loads the models at first
+    /// use.
     ///
     /// # Errors
-    /// As many questions as may wait do; the models cannot be loaded.
+    /// The queue is full, or the models cannot be loaded.
     pub(super) async fn turn(&self, config: &Config) -> Result<Turn, ApiError> {
         let place = Arc::clone(&self.places).try_acquire_owned();
         let place = place.map_err(|_| {
             ApiError::busy(format!(
-                "{MOST_QUESTIONS} questions are being answered: ask again"
+                "{MAX_QUESTIONS} questions are being answered: ask again"
             ))
         })?;
         let turn = Arc::clone(&self.turn).acquire_owned().await;
@@ -69,7 +72,7 @@ impl Questions {
             let failed =
                 |error| ApiError::busy(format!("the config's models cannot be loaded: {error}"));
             let models = load_models(&config).map_err(failed)?;
-            // Nobody else has the turn.
+            // Only this task has the right to compute, so no other sets it.
             let _ = plans.set(Fleet::new(config.settings(), &models));
             Ok(())
         })
@@ -77,10 +80,10 @@ impl Questions {
         .map(|(turn, ())| turn)
     }
 
-    /// The answer.
+    /// Answers a question.
     ///
     /// # Errors
-    /// What is wrong with the question; it takes too long.
+    /// The question is wrong, or takes too long.
     pub(super) async fn answer(
         &self,
         turn: Turn,
@@ -98,8 +101,8 @@ impl Questions {
     }
 }
 
-/// Does `work` on the blocking thread, which keeps the turn until it has ended. `work` is given whether its client is
-/// gone.
+/// Runs `work` on a blocking thread, which keeps the right to compute until it has ended. `work`
+/// can ask whether its client is gone.
 async fn blocking<T: Send + 'static>(
     turn: Turn,
     work: impl FnOnce(&dyn Fn() -> bool) -> Result<T, ApiError> + Send + 'static,
@@ -107,7 +110,7 @@ async fn blocking<T: Send + 'static>(
     let (reply, answer) = oneshot::channel();
     drop(tokio::task::spawn_blocking(move || {
         let done = work(&|| reply.is_closed());
-        // Dropped with its turn if the client is gone.
+        // If the client is gone, this drops the right to compute.
         let _ = reply.send(done.map(|value| (turn, value)));
     }));
     let defect = |_| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, "a defect");
@@ -126,17 +129,17 @@ fn compute(
     }
     let wrong = |error| ApiError::new(StatusCode::BAD_REQUEST, format!("{error}"));
     let find = |robot| rows.iter().find(|rows| rows.state.robot == robot).copied();
-    let mut work = Work::begin(question, find, MOST_STEPS).map_err(wrong)?;
+    let mut work = Work::begin(question, find, MAX_PATH_STEPS).map_err(wrong)?;
     let begun = Instant::now();
     let step = || work.step(plans).map_err(wrong);
     in_time(step, is_gone, || begun.elapsed())?;
     Ok(work.finish())
 }
 
-/// Takes steps until one says that it is the last.
+/// Executes steps until the last one.
 ///
 /// # Errors
-/// That of a step; the client is gone; the time is over.
+/// A step failed, the client is gone, or the time is over.
 fn in_time(
     mut step: impl FnMut() -> Result<bool, ApiError>,
     is_gone: &dyn Fn() -> bool,

@@ -1,6 +1,8 @@
-//! The thread that reads shared memory: a planner that looks as often as clients are shown something, so that no tick
-//! of the worker has to wake it. It waits for no client: what it reads is replaced in one place, and the few things that
-//! clients ask of it wait in a bounded queue.
+//! The thread that reads shared memory.
+//!
+//! It is a planner that reads as often as clients are updated, so that no tick of the worker has to
+//! wake it. It never waits for a client. It replaces its results in one place, and the few requests
+//! of clients wait in a bounded queue.
 
 use std::cell::RefCell;
 use std::sync::Arc;
@@ -9,7 +11,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use joulebus_board::{Board, OpenError, Platforms, Reading};
+use joulebus_board::{Board, Platforms, Reading};
 use joulebus_bus::{clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_connect::ConnectError;
@@ -27,18 +29,19 @@ use super::totals::Accumulator;
 /// Interval between snapshots: as fast as a stream may be.
 const SHOW_EVERY: Duration = Duration::from_millis(100);
 const SHOW_EVERY_NS: u64 = SHOW_EVERY.as_nanos() as u64;
-/// Looks at the fleet are not exactly as far apart as snapshots: one is due at the look that is nearest to its time.
+/// Tolerance of a snapshot's time: it is made at the reading nearest to its due time.
 const EARLY_NS: u64 = SHOW_EVERY_NS / 8;
-/// Longest wait while a question needs rows of the next tick.
+/// Maximum wait while a question needs rows of the next tick.
 const ANSWER_EVERY: Duration = Duration::from_millis(10);
 /// Interval between distributions, ns.
 const DISTRIBUTE_EVERY_NS: u64 = 500_000_000;
-/// Nice value of the thread: it runs before those of clients, and after what robots wait for.
+/// Nice value of the thread: ahead of the clients' thread, behind the programs that robots wait
+/// for.
 const NICE: u8 = 5;
 /// Questions to this thread that may wait.
-const MOST_ASKED: usize = 64;
+const MAX_QUEUED: usize = 64;
 
-/// What clients ask of the thread.
+/// A client's request to the thread.
 #[derive(Debug)]
 pub(super) enum Ask {
     History(u32, oneshot::Sender<Option<HistoryRecord>>),
@@ -49,9 +52,7 @@ pub(super) enum Ask {
 #[derive(Debug, thiserror::Error)]
 pub(super) enum ReaderError {
     #[error(transparent)]
-    Open(#[from] OpenError),
-    #[error(transparent)]
-    Alarms(#[from] ConnectError),
+    Connect(#[from] ConnectError),
     #[error(transparent)]
     Read(#[from] ReadError),
     #[error("cannot start a thread: {0}")]
@@ -73,7 +74,7 @@ pub(super) struct Reader {
 impl Reader {
     /// Joins the fleet and starts to read.
     pub(super) fn start(config: &Config) -> Result<Self, ReaderError> {
-        let (asks, asked) = sync_channel(MOST_ASKED);
+        let (asks, asked) = sync_channel(MAX_QUEUED);
         let stop = Arc::new(AtomicBool::new(false));
         let (ready, started) = sync_channel(1);
         let (config, stopped) = (config.clone(), Arc::clone(&stop));
@@ -125,7 +126,7 @@ fn join(thread: JoinHandle<Result<(), ReaderError>>) -> Result<(), ReaderError> 
     thread.join().unwrap_or(Err(ReaderError::Panicked))
 }
 
-/// What the thread owns.
+/// State of the thread.
 struct Work {
     config: Config,
     board: RefCell<Board>,
@@ -205,7 +206,7 @@ impl Work {
         reading.turn_within(longest, || board.borrow_mut())?;
         let alarms = &mut self.alarms;
         match self.alarm_feed.changes(|change| alarms.add(change)) {
-            // As of the forecasts: the next call may succeed.
+            // The next call may succeed, as with forecasts.
             Ok(()) | Err(ReadError::Receive(_)) => {}
             Err(error) => return Err(error.into()),
         }
@@ -252,7 +253,7 @@ impl Work {
     }
 
     fn answer(&mut self, now_ns: u64) {
-        for ask in self.asked.try_iter().take(MOST_ASKED) {
+        for ask in self.asked.try_iter().take(MAX_QUEUED) {
             match ask {
                 // A client that has left does not wait for its answer.
                 Ask::History(robot, reply) => drop(reply.send(self.history.of(robot))),

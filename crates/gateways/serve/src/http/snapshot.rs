@@ -1,4 +1,4 @@
-//! What clients are shown: a copy of the newest rows at one time, from which each window is cut.
+//! A copy of the newest rows at one time, from which the clients' windows are cut.
 
 use std::sync::{Arc, OnceLock};
 
@@ -20,7 +20,7 @@ struct ShownRecord<'a> {
     #[serde(flatten)]
     record: RobotRecord,
     platform: Option<&'a str>,
-    /// Time since the stamp of its newest sample, s, in tenths.
+    /// Time since the stamp of the newest sample, s, rounded to tenths.
     sample_age_s: Option<f64>,
 }
 
@@ -33,9 +33,9 @@ pub(super) struct Snapshot {
     /// Monotonic.
     pub(super) at_ns: u64,
     platforms: Arc<Platforms>,
-    /// By id.
+    /// Sorted by id.
     entries: Vec<Entry>,
-    /// Of the robots' levels: an order by urgency may change with it.
+    /// Hash of the robots' levels. An order by urgency may change with it.
     levels_hash: u64,
     orders: [[OnceLock<Vec<u32>>; 2]; Sort::ALL.len()],
     fleet_object: OnceLock<Arc<Object>>,
@@ -75,7 +75,7 @@ impl Snapshot {
         }
     }
 
-    /// Why the worker may not serve at `now_ns` (monotonic); none if its frames arrive.
+    /// Why the worker may not serve at `now_ns` (monotonic). `None` if its frames arrive.
     pub(super) fn why_not_up(&self, now_ns: u64) -> Option<String> {
         let worker = &self.fleet.worker;
         let age_ns = now_ns.saturating_sub(self.at_ns);
@@ -94,7 +94,7 @@ impl Snapshot {
         &self.platforms
     }
 
-    /// All robots, by id.
+    /// All robots, sorted by id.
     pub(super) fn entries(&self) -> &[Entry] {
         &self.entries
     }

@@ -1,5 +1,5 @@
-//! A client's stream of events: the whole view first, then what has changed. Nothing is queued: a message is made of
-//! the newest snapshot when the client has taken the one before.
+//! A client's stream of events: first the whole view, then its changes. Nothing is queued. A
+//! message is made of the newest snapshot when the client has taken the previous one.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -11,10 +11,11 @@ use super::entry::Object;
 use super::snapshot::{Snapshot, object};
 use super::view::{View, Window};
 
-/// Shortest time between changes of the order alone, ns: rows that move under the pointer cannot be hit.
+/// Minimum time between changes that affect only the order, ns. Rows that move under the pointer
+/// are hard to click.
 const HOLD_ORDER_NS: u64 = 2_000_000_000;
 
-/// What a client has been sent.
+/// What a client has already received.
 #[derive(Debug)]
 pub(super) struct Client {
     view: View,
@@ -170,7 +171,7 @@ fn changed(before: &Object, after: &Object) -> Object {
         .collect()
 }
 
-/// What to send of the robot in detail; none if nothing has changed.
+/// The detail of the selected robot to send. `None` if it has not changed.
 fn detail(before: Option<&Object>, after: Option<&Object>) -> Option<Value> {
     match (before, after) {
         (None, None) => None,

@@ -6,10 +6,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use super::error::ApiError;
 use super::listen::Peer;
 
-/// Most streams at once.
-const MOST_STREAMS: usize = 128;
-/// Most of one address or user, so that none has them all.
-const MOST_OF_ONE: usize = 64;
+/// Maximum number of streams.
+const MAX_STREAMS: usize = 128;
+/// Maximum number of streams of one address or user, so that none takes all.
+const MAX_PER_CLIENT: usize = 64;
 
 /// The streams that are open, by who reads them.
 #[derive(Debug, Default)]
@@ -17,7 +17,7 @@ pub(super) struct StreamPlaces {
     open: Mutex<HashMap<Peer, usize>>,
 }
 
-/// A stream's place; given back when dropped.
+/// The slot of a stream, released when dropped.
 #[derive(Debug)]
 pub(super) struct StreamPlace {
     places: Arc<StreamPlaces>,
@@ -32,12 +32,12 @@ impl StreamPlaces {
     pub(super) fn enter(self: &Arc<Self>, peer: Peer) -> Result<StreamPlace, ApiError> {
         let mut open = self.lock();
         let of_one = open.get(&peer).copied().unwrap_or(0);
-        let (found, whose) = if of_one >= MOST_OF_ONE {
+        let (found, whose) = if of_one >= MAX_PER_CLIENT {
             (of_one, " of one address or user")
         } else {
             (open.values().sum(), "")
         };
-        if of_one >= MOST_OF_ONE || found >= MOST_STREAMS {
+        if of_one >= MAX_PER_CLIENT || found >= MAX_STREAMS {
             let text = format!("{found} streams{whose} are open: close one, or ask later");
             return Err(ApiError::busy(text));
         }
@@ -49,7 +49,7 @@ impl StreamPlaces {
     }
 
     fn lock(&self) -> MutexGuard<'_, HashMap<Peer, usize>> {
-        // Nothing panics while it is held.
+        // Nothing panics while the lock is held.
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -1,12 +1,12 @@
-//! Counters that never fall while this program runs, whatever workers are restarted and robots leave.
+//! Counters that never fall while this program runs, although workers restart and robots leave.
 
 use std::collections::HashMap;
 
 use joulebus_board::{Board, Counted};
 use joulebus_wire::{DropCounts, QueryCounts, budget_flag};
 
-/// Most robots whose ledger is remembered after they have left.
-const MOST_ROBOTS: usize = 65_536;
+/// Maximum number of robots whose ledger is remembered after they have left.
+const MAX_ROBOTS: usize = 65_536;
 
 /// Counters of a fleet.
 #[derive(Debug, Clone, Copy, Default)]
@@ -27,9 +27,10 @@ pub(super) struct Accumulated {
 #[derive(Debug, Clone, Copy, Default)]
 struct Ledger {
     metered_ns: u64,
-    /// The most that it has counted, µJ: energy given back is no consumption.
+    /// The highest value that it has counted, µJ. Energy that is fed back does not reduce
+    /// consumption.
     most_uj: i64,
-    /// By this ledger and those before it, µJ.
+    /// Energy by this ledger and its predecessors, µJ.
     consumed_uj: u64,
 }
 
@@ -39,12 +40,12 @@ pub(super) struct Accumulator {
     ledgers: HashMap<u32, Ledger>,
     consumed_uj: u64,
     queries: QueryCounts,
-    /// Of earlier runs of workers.
+    /// Counters of earlier runs of workers.
     queries_before: QueryCounts,
 }
 
 impl Accumulator {
-    /// Adds what a board has; [`Accumulator::consumed_uj`] is up to date afterwards.
+    /// Adds the contents of a board. [`Accumulator::consumed_uj`] is then up to date.
     pub(super) fn add(&mut self, board: &Board) -> Accumulated {
         for (robot, row) in &board.rows {
             let ledger = row
@@ -54,7 +55,7 @@ impl Accumulator {
                 self.drawn(*robot, budget.metered_ns, budget.drawn_uj);
             }
         }
-        if self.ledgers.len() > MOST_ROBOTS {
+        if self.ledgers.len() > MAX_ROBOTS {
             self.ledgers
                 .retain(|robot, _| board.rows.contains_key(robot));
         }

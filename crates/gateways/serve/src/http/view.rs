@@ -1,5 +1,5 @@
-//! Which robots a client sees, in which order: sorted, filtered and cut here, so that its own cost does not grow with
-//! the fleet.
+//! A client's view of the robots. It is sorted, filtered and cut here, so that the client's cost
+//! does not grow with the fleet.
 
 use joulebus_board::{Search, Sort};
 use joulebus_wire::Level;
@@ -8,10 +8,10 @@ use super::entry::Entry;
 use super::error::ApiError;
 use super::snapshot::Snapshot;
 
-/// Most robots in one window.
-const MOST_ROBOTS: usize = 200;
-/// Longest search, bytes.
-const MOST_SEARCH_BYTES: usize = 100;
+/// Maximum number of robots in a window.
+const MAX_ROBOTS: usize = 200;
+/// Maximum length of a search, bytes.
+const MAX_SEARCH_BYTES: usize = 100;
 
 /// A window on the fleet.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,7 +20,7 @@ pub(super) struct View {
     pub(super) descending: bool,
     /// Empty: all.
     search: String,
-    /// By [`Level::code`]; all false: all.
+    /// Selected levels by [`Level::code`]. None selected means all.
     levels: [bool; 4],
     pub(super) from: usize,
     count: usize,
@@ -51,10 +51,10 @@ pub(super) struct Window {
 }
 
 impl View {
-    /// Takes a parameter of a query; false if it is none of a view.
+    /// Parses a query parameter. Returns false if it does not belong to a view.
     ///
     /// # Errors
-    /// Its value is not allowed.
+    /// The value is not allowed.
     pub(super) fn take(&mut self, name: &str, value: &str) -> Result<bool, ApiError> {
         match name {
             "sort" => {
@@ -69,7 +69,7 @@ impl View {
                     _ => return Err(ApiError::value(name, value, "0 or 1")),
                 };
             }
-            "search" if value.len() <= MOST_SEARCH_BYTES => value.clone_into(&mut self.search),
+            "search" if value.len() <= MAX_SEARCH_BYTES => value.clone_into(&mut self.search),
             "search" => {
                 let found = format!("{} bytes", value.len());
                 return Err(ApiError::value(name, &found, "at most 100 bytes"));
@@ -93,7 +93,7 @@ impl View {
                 let count = value
                     .parse()
                     .ok()
-                    .filter(|count| (1..=MOST_ROBOTS).contains(count));
+                    .filter(|count| (1..=MAX_ROBOTS).contains(count));
                 self.count = count.ok_or_else(|| ApiError::value(name, value, "1 to 200"))?;
             }
             _ => return Ok(false),

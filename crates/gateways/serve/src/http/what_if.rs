@@ -3,10 +3,10 @@
 use joulebus_plan::{MAX_STEPS, Path, Plan, Point, Question};
 use serde::Deserialize;
 
-/// Most robots in one question.
-const MOST_ROBOTS: usize = 64;
-/// Most points of a path.
-const MOST_POINTS: usize = 10_000;
+/// Maximum number of robots in a question.
+const MAX_ROBOTS: usize = 64;
+/// Maximum number of points of a path.
+const MAX_POINTS: usize = 10_000;
 
 /// A question as JSON.
 #[derive(Debug, Deserialize)]
@@ -21,15 +21,15 @@ pub(super) struct Asked {
     idle_s: Option<f32>,
     /// Follow this path.
     path: Option<Vec<Place>>,
-    /// And return.
+    /// Return afterwards.
     #[serde(rename = "return")]
     back: Option<ReturnTo>,
-    /// Of the intervals.
+    /// Coverage of the intervals.
     #[serde(default = "usual_coverage")]
     coverage: f32,
 }
 
-/// A point, and the greatest speed towards it; without one, as fast as the platform can.
+/// A point, and the maximum speed towards it. Without one the platform's maximum applies.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Place {
@@ -63,10 +63,10 @@ impl Asked {
     /// What is wrong with it, in words.
     pub(super) fn question(self) -> Result<Question, String> {
         let robots: Vec<u32> = self.robot.into_iter().chain(self.rank).collect();
-        if !(1..=MOST_ROBOTS).contains(&robots.len()) {
+        if !(1..=MAX_ROBOTS).contains(&robots.len()) {
             let found = robots.len();
             return Err(format!(
-                "{found} robots in robot and rank, allowed: 1 to {MOST_ROBOTS}"
+                "{found} robots in robot and rank, allowed: 1 to {MAX_ROBOTS}"
             ));
         }
         let plan = match (self.path, self.idle_s) {
@@ -83,10 +83,10 @@ impl Asked {
 }
 
 fn follow(robots: Vec<u32>, places: &[Place], back: Option<&ReturnTo>) -> Result<Plan, String> {
-    if !(2..=MOST_POINTS).contains(&places.len()) {
+    if !(2..=MAX_POINTS).contains(&places.len()) {
         let found = places.len();
         return Err(format!(
-            "path has {found} points, allowed: 2 to {MOST_POINTS}; the first is where the robot is"
+            "path has {found} points, allowed: 2 to {MAX_POINTS}; the first is where the robot is"
         ));
     }
     let point = |place: &Place| Point::new(place.x_m, place.y_m);
@@ -109,5 +109,5 @@ fn follow(robots: Vec<u32>, places: &[Place], back: Option<&ReturnTo>) -> Result
     })
 }
 
-/// Longest path, steps: the server answers one question at a time.
-pub(super) const MOST_STEPS: usize = MAX_STEPS;
+/// Maximum length of a path, steps. The server computes one question at a time.
+pub(super) const MAX_PATH_STEPS: usize = MAX_STEPS;

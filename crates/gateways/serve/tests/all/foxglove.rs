@@ -15,6 +15,7 @@ use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
 use joulebus_publisher::{Pace, Publisher, RobotState};
 use joulebus_testkit::{Child, PATIENCE, end_signals, eventually, left_behind};
+use joulebus_wire::Forecasts;
 use rustix::process::Signal;
 use serde_json::{Value, json};
 use tungstenite::client::IntoClientRequest as _;
@@ -66,7 +67,7 @@ impl Fleet {
     }
 }
 
-/// Starts a server; returns it and its address.
+/// Starts a server. Returns it with its address.
 fn start(config: &Path, more: &[&str]) -> (Child, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-serve"));
     command.args(["--foxglove", "--port", "0", "--format", "json", "--config"]);
@@ -85,8 +86,8 @@ fn dial(address: &str) -> TcpStream {
     stream
 }
 
-/// Connects as a page of `origin` does, or as a program; returns the status if that is refused, 0
-/// if the connection ends without one.
+/// Connects as a page of `origin` or as a program. Returns the status of a refusal, or 0 if the
+/// connection ends without one.
 fn try_connect(address: &str, origin: Option<&str>) -> Result<WebSocket<TcpStream>, u16> {
     let mut request = address.into_client_request().unwrap();
     let headers = request.headers_mut();
@@ -145,18 +146,18 @@ fn a_server_that_shows_the_fleet_is_not_told_as_one_that_records_it() {
 fn a_client_receives_the_channels_and_a_message_it_can_decode() {
     let fleet = Fleet::new();
     let stop = AtomicBool::new(false);
-    let (tell, told) = channel();
+    let (done, finished) = channel();
     thread::scope(|scope| {
         // The threads end with the test, whatever its result.
         let _stopped = StopOnDrop(&stop);
         scope.spawn(|| {
             let mut worker = Worker::open(&fleet.config).unwrap();
-            tell.send(()).unwrap();
+            done.send(()).unwrap();
             while !stop.load(Ordering::Relaxed) {
                 worker.turn().unwrap();
             }
         });
-        told.recv().unwrap();
+        finished.recv().unwrap();
         scope.spawn(|| fleet.publish(&stop));
         see_a_forecast(&fleet.path());
     });
@@ -168,7 +169,8 @@ fn see_a_forecast(config: &Path) {
     let mut client = connect(&address);
     let info = next_json(&mut client, "serverInfo");
     assert_eq!(info["name"], "joulebus serve");
-    let topic = MessageKind::Forecasts.topic("serve", 0);
+    let kind = MessageKind::of::<Forecasts>();
+    let topic = kind.topic("serve", 0);
     let channel = loop {
         let advertised = next_json(&mut client, "advertise");
         let channels = advertised["channels"].as_array().unwrap().clone();
@@ -180,7 +182,7 @@ fn see_a_forecast(config: &Path) {
         }
     };
     assert_eq!(channel["encoding"], "protobuf");
-    assert_eq!(channel["schemaName"], MessageKind::Forecasts.schema());
+    assert_eq!(channel["schemaName"], kind.schema());
     let subscribe = json!({
         "op": "subscribe",
         "subscriptions": [{ "id": 7, "channelId": channel["id"] }],
@@ -205,11 +207,8 @@ fn see_a_forecast(config: &Path) {
             continue;
         }
         assert_eq!(bytes[1..5], 7_u32.to_le_bytes());
-        let Message::Forecasts(_, forecasts) =
-            Message::decode(MessageKind::Forecasts, &bytes[13..]).unwrap()
-        else {
-            panic!("no forecasts");
-        };
+        let message = Message::decode(kind, &bytes[13..]).unwrap();
+        let forecasts = message.into_frame::<Forecasts>().unwrap().rows;
         if !forecasts.is_empty() {
             break forecasts;
         }
@@ -223,7 +222,7 @@ fn see_a_forecast(config: &Path) {
     server.signal(Signal::INT);
     let ended = server.wait();
     let report = ended.json();
-    // Frames that were overwritten while it got no processor are lost, and told.
+    // Frames that were overwritten while the server got no processor are lost and reported.
     let code = if report["lost"] == 0 { 0 } else { 3 };
     assert_eq!(ended.code(), Some(code), "{ended:?}");
     assert!(report["messages"].as_u64().unwrap() > 0, "{report}");
@@ -234,10 +233,10 @@ const HALF: &[u8] = b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: webso";
 
 /// The response of the server before it closes the connection.
 fn farewell(stream: &mut TcpStream) -> String {
-    let mut said = Vec::new();
+    let mut response = Vec::new();
     // A reset also ends the connection.
-    let _ = stream.read_to_end(&mut said);
-    String::from_utf8(said).unwrap()
+    let _ = stream.read_to_end(&mut response);
+    String::from_utf8(response).unwrap()
 }
 
 #[test]
@@ -279,11 +278,11 @@ fn an_incomplete_handshake_is_closed() {
         }
     });
     for stream in [&mut idle, &mut half, &mut slow] {
-        let said = farewell(stream);
+        let response = farewell(stream);
         // The slow client may have been reset before it read the reason.
         assert!(
-            said.starts_with("HTTP/1.1 408 ") || said.is_empty(),
-            "{said}"
+            response.starts_with("HTTP/1.1 408 ") || response.is_empty(),
+            "{response}"
         );
     }
     dripping.join().unwrap();
@@ -296,10 +295,10 @@ fn an_incomplete_handshake_is_closed() {
             .collect::<Vec<u8>>(),
     )
     .unwrap();
-    let said = farewell(&mut long);
+    let response = farewell(&mut long);
     assert!(
-        said.starts_with("HTTP/1.1 431 ") || said.is_empty(),
-        "{said}"
+        response.starts_with("HTTP/1.1 431 ") || response.is_empty(),
+        "{response}"
     );
     // The server serves other clients meanwhile.
     next_json(&mut connect(&address), "serverInfo");
@@ -328,8 +327,8 @@ fn pages_of_this_host_and_of_foxglove_are_served_and_others_refused() {
     ] {
         let refused = try_connect(&address, Some(origin)).map(drop);
         assert_eq!(refused, Err(403), "{origin}");
-        let said = server.wait_for_line("--allow-origin");
-        assert!(said.contains(origin), "{said}");
+        let response = server.wait_for_line("--allow-origin");
+        assert!(response.contains(origin), "{response}");
     }
     server.stop();
 }
@@ -339,8 +338,8 @@ fn the_number_of_connections_is_bounded_and_closed_ones_are_freed() {
     let fleet = Fleet::new();
     let (mut server, address) = start(&fleet.path(), &[]);
     let mut streams: Vec<TcpStream> = (0..200).map(|_| dial(&address)).collect();
-    let mut said = streams.iter_mut().rev().map(farewell);
-    let full = said.find(|said| said.starts_with("HTTP/1.1 503 "));
+    let mut responses = streams.iter_mut().rev().map(farewell);
+    let full = responses.find(|response| response.starts_with("HTTP/1.1 503 "));
     assert!(full.is_some(), "200 connections were taken at once");
     let status = fs::read_to_string(format!("/proc/{}/status", server.pid())).unwrap();
     let threads = status

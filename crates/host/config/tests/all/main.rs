@@ -1,4 +1,4 @@
-//! The tests of configs: what is shipped, what is refused, and what recordings hold.
+//! Tests of configs: the shipped ones, refusals, and the limits of recordings.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod recordings;

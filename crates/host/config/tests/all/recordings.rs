@@ -8,7 +8,7 @@ use joulebus_config::Config;
 use joulebus_settings::Platform;
 use joulebus_testkit::recordings::trials;
 
-/// Seconds, m/s, rad/s and W of each row; NaN where nothing was recorded.
+/// Seconds, m/s, rad/s and W of each row. NaN if not recorded.
 fn rows(path: &Path) -> Vec<[f64; 4]> {
     let mut text = String::new();
     let file = std::fs::File::open(path).expect("a recording");

@@ -76,7 +76,7 @@ fn problem(text: &str) -> Problem {
 }
 
 /// Replaces `from` by `to` in the complete text and checks the resulting problem.
-fn assert_refused(from: &str, to: &str, key: &str, says: &[&str]) {
+fn assert_refused(from: &str, to: &str, key: &str, expected: &[&str]) {
     assert_eq!(WHOLE.matches(from).count(), 1, "{from:?} must occur once");
     let text = WHOLE.replace(from, to);
     let problem = problem(&text);
@@ -87,7 +87,7 @@ fn assert_refused(from: &str, to: &str, key: &str, says: &[&str]) {
         "{problem}"
     );
     assert!(!problem.remedy.is_empty(), "{problem}");
-    for part in says {
+    for part in expected {
         assert!(
             problem.to_string().contains(part),
             "no {part:?} in: {problem}"
@@ -212,20 +212,20 @@ fn typos_are_refused_with_the_nearest_key() {
             &["`alarms.cusum_limit`: move it there"],
         ),
     ];
-    for (from, to, key, says) in cases {
-        assert_refused_among(from, to, key, says);
+    for (from, to, key, expected) in cases {
+        assert_refused_among(from, to, key, expected);
     }
 }
 
-/// As `assert_refused`, where the same text may occur elsewhere.
-fn assert_refused_among(from: &str, to: &str, key: &str, says: &[&str]) {
+/// Same as `assert_refused`, for a text that may occur elsewhere.
+fn assert_refused_among(from: &str, to: &str, key: &str, expected: &[&str]) {
     let text = WHOLE.replacen(from, to, 1);
     let refused = parse(&text).expect_err("accepted");
     let found = refused.problems().iter().find(|problem| problem.key == key);
     let found = found.unwrap_or_else(|| panic!("{refused}"));
     let line = line_of(WHOLE, from);
     assert_eq!(found.line, Some(line), "{found}");
-    for part in says {
+    for part in expected {
         assert!(found.to_string().contains(part), "no {part:?} in: {found}");
     }
 }
@@ -417,8 +417,8 @@ fn wrong_kinds_and_units_are_refused() {
             &["allowed are regular files"],
         ),
     ];
-    for (from, to, key, says) in cases {
-        assert_refused(from, to, key, says);
+    for (from, to, key, expected) in cases {
+        assert_refused(from, to, key, expected);
     }
 }
 
@@ -450,8 +450,8 @@ fn a_key_in_another_unit_is_converted_in_the_remedy() {
             &["`platform.rate_hz`", "40 ms is 25 Hz"],
         ),
     ];
-    for (from, to, key, says) in cases {
-        assert_refused(from, to, key, says);
+    for (from, to, key, expected) in cases {
+        assert_refused(from, to, key, expected);
     }
 }
 
@@ -554,7 +554,7 @@ fn contradictions_are_refused_naming_both_keys_and_lines() {
             &["share robot 0"],
         ),
     ];
-    for (from, to, key, says) in cases {
+    for (from, to, key, expected) in cases {
         let text = WHOLE.replace(from, to);
         let refused = parse(&text).expect_err(to);
         let found = refused
@@ -563,7 +563,7 @@ fn contradictions_are_refused_naming_both_keys_and_lines() {
             .find(|problem| problem.key == *key);
         let found = found.unwrap_or_else(|| panic!("{refused}"));
         assert_eq!(found.line, Some(line_of(&text, to)), "{found}");
-        for part in *says {
+        for part in *expected {
             assert!(found.to_string().contains(part), "no {part:?} in: {found}");
         }
     }
@@ -592,10 +592,10 @@ fn keys_set_twice_are_refused_with_both_lines() {
         ),
         ("[interval]\n", "[tick]\n[interval]\n", 15, "in line 7"),
     ];
-    for (from, to, line, says) in cases {
+    for (from, to, line, expected) in cases {
         let found = problem(&WHOLE.replacen(from, to, 1));
         assert_eq!(found.line, Some(line), "{found}");
-        assert!(found.what.contains(says), "{found}");
+        assert!(found.what.contains(expected), "{found}");
     }
 }
 
@@ -711,7 +711,7 @@ fn bounds_are_accepted_and_values_beyond_them_are_not() {
                 Ok(_) => None,
                 Err(error) => Some(error.to_string()),
             };
-            // It may contradict other keys, but must not be out of range.
+            // The value may contradict other keys, but must not be out of range.
             if let Some(text) = refused(end) {
                 assert!(
                     text.contains("contradicts") && !text.contains("out of its range"),

@@ -118,7 +118,7 @@ fn defaults_in_the_table_equal_those_of_missing_keys() {
 fn the_effective_config_is_the_same_config() {
     for name in ["fleet.toml", "mixed.toml"] {
         let config = load(name).unwrap();
-        // From another directory: it must not depend on its location.
+        // Parsed from another directory, because it must not depend on its location.
         let again = Config::parse(config.to_toml(), Path::new("/"))
             .unwrap_or_else(|error| panic!("{name}: {error}\n{}", config.to_toml()));
         assert_eq!(again.settings(), config.settings());
@@ -215,7 +215,7 @@ fn a_path_is_relative_to_the_file_that_names_it() {
     };
     assert_eq!(fs::read(model).unwrap(), b"not parsed");
 
-    // Its platform is below the folder; that of a config in another folder is not.
+    // Its platform is below the folder. The platform of a config in another folder is not.
     assert!(Config::load_attached(at("own-fleet.toml")).is_ok());
     let fleet = fs::read_to_string(at("own-fleet.toml")).unwrap();
     let foreign = at("elsewhere/fleet.toml");

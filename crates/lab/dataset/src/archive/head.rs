@@ -1,8 +1,8 @@
-//! What a file has beside the values of a trial.
+//! The metadata of an archive's file, beside the values of its trial.
 
 use serde::{Deserialize, Serialize};
 
-/// What a file of an archive states of its trial, beside the rows.
+/// The metadata of a trial in its file, beside the rows.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Head {
     /// Name of the recording: the file that was exported.

@@ -1,4 +1,4 @@
-//! Which files of an archive are the trials of a recording.
+//! Listings: which files of an archive are the trials of a recording.
 
 use std::fs;
 use std::io;
@@ -12,7 +12,8 @@ use super::schema::SCHEMA;
 use super::sum::beginning;
 use crate::trial::{Table, TrialError};
 
-/// The folder of an archive that has the listings. Readers of Parquet skip names with a `_` at the beginning.
+/// The folder of an archive that has the listings. Readers of Parquet skip names with a `_` at the
+/// beginning.
 pub const LISTINGS: &str = "_joulebus";
 /// Ending of a listing's name, after the number of its recording.
 pub const LISTING_ENDING: &str = ".recording";
@@ -22,7 +23,7 @@ pub const MARK: &str = "archive.json";
 /// Largest listing: one of the most robots that a recording may have is smaller.
 const MAX_BYTES: u64 = 64 << 20;
 
-/// The trials of a recording: what makes them a part of the archive. It is written last.
+/// The trials of a recording. The listing makes them a part of the archive and is written last.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Listing {
     /// Version of the schema.

@@ -1,4 +1,5 @@
-//! A panic of the crate `parquet` is a refusal of its input: it is caught, and nothing about it is printed.
+//! A panic of the crate `parquet` is a refusal of its input: it is caught, and nothing about it is
+//! printed.
 
 use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind, set_hook, take_hook};
@@ -27,7 +28,7 @@ fn wrap_hook() {
     ONCE.call_once(|| set_hook(quiet(take_hook())));
 }
 
-/// What `read` returns; none if it panicked, about which nothing is printed.
+/// The result of `read`, or `None` if it panicked. A panic prints nothing.
 pub(super) fn caught<T>(read: impl FnOnce() -> T) -> Option<T> {
     // The hook cannot be changed by a thread that panics; then its message is printed.
     if !std::thread::panicking() {
@@ -58,7 +59,7 @@ mod tests {
                 PRINTED.fetch_add(1, Ordering::Relaxed);
             }
         };
-        // From here on `caught` leaves the hook alone.
+        // From now on `caught` does not change the hook.
         wrap_hook();
         set_hook(quiet(Box::new(count)));
         let printed = || PRINTED.load(Ordering::Relaxed);

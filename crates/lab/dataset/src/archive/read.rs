@@ -25,10 +25,10 @@ pub(crate) const MAGIC: &[u8] = b"PAR1";
 /// Largest file that is read: [`MAX_ROWS`] rows have less.
 const MAX_BYTES: u64 = 1 << 30;
 
-/// Longest line of a schema that is shown, characters.
-const MOST_SHOWN: usize = 100;
+/// Maximum length of a schema's line in messages, characters.
+const MAX_SHOWN: usize = 100;
 
-/// Why a file is refused: what was found, and what is allowed.
+/// Why a file is refused, with the found and the allowed value.
 struct Refused(String);
 
 impl From<ParquetError> for Refused {
@@ -45,7 +45,7 @@ impl From<io::Error> for Refused {
     }
 }
 
-/// The trial of a file, and what the file states of it.
+/// The trial of a file, with its metadata.
 pub(crate) fn table(path: &Path) -> Result<(Table, Head), TrialError> {
     let file = joulebus_files::open(path).map_err(|source| TrialError::Io {
         path: path.to_owned(),
@@ -55,7 +55,7 @@ pub(crate) fn table(path: &Path) -> Result<(Table, Head), TrialError> {
         path: path.to_owned(),
         detail,
     };
-    // The crate's decoders check what they read, but promise nothing for hostile input.
+    // The decoders of the crate check their input, but promise nothing for hostile input.
     let read = caught(|| columns(file));
     let (head, columns) = match read {
         Some(read) => read.map_err(refused)?,
@@ -73,7 +73,7 @@ pub(crate) fn table(path: &Path) -> Result<(Table, Head), TrialError> {
 struct Values {
     row: Vec<u32>,
     timestamp_s: Vec<f64>,
-    /// In the order of [`Column::ALL`], NaN where there is no value.
+    /// The columns in the order of [`Column::ALL`], NaN for missing values.
     of_trial: [Vec<f64>; Column::ALL.len()],
 }
 
@@ -102,7 +102,7 @@ fn columns(file: File) -> Result<(Head, Values), Refused> {
     Ok((head, values))
 }
 
-/// What the footer states under a key.
+/// The footer's value of a key.
 fn value<'a>(about: &'a FileMetaData, key: &str) -> Option<&'a str> {
     let mut all = about.key_value_metadata()?.iter();
     let found = all.rfind(|pair| pair.key == key)?;
@@ -127,7 +127,7 @@ fn check_sum(file: &File, about: &FileMetaData) -> Result<(), Refused> {
     )))
 }
 
-/// What the footer states, of a file with the columns of this version.
+/// The metadata in the footer of a file with the columns of this version.
 fn head(about: &FileMetaData) -> Result<Head, Refused> {
     let value = |key| value(about, key);
     let remedy = "allowed are files that `joulebus export` wrote; write others as CSV";
@@ -180,7 +180,7 @@ fn difference(found: &Type, allowed: &Type) -> String {
             .trim()
             .trim_end_matches(';')
             .chars()
-            .take(MOST_SHOWN)
+            .take(MAX_SHOWN)
             .collect(),
     };
     match pairs.find(|(found, allowed)| found != allowed) {
@@ -189,7 +189,7 @@ fn difference(found: &Type, allowed: &Type) -> String {
     }
 }
 
-/// Rows of a row group, of which all columns have as many.
+/// Number of rows of a row group, which must be the same for all columns.
 fn rows(about: &RowGroupMetaData, before: usize) -> Result<usize, Refused> {
     let stated = about.num_rows();
     let rows = usize::try_from(stated).ok();
@@ -251,7 +251,7 @@ fn read_column(
     Ok(())
 }
 
-/// One value for each row, `missing` where there is none.
+/// One value for each row, `missing` for null.
 fn column_values<T: DataType>(
     mut reader: ColumnReaderImpl<T>,
     field: &Field,
@@ -291,7 +291,8 @@ where
     })
 }
 
-/// The trial under the name of its recording; a value that no recording can have is refused as there.
+/// The trial under the name of its recording; a value that no recording can have is refused as
+/// there.
 fn assemble(path: &Path, head: &Head, values: Values) -> Result<Table, TrialError> {
     let mut table = Table {
         path: path.to_owned(),

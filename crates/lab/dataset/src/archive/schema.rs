@@ -17,7 +17,7 @@ pub(super) const UNITS_KEY: &str = "joulebus.units";
 /// Key of the [`Head`](super::Head), as JSON.
 pub(super) const HEAD_KEY: &str = "joulebus.trial";
 
-/// Key of the [`Sum`](super::sum::Sum) of what comes before the footer.
+/// Key of the [`Sum`](super::sum::Sum) of the bytes before the footer.
 pub(super) const SUM_KEY: &str = "joulebus.sum";
 
 /// Type of a column.

@@ -10,8 +10,8 @@ use crc32fast::Hasher;
 /// Bytes that are read at once.
 const BLOCK_BYTES: usize = 1 << 17;
 
-/// What a file had before its footer when it was written, and the CRC-32 of that and of the text of the
-/// [`Head`](super::Head). Parquet has checksums of pages, which the crate does not write.
+/// Number of bytes before the footer, and the CRC-32 of those bytes and of the text of the
+/// [`Head`](super::Head). Parquet has checksums of pages, but the crate does not write them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Sum {
     pub(super) bytes: u64,

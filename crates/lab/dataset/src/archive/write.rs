@@ -18,7 +18,7 @@ use super::schema::{
 use super::sum::Sum;
 use crate::trial::Table;
 
-/// Rows of a row group: what readers that skip by statistics can skip.
+/// Rows of a row group: the unit that readers can skip by statistics.
 const GROUP_ROWS: usize = 1 << 16;
 
 /// Why a trial could not be written.
@@ -28,7 +28,7 @@ pub enum WriteArchiveError {
     /// The operating system's error.
     #[error(transparent)]
     Io(#[from] io::Error),
-    /// What the crate `parquet` refuses; a full disk, for instance.
+    /// An error of the crate `parquet`, for instance a full disk.
     #[error("cannot write Parquet: {0}")]
     Parquet(String),
 }
@@ -39,7 +39,7 @@ impl From<ParquetError> for WriteArchiveError {
     }
 }
 
-/// What was written.
+/// The files and rows written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Exported {
     /// Bytes of the file.
@@ -48,7 +48,8 @@ pub struct Exported {
     pub crc32: u32,
 }
 
-/// Writes the rows of a trial into `out`, a new file. `stamps` has one entry for each row of a capture.
+/// Writes the rows of a trial into `out`, a new file. `stamps` has one entry for each row of a
+/// capture.
 ///
 /// # Errors
 /// [`WriteArchiveError`].
@@ -94,8 +95,8 @@ pub fn write<W: Write + Send>(
     })
 }
 
-/// Without compression: readings repeat, and whole numbers rise evenly, so encodings leave little for it; and nothing in
-/// a hostile file can expand.
+/// Without compression: readings repeat, and whole numbers rise evenly, so encodings leave little
+/// for it; and nothing in a hostile file can expand.
 fn properties(head: &str) -> WriterProperties {
     let value = |key: &str, value: String| KeyValue::new(key.to_owned(), value);
     let metadata = vec![
@@ -217,7 +218,7 @@ fn number(
     }
 }
 
-/// The robot's name as a number, where it is the plain spelling of one; without the fleet's name in it.
+/// The robot's name without the fleet's, as a number, if it is the plain spelling of one.
 fn robot_id(head: &Head) -> Option<u32> {
     let name = head.robot.as_deref()?;
     let name = match &head.fleet {
@@ -231,7 +232,7 @@ fn robot_id(head: &Head) -> Option<u32> {
     (id.to_string() == name).then_some(id)
 }
 
-/// Counts and sums what is written.
+/// A writer that counts bytes and computes their checksum.
 struct Summed<W> {
     out: W,
     bytes: u64,

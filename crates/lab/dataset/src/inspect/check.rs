@@ -161,8 +161,8 @@ fn single(kind: FindingKind, file: &Path, what: String) -> Finding {
     finding
 }
 
-/// Digest of times and values: two recordings of the same run have the same digest, whatever their
-/// robots are called.
+/// Digest of times and values. Two recordings of the same run have the same digest, whatever the
+/// names of their robots.
 fn digest(trial: &Trial) -> [u8; 32] {
     let mut digest = Sha256::new();
     for offset_ns in trial.offset_ns() {
@@ -333,7 +333,8 @@ fn check_columns(trial: &Trial, limits: &Limits, found: &mut Findings) {
         let range = limits.range(column);
         for (row, value) in values.iter().enumerate() {
             if value.is_nan() {
-                // Missing power has its own kind, and no capture has the command of its first reading.
+                // Missing power has its own kind, and no capture has the command of its first
+                // reading.
                 let is_first = row == 0 && matches!(column, Column::V | Column::Omega);
                 let counts = usize::from(column != Column::Power && !is_first);
                 found.add(FindingKind::MissingValue, counts, || {

@@ -29,7 +29,7 @@ pub struct TrialReport {
     pub steps: Steps,
     /// Steps longer than 1.5 median ones.
     pub gaps: usize,
-    /// Longest gap, s.
+    /// The longest gap, s.
     pub longest_gap_s: Option<f64>,
     /// Rows whose time is not later than all times before.
     pub not_advancing: usize,
@@ -47,7 +47,7 @@ pub struct TrialReport {
     pub greatest_power_w: Option<f64>,
     /// Energy, J: each reading is held until the next row; gaps are excluded.
     pub energy_j: f64,
-    /// Power compared with voltage times current, where all three are recorded.
+    /// Power compared with voltage times current, if all three are recorded.
     pub power_check: Option<PowerCheck>,
     /// Columns with values.
     pub columns: Vec<ColumnReport>,

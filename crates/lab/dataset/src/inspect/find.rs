@@ -11,7 +11,7 @@ use crate::trial::{Form, is_capture};
 /// Recordings found.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Found {
-    /// Recordings in the order of the arguments; those of a directory sorted by name.
+    /// Recordings in the order of the arguments. Those of a directory are sorted by name.
     pub files: Vec<PathBuf>,
     /// Other files in the directories: not `.npy`, `.csv`, `.csv.gz` or a capture, ignored.
     pub others: Vec<PathBuf>,
@@ -80,7 +80,8 @@ impl FindError {
 }
 
 /// Recordings named by the arguments: files, directories (searched recursively), and patterns
-/// (`runs/**/*.npy`). Of an archive its listings are found, in the order of the recordings that were exported. A file named explicitly is included whatever its extension.
+/// (`runs/**/*.npy`). An archive yields its listings, in the order of the exported recordings. A
+/// file named explicitly is included whatever its extension.
 ///
 /// # Errors
 /// [`FindError`]: a path does not exist or cannot be read, or a directory or pattern yields
@@ -107,8 +108,8 @@ pub fn find<P: AsRef<Path>>(arguments: &[P]) -> Result<Found, FindError> {
 }
 
 fn take(path: &Path, found: &mut Found) -> Result<(), FindError> {
-    let told = fs::metadata(path).map_err(|source| io_error(path, source))?;
-    if !told.is_dir() {
+    let metadata = fs::metadata(path).map_err(|source| io_error(path, source))?;
+    if !metadata.is_dir() {
         joulebus_files::look(path).map_err(|source| io_error(path, source))?;
         found.files.push(path.to_owned());
         return Ok(());
@@ -145,8 +146,9 @@ fn take_pattern(pattern: &str, found: &mut Found) -> Result<(), FindError> {
     Ok(())
 }
 
-/// Whether a file of a directory is a recording: by its name (`.parquet` included: of an archive's partitions), and an `.mcap` by its first record,
-/// since those of other programs have to be converted.
+/// Whether a file of a directory is a recording. Its name decides (`.parquet` belongs to an
+/// archive's partitions), for an `.mcap` also its first record, because those of other programs
+/// have to be converted.
 #[must_use]
 pub fn is_recording(path: &Path) -> bool {
     let is_parquet = || path.extension().is_some_and(|ending| ending == "parquet");
@@ -166,8 +168,8 @@ fn walk(directory: &Path, found: &mut Found) -> Result<(), FindError> {
     }
     entries.sort();
     for path in entries {
-        let told = fs::symlink_metadata(&path).map_err(|source| io_error(&path, source))?;
-        if told.is_dir() {
+        let metadata = fs::symlink_metadata(&path).map_err(|source| io_error(&path, source))?;
+        if metadata.is_dir() {
             walk(&path, found)?;
         } else if is_recording(&path) {
             found.files.push(path);

@@ -4,19 +4,18 @@ use serde::Serialize;
 
 use crate::trial::Trial;
 
-/// Pattern of held readings. A reading is held if power, voltage and current all equal those of the
-/// row before to the bit; a constant load below the sensor's resolution is indistinguishable from
-/// that.
+/// Pattern of held readings. A reading is held if power, voltage and current all equal the previous
+/// row's to the bit. A constant load below the sensor's resolution looks the same.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Holds {
     /// Rows with a reading.
     pub readings: usize,
-    /// Readings equal to those of the row before.
+    /// Number of readings equal to the previous row's.
     pub held: usize,
     /// `held / readings`; 0 without readings.
     pub share: f64,
-    /// Most frequent run length, rows: 1 where most readings are new. Of two equally frequent
-    /// lengths, the shorter.
+    /// Most frequent run length, rows: 1 if most readings are new. Of two equally frequent lengths,
+    /// the shorter.
     pub usual_rows: usize,
     /// Share of the runs with this length.
     pub usual_share: f64,
@@ -79,7 +78,7 @@ pub fn holds(trial: &Trial) -> Holds {
     }
 }
 
-/// The most frequent length and the number of runs that have it.
+/// The most frequent length, and its number of runs.
 fn usual(runs: &[Run]) -> (usize, usize) {
     let mut lengths: Vec<usize> = runs.iter().map(|run| run.rows).collect();
     lengths.sort_unstable();

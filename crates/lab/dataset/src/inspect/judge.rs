@@ -84,7 +84,7 @@ fn implausible(from: Source, trial: &Trial, finding: Finding) -> Implausible {
         file: trial.path().to_owned(),
         row: None,
         column: name,
-        what: format!("{}; {}", finding.found, remedy),
+        what: format!("{}; {}; {remedy}", finding.found, finding.allowed),
     };
     Implausible {
         finding,

@@ -14,7 +14,7 @@ pub struct Range {
 }
 
 impl Range {
-    /// From `-greatest` to `greatest`.
+    /// The range from `-greatest` to `greatest`.
     #[must_use]
     pub const fn within(greatest: f64) -> Self {
         Self {

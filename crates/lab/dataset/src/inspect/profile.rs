@@ -1,4 +1,5 @@
-//! What recordings say about a platform: rate, ranges, resolution, holds, steps of the readings.
+//! A platform's profile from recordings: rate, ranges, resolution, holds, and steps of the
+//! readings.
 
 use joulebus_plausibility::resolution;
 use serde::Serialize;
@@ -7,7 +8,7 @@ use super::hold::runs;
 use crate::trial::{Column, Trial};
 
 /// A step longer than this many median steps is a gap.
-const LONGEST_STEP: f64 = 1.5;
+const MAX_STEP: f64 = 1.5;
 
 /// A platform as its recordings show it. SI units.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -26,7 +27,7 @@ pub struct Profile {
     pub difference_w: f64,
     /// Usual time that a reading is held, s: the longest of the trials' means.
     pub usual_hold_s: f64,
-    /// Longest time over which all readings are equal, s.
+    /// Longest time with equal readings, s.
     pub longest_hold_s: f64,
     /// Largest |v|, m/s, if it is recorded.
     pub v_mps: Option<f64>,
@@ -92,7 +93,7 @@ fn difference(trials: &[Trial]) -> Option<f64> {
         let Some(power) = trial.column(Column::Power) else {
             continue;
         };
-        let longest_ns = (trial.period_ns() as f64 * LONGEST_STEP) as i64;
+        let longest_ns = (trial.period_ns() as f64 * MAX_STEP) as i64;
         let steps = trial.offset_ns().windows(2).zip(power.windows(2));
         for (times, readings) in steps {
             let difference = readings[1] - readings[0];

@@ -13,7 +13,7 @@ pub struct PowerCheck {
     pub median_ratio: f64,
 }
 
-/// Compares power with voltage times current; `None` where no row has all three.
+/// Compares power with voltage times current. `None` if no row has all three.
 #[must_use]
 pub fn power_check(trial: &Trial) -> Option<PowerCheck> {
     let columns = [Column::Power, Column::Voltage, Column::Current].map(|c| trial.column(c));

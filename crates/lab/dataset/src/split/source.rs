@@ -34,7 +34,7 @@ impl Source {
     }
 }
 
-/// What a split needs of a trial: all of a [`Source`] but its rows.
+/// The properties of a trial that a split needs: a [`Source`] without its rows.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SourceInfo {
     /// Name of the trial: its file.
@@ -65,7 +65,7 @@ impl From<&Source> for SourceInfo {
 }
 
 impl SourceInfo {
-    /// Of each source, in their order.
+    /// The information of each source, in their order.
     #[must_use]
     pub fn of(sources: &[Source]) -> Vec<Self> {
         sources.par_iter().map(Self::from).collect()

@@ -1,4 +1,5 @@
-//! Rows of the samples in a capture: the inverse of [`Trial::to_samples`](super::Trial::to_samples).
+//! Rows of the samples in a capture: the inverse of
+//! [`Trial::to_samples`](super::Trial::to_samples).
 //!
 //! A sample has the reading of one row and the command and time of the next, so row *k* gets its
 //! time and command from sample *k* − 1 and its reading from sample *k*. The command of the first
@@ -11,8 +12,8 @@ use std::os::unix::fs::FileExt as _;
 use std::path::Path;
 use std::sync::Arc;
 
-use joulebus_capture_format::{Message, ReadError, Reader};
-use joulebus_wire::{Sample, sample_flag};
+use joulebus_capture_format::{Frame, ReadError, Reader};
+use joulebus_wire::{Sample, Samples, sample_flag};
 
 use super::limits::MCAP_MAGIC;
 use super::table::{Cell, Column, Table};
@@ -40,7 +41,8 @@ pub fn is_capture(path: &Path) -> bool {
 pub struct CaptureRun {
     /// Name of the fleet.
     pub fleet: String,
-    /// Its rows. The robot's name is its id, with the fleet's before it where the capture has several.
+    /// The rows of the run. The robot's name is its id, after the fleet's name if the capture has
+    /// several.
     pub table: Table,
     /// Exact integers of each row.
     pub stamps: Vec<RowStamp>,
@@ -56,8 +58,8 @@ pub(super) fn read(path: &Path) -> Result<Vec<Table>, TrialError> {
     Ok(tables)
 }
 
-/// Calls `take` with each run of a capture: by fleet, robot and time. Only one run is in memory at a time, and a fixed
-/// number of samples; the others wait in a temporary file.
+/// Calls `take` with each run of a capture: by fleet, robot and time. Only one run and a fixed
+/// number of samples are in memory at a time. The others wait in a temporary file.
 ///
 /// # Errors
 /// [`TrialError`], and those of `take`.
@@ -117,11 +119,11 @@ fn collect(path: &Path) -> Result<Store, TrialError> {
     // The run of a source that each robot's last sample came from.
     let mut sources: BTreeMap<Robot, (u64, u64)> = BTreeMap::new();
     while let Some(entry) = reader.next_entry().map_err(failed)? {
-        let Message::Samples(header, samples) = entry.message else {
+        let Ok(Frame { header, rows }) = entry.message.into_frame::<Samples>() else {
             continue;
         };
         frames += 1;
-        for sample in samples {
+        for sample in rows {
             let robot = (Arc::clone(&entry.fleet), sample.robot);
             let source = (header.source_id, header.source_epoch);
             let is_same = sources.insert(robot.clone(), source) == Some(source);
@@ -173,7 +175,7 @@ struct Recorded {
 /// Bytes of a [`Recorded`] in the temporary file.
 const RECORDED_BYTES: usize = size_of::<Sample>() + size_of::<u64>();
 /// Samples in memory before they go to the temporary file: 75 MB.
-const MOST_PENDING: usize = 1 << 20;
+const MAX_PENDING: usize = 1 << 20;
 
 /// Samples sorted by run: some in memory, others in a temporary file that has no name.
 #[derive(Default)]
@@ -189,11 +191,11 @@ struct Store {
 /// One run.
 #[derive(Default)]
 struct Run {
-    /// Where samples are in the temporary file, and how many.
+    /// Positions of samples in the temporary file, and their numbers.
     blocks: Vec<(u64, usize)>,
     pending: Vec<Recorded>,
     rows: usize,
-    /// Of the last sample.
+    /// Stamp of the last sample.
     stamp_ns: u64,
 }
 
@@ -215,13 +217,13 @@ impl Store {
         run.stamp_ns = recorded.sample.stamp_ns;
         run.pending.push(recorded);
         self.pending += 1;
-        match self.pending >= MOST_PENDING {
+        match self.pending >= MAX_PENDING {
             true => self.spill(),
             false => Ok(()),
         }
     }
 
-    /// Writes all samples in memory to the file, those of a run side by side.
+    /// Writes all samples in memory to the file, grouped by run.
     fn spill(&mut self) -> io::Result<()> {
         let mut file = match self.file.take() {
             Some(file) => file,
@@ -333,8 +335,8 @@ fn table(
     Ok((table, stamps))
 }
 
-/// Time of the first row: that of its reading if it was measured within the step before the first
-/// sample, else a median step before.
+/// Time of the first row: when its reading was measured, if that is within the step before the
+/// first sample, else a median step before it.
 fn start_ns(samples: &[Recorded]) -> u64 {
     let mut steps: Vec<u64> = samples
         .windows(2)

@@ -105,7 +105,7 @@ pub enum TrialError {
     NpyHeader {
         /// The file.
         path: PathBuf,
-        /// What was found, and what is allowed.
+        /// The problem with the expected value.
         detail: String,
     },
     /// The array holds Python objects: reading them would execute code.
@@ -159,7 +159,7 @@ pub enum TrialError {
     Separator {
         /// The file.
         path: PathBuf,
-        /// What separates them.
+        /// The separator found.
         found: char,
     },
     /// Required columns are missing.
@@ -181,7 +181,7 @@ pub enum TrialError {
     Capture {
         /// The file.
         path: PathBuf,
-        /// What was found, and what to do.
+        /// The problem with its remedy.
         detail: String,
     },
     /// A file of an archive could not be read.
@@ -189,7 +189,7 @@ pub enum TrialError {
     Archive {
         /// The file.
         path: PathBuf,
-        /// What was found, what is allowed, and what to do.
+        /// The problem with the expected value and the remedy.
         detail: String,
     },
     /// A file that is read a second time has other contents than before.

@@ -6,7 +6,7 @@ use std::str::FromStr;
 
 use super::table::Column;
 
-/// What a column of a file holds.
+/// The quantity of a file's column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quantity {
     /// The robot's name.
@@ -26,8 +26,8 @@ struct Spelling {
     layout: &'static [&'static str],
     /// Other names, in lower case, without the unit.
     others: &'static [&'static str],
-    /// Units in lower case with the factor to the unit of the layout; the first is that of a
-    /// mapped column without a unit in its name, "" that of a name without a unit.
+    /// Units in lower case with the factor to the layout's unit. The first one applies to a mapped
+    /// column without a unit in its name, "" to a name without a unit.
     units: &'static [(&'static str, f64)],
 }
 
@@ -173,7 +173,7 @@ fn spelling(quantity: Quantity) -> &'static Spelling {
     let found = SPELLINGS
         .iter()
         .find(|spelling| spelling.quantity == quantity);
-    // Every quantity is in the table; a test says so.
+    // A test checks that every quantity is in the table.
     found.unwrap_or(&SPELLINGS[0])
 }
 
@@ -247,7 +247,7 @@ pub enum MapError {
     /// There is no name on one of the sides.
     #[error("{found:?} is no mapping; an example: power=battery_W or power_mW=p1")]
     Form {
-        /// What was found.
+        /// The found name.
         found: String,
     },
     /// The quantity is unknown.
@@ -255,7 +255,7 @@ pub enum MapError {
         "{found:?} is no quantity; allowed: {allowed}, each with a unit if it is not in the column's name"
     )]
     Quantity {
-        /// What was found.
+        /// The found name.
         found: String,
         /// The quantities.
         allowed: String,
@@ -369,9 +369,8 @@ impl ColumnMap {
             .map(|column| (column.quantity, column.name.as_str()))
     }
 
-    /// Positions of a quantity among a file's columns, with the factor to the unit of the layout:
-    /// the mapped ones, else those of the layout, else those with another spelling. A file should
-    /// have at most one.
+    /// Positions of a quantity among a file's columns, with the factor to the layout's unit: mapped
+    /// columns, else the layout's names, else other spellings. A file should have at most one.
     pub(super) fn positions(&self, quantity: Quantity, names: &[String]) -> Vec<Found> {
         let mapped: Vec<&MappedColumn> = self
             .columns

@@ -28,11 +28,11 @@ impl Table {
         Self::read_mapped(path, &ColumnMap::default())
     }
 
-    /// As [`Table::read_robots`], with names for the columns of a CSV, and the sign of the current in
-    /// any format.
+    /// Same as [`Table::read_robots`], with names for the columns of a CSV, and the sign of the current
+    /// in any format.
     ///
     /// # Errors
-    /// As [`Table::read_robots`], and for a mapped column that the file lacks.
+    /// Same as [`Table::read_robots`], and for a mapped column that the file lacks.
     pub fn read_mapped(path: impl AsRef<Path>, map: &ColumnMap) -> Result<Vec<Self>, TrialError> {
         let mut tables = Self::read_as_recorded(path.as_ref(), map)?;
         if map.turns() {
@@ -82,10 +82,10 @@ impl Table {
         }
     }
 
-    /// As [`Table::read`], with names for the columns of a CSV.
+    /// Same as [`Table::read`], with names for the columns of a CSV.
     ///
     /// # Errors
-    /// As [`Table::read`], and for a mapped column that the file lacks.
+    /// Same as [`Table::read`], and for a mapped column that the file lacks.
     pub fn only_of(path: impl AsRef<Path>, map: &ColumnMap) -> Result<Self, TrialError> {
         Self::only(Self::read_mapped(path, map)?)
     }
@@ -93,7 +93,7 @@ impl Table {
     /// The trial in SI units.
     ///
     /// # Errors
-    /// [`TrialError::NoPeriod`] where no time advances.
+    /// [`TrialError::NoPeriod`] if no time advances.
     pub fn into_trial(mut self) -> Result<Trial, TrialError> {
         for (column, values) in super::Column::ALL.into_iter().zip(&mut self.columns) {
             for value in values.iter_mut().flatten() {
@@ -106,7 +106,7 @@ impl Table {
 
 impl Trial {
     /// Reads the trials of a file of one or several robots, in the order in which they appear. Rows
-    /// in [`TrialNotes`](super::TrialNotes) are those of the file.
+    /// in [`TrialNotes`](super::TrialNotes) are the file's rows.
     ///
     /// # Errors
     /// [`TrialError`], like [`Trial::read`], but several robots are accepted if every row names its
@@ -115,10 +115,10 @@ impl Trial {
         Self::read_mapped(path, &ColumnMap::default())
     }
 
-    /// As [`Trial::read_robots`], with names for the columns of a CSV.
+    /// Same as [`Trial::read_robots`], with names for the columns of a CSV.
     ///
     /// # Errors
-    /// As [`Trial::read_robots`], and for a mapped column that the file lacks.
+    /// Same as [`Trial::read_robots`], and for a mapped column that the file lacks.
     pub fn read_mapped(path: impl AsRef<Path>, map: &ColumnMap) -> Result<Vec<Self>, TrialError> {
         let tables = Table::read_mapped(path, map)?;
         tables.into_iter().map(Table::into_trial).collect()

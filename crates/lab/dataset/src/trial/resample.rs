@@ -1,4 +1,4 @@
-//! Resampling of a trial. Only on request: every method changes what was recorded.
+//! Resampling of a trial. It is done only on request, because every method changes recorded values.
 
 use std::path::Path;
 
@@ -86,9 +86,9 @@ impl Trial {
     /// # Errors
     /// [`ResampleError`].
     pub fn resampled(&self, how: Resample) -> Result<(Self, Resampled), ResampleError> {
-        let (grid, told) = resample(&self.timestamp_s, &self.columns, how)?;
+        let (grid, counts) = resample(&self.timestamp_s, &self.columns, how)?;
         let table = grid.of(&self.path, self.robot_name.as_deref());
-        Ok((Self::from_si(table)?, told))
+        Ok((Self::from_si(table)?, counts))
     }
 }
 
@@ -105,8 +105,8 @@ impl Table {
     /// # Errors
     /// [`ResampleError`].
     pub fn resampled(&self, how: Resample) -> Result<(Self, Resampled), ResampleError> {
-        let (grid, told) = resample(&self.timestamp_s, &self.columns, how)?;
-        Ok((grid.of(&self.path, self.robot_name.as_deref()), told))
+        let (grid, counts) = resample(&self.timestamp_s, &self.columns, how)?;
+        Ok((grid.of(&self.path, self.robot_name.as_deref()), counts))
     }
 }
 
@@ -166,7 +166,7 @@ struct Grid {
 }
 
 impl Grid {
-    /// As the table of a file.
+    /// The grid as the table of a file.
     fn of(self, path: &Path, robot_name: Option<&str>) -> Table {
         let Self {
             timestamp_s,
@@ -228,7 +228,7 @@ fn resample(
             emitted.iter().map(value).collect()
         });
     }
-    let told = Resampled {
+    let counts = Resampled {
         rows_before: timestamp_s.len(),
         rows: emitted.len(),
         not_advancing: timestamp_s.len() - spans.row.len(),
@@ -238,7 +238,7 @@ fn resample(
         timestamp_s: grid_s.collect(),
         columns: made,
     };
-    Ok((grid, told))
+    Ok((grid, counts))
 }
 
 /// Contributions to a time of the grid: rows with weights that sum to 1; none in a gap.

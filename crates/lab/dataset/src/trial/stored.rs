@@ -24,7 +24,8 @@ enum Place {
 }
 
 impl Stored {
-    /// What a file has: itself, or each trial of an archive's recording. `map` names the columns of a CSV.
+    /// The trials of a file: of the file itself, or of an archive's recording. `map` names the
+    /// columns of a CSV.
     ///
     /// # Errors
     /// [`TrialError`]: a listing of an archive that cannot be read. Other files are not opened.
@@ -57,7 +58,7 @@ impl Stored {
     /// Reads the trial again, of a file that had one robot.
     ///
     /// # Errors
-    /// [`TrialError`], also where the file has several robots now.
+    /// [`TrialError`], also if the file has several robots now.
     pub fn read_again(&self) -> Result<Trial, TrialError> {
         match &self.place {
             Place::File(map) => Table::only_of(&self.path, map)?.into_trial(),

@@ -136,7 +136,7 @@ pub(super) const TIME_NAMES: &[&str] = &["timestamp_s", "timestamp"];
 pub struct Table {
     pub(crate) path: PathBuf,
     pub(crate) robot_name: Option<String>,
-    /// File row of each row, from 1; not contiguous where several robots share a file.
+    /// File row of each row, from 1. Not contiguous if several robots share a file.
     pub(crate) file_row: Vec<u32>,
     pub(crate) timestamp_s: Vec<f64>,
     pub(crate) columns: Columns,
@@ -156,8 +156,7 @@ pub(super) fn value(columns: &Columns, column: Column, row: usize) -> Option<f64
     (!value.is_nan()).then_some(value)
 }
 
-/// Whether the reading of `row` equals that of the row before: power, voltage and current, to the
-/// bit.
+/// Whether the reading of `row` equals the previous row's: power, voltage and current, to the bit.
 pub(super) fn is_held(columns: &Columns, row: usize) -> bool {
     let Some(before) = row.checked_sub(1) else {
         return false;
@@ -243,8 +242,8 @@ impl Table {
         &self.timestamp_s
     }
 
-    /// One value per row as recorded, in the unit stated in [`Column::name`]; NaN where there is
-    /// none, `None` if the file has no such column.
+    /// One value per recorded row, in the unit stated in [`Column::name`], NaN if there is none.
+    /// `None` if the file has no such column.
     #[must_use]
     pub fn column(&self, column: Column) -> Option<&[f64]> {
         self.columns[column as usize].as_deref()

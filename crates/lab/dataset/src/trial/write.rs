@@ -9,14 +9,14 @@ use flate2::write::GzEncoder;
 use super::table::{Cell, Column, ROBOT_NAMES, TIME_NAMES, Table};
 use super::{Trial, TrialError};
 use crate::npy;
-use joulebus_predictor::canonical_f64;
+use joulebus_predictor::nan::canonical_f64;
 
 /// A row that was not read from a trial's file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Row {
     /// Time, s.
     pub timestamp_s: f64,
-    /// In the order of [`Column::ALL`], in SI units; NaN where nothing was recorded.
+    /// Values in the order of [`Column::ALL`], in SI units, NaN if not recorded.
     pub values: [f64; Column::ALL.len()],
 }
 

@@ -1,4 +1,4 @@
-//! The tests of datasets: trials, rows, and what is made of them.
+//! Tests of datasets: trials, rows, and the operations on them.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod datasets;

@@ -9,7 +9,7 @@ use proptest::prelude::*;
 
 const PERIOD_NS: u64 = 33_000_000;
 
-/// Readings of a robot, W, and where there are gaps before them.
+/// Readings of a robot, W, and the positions of gaps before them.
 #[derive(Clone)]
 struct Recorded {
     powers_w: Vec<f32>,
@@ -31,7 +31,8 @@ impl Recorded {
         }
     }
 
-    /// A robot that rests: a monitor of 10 mW, polled at a third of the rate, moves between two steps.
+    /// A robot that rests: a monitor of 10 mW, polled at a third of the rate, moves between two
+    /// steps.
     fn resting(seed: u64, rows: usize) -> Self {
         let mut noise = Noise::new(seed, 1);
         let mut power_w = 3.5;
@@ -96,7 +97,7 @@ proptest! {
         let unseen = found(&other.rows, training);
         prop_assert!(unseen.iter().all(|trained| !trained));
         for trial in training {
-            // Runs of fewer than 16 rows are recognised by what is beside them.
+            // The rows beside runs of fewer than 16 rows make those recognised.
             let has_run = trial.sample_seq.chunk_by(|a, b| a + 1 == *b).all(|run| run.len() >= 16);
             if has_run && trial.rows.len() >= 24 {
                 let seen = found(&trial.rows, training);
@@ -113,7 +114,7 @@ proptest! {
     ) {
         let whole = Recorded::driving(seed, 700, Vec::new());
         let mut powers_w = Recorded::driving(seed + 1, before, Vec::new()).powers_w;
-        // As through a file in float32 and mW.
+        // The precision of a file in float32 and mW.
         powers_w.extend(whole.powers_w[cut..600].iter().map(|w| ((w * 1e3) as f64 * 1e-3) as f32));
         let changed = Recorded { powers_w, gaps: vec![before] }.rows();
         let seen = found(&changed.rows, &[whole.rows()]);

@@ -74,13 +74,14 @@ pub(crate) enum Role {
 /// One figure.
 #[derive(Clone, Debug)]
 pub(crate) struct Figure {
-    /// What is measured, with its unit.
+    /// The measured quantity, with its unit.
     pub(crate) name: String,
     /// The paper's value.
     pub(crate) paper: String,
     /// The plant's value.
     pub(crate) found: f64,
-    /// The band of the mean over the seeds, both ends included; `None` for a figure that is only reported.
+    /// The band of the mean over the seeds, both ends included; `None` for a figure that is only
+    /// reported.
     pub(crate) held: Option<(f64, f64)>,
     /// Role in the fit.
     pub(crate) role: Role,

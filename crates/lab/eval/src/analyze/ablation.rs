@@ -16,11 +16,11 @@ use joulebus_train::linear::{Linear, Moments, Terms};
 /// Forecasts of the same held-out readings by models with more or fewer inputs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Ablation {
-    /// Rows that the linear models were fitted on: those of training and validation.
+    /// Rows that the linear models were fitted on: training and validation.
     pub fitted_rows: usize,
     /// Held-out rows, each with a forecast of every model.
     pub rows: usize,
-    /// Of these, readings equal to the previous one to the bit.
+    /// Number of these rows whose reading equals the previous one to the bit.
     pub held_rows: usize,
     /// Rows of both parts left out because a velocity is missing.
     pub unusable_rows: usize,
@@ -48,7 +48,7 @@ pub struct Member {
     pub held_share_of_gain: f64,
 }
 
-/// Scores on a part of the readings. NaN where the part has no variance.
+/// Scores on a part of the readings. NaN if the part has no variance.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Part {
     /// Readings.
@@ -61,7 +61,8 @@ pub struct Part {
     pub rmse_w: f64,
 }
 
-/// The ablation, and what was skipped, with reasons. `ranges` are the rows of each trial of the view by part.
+/// Computes the ablation, and what was skipped with reasons. `ranges` are the rows of each trial of
+/// the view by part.
 pub(super) fn ablation(
     view: &View<'_>,
     ranges: &[[Range<usize>; 3]],
@@ -216,7 +217,8 @@ impl Rows<'_> {
         Ok((moments, unusable))
     }
 
-    /// The scores of each forecaster on the held-out rows, and the number of those that are unusable.
+    /// The scores of each forecaster on the held-out rows, and the number of those that are
+    /// unusable.
     fn held_out(
         &self,
         forecasters: &[Forecaster<'_>],

@@ -12,7 +12,7 @@ use joulebus_dataset::trial::{Column, Trial};
 /// of short trials towards 0.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Autocorrelation {
-    /// At lag 1, 2, …; `None` where there is no pair, or the power is constant.
+    /// The values at lag 1, 2, …. `None` if there is no pair, or the power is constant.
     pub at_lag: Vec<Option<f64>>,
     /// Pairs at each lag.
     pub pairs: Vec<usize>,
@@ -35,11 +35,11 @@ pub fn pooled(trials: &[Trial], lags: usize) -> Autocorrelation {
     LagSums::pooled(&each.collect::<Vec<_>>(), lags)
 }
 
-/// Sums over one trial's readings, from which its autocorrelation and that of several trials follow.
+/// Sums over one trial's readings. They give its autocorrelation and that of several trials.
 #[derive(Debug, Clone)]
 pub(super) struct LagSums {
     readings: usize,
-    /// Of the readings; deviations are from it. 0 without a reading.
+    /// Mean of the readings. Deviations are from it. 0 without a reading.
     mean_w: f64,
     sum_w: f64,
     sum_squares_w2: f64,
@@ -51,9 +51,9 @@ pub(super) struct LagSums {
 #[derive(Debug, Clone, Copy, Default)]
 struct Pairs {
     count: usize,
-    /// Of the products of their deviations.
+    /// Sum of the products of their deviations.
     sum_w2: f64,
-    /// Of the deviations of both.
+    /// Sum of both deviations.
     sum_w: f64,
 }
 
@@ -112,7 +112,7 @@ impl LagSums {
             .map(|one| one.mean_w * one.readings as f64)
             .sum::<f64>()
             / readings as f64;
-        // Of deviations from another mean, `apart_w` below the trial's own.
+        // Deviations from another mean, `apart_w` below the trial's own.
         let squares = all.iter().map(|one| {
             let apart_w = one.mean_w - mean_w;
             one.sum_squares_w2 + apart_w * (2.0 * one.sum_w + one.readings as f64 * apart_w)

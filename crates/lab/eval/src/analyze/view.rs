@@ -14,7 +14,7 @@ pub(super) struct View<'a> {
 }
 
 impl<'a> View<'a> {
-    /// As they were recorded.
+    /// The recordings as they were made.
     pub(super) fn native(recordings: &'a [Recording]) -> Self {
         Self {
             recordings: recordings.iter().collect(),
@@ -22,7 +22,7 @@ impl<'a> View<'a> {
         }
     }
 
-    /// On a grid; what does not fit on it is left out.
+    /// The recordings on a grid. Those that do not fit are left out.
     pub(super) fn on(recordings: &'a [Recording], grid: Resample) -> Self {
         Self {
             grid: Some(grid),
@@ -34,7 +34,7 @@ impl<'a> View<'a> {
         &self.recordings
     }
 
-    /// Without the recordings at the places where `is_left_out` is true.
+    /// Leaves out the recordings at the indices where `is_left_out` is true.
     pub(super) fn without(mut self, is_left_out: &[bool]) -> Self {
         let mut left_out = is_left_out.iter();
         self.recordings
@@ -52,7 +52,7 @@ impl<'a> View<'a> {
         Ok(Arc::new(Contents::of(trial)))
     }
 
-    /// Calls `take` with what `of` makes of each trial, in order.
+    /// Calls `take` with the result of `of` for each trial, in order.
     pub(super) fn each<T: Send>(
         &self,
         of: impl Fn(usize, &Contents) -> Result<T, AnalyzeError> + Sync,
@@ -62,7 +62,7 @@ impl<'a> View<'a> {
         each(&self.recordings, of, take)
     }
 
-    /// The same, with the reason where a trial does not fit on the grid.
+    /// Same as `each`, with a reason for each trial that does not fit on the grid.
     pub(super) fn each_that_fits<T: Send>(
         &self,
         of: impl Fn(usize, &Contents) -> T + Sync,

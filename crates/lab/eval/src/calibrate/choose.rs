@@ -6,16 +6,16 @@ use super::request::{CalibrateError, Request};
 use super::tail::Tail;
 use joulebus_statistics::poisson::{at_most, upper_mean};
 
-/// Where a limit comes from.
+/// The source of a limit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Basis {
     /// The recordings show its rate.
     Shown,
-    /// It lies beyond what they show.
+    /// Extrapolated beyond the recordings.
     Extrapolated,
-    /// It would lie beyond what they show, but no recording reached even the least limit: it is the
-    /// config's.
+    /// Kept from the config: it would have been extrapolated, but no recording reached even the
+    /// lowest limit.
     Kept,
 }
 
@@ -29,13 +29,13 @@ pub(super) struct Chosen {
 /// How rare an excess over an extrapolated tail must be to refute it.
 const REFUTED: f64 = 0.01;
 
-/// The limits that the recordings show; `None` if they show none that are high enough.
+/// The limits that the recordings prove. `None` if none of the possible ones is high enough.
 ///
-/// The first half decides how the three limits stand to each other: at offset 0 each has a third of the
-/// alarms that are wanted. The second decides the offset. From the highest on, all three are lowered
-/// together, as long as the bound of their alarms there stays within what is wanted. What is tested next
-/// does not depend on the second half and the first failure ends it, so all that passed hold at the
-/// confidence of one test (a fixed sequence of tests).
+/// The first half of the recordings decides the ratios of the three limits: at offset 0 each has a
+/// third of the allowed alarms. The second half decides the offset. All three are lowered together,
+/// from the highest on, while the bound of their alarms stays within the allowed rate. The order of
+/// the tests does not depend on the second half, and the first failure ends them. All that passed
+/// therefore hold at the confidence of one test (a fixed sequence of tests).
 pub(super) fn shown(first: &Curves, second: &Curves, request: &Request) -> Option<[Chosen; KINDS]> {
     let allowed = request.per_robot_h() / KINDS as f64;
     let middle: [usize; KINDS] = std::array::from_fn(|kind| balanced(first, kind, allowed));
@@ -70,12 +70,12 @@ fn balanced(curves: &Curves, kind: usize, allowed: f64) -> usize {
     rare.last().unwrap_or(STEPS - 1)
 }
 
-/// Limits from the tails of the first half, each for a third of what is wanted, and none below what the
-/// first half reached.
+/// Limits from the tails of the first half, each for a third of the allowed alarms, and none below
+/// the maximum of the first half.
 ///
 /// # Errors
-/// A tail is too heavy or too uncertain for the greatest limit that is allowed, or the second half
-/// refutes it.
+/// A tail is too heavy or too uncertain for the greatest allowed limit, or the second half refutes
+/// it.
 pub(super) fn extrapolated(
     first: &Curves,
     second: &Curves,
@@ -110,7 +110,8 @@ pub(super) fn extrapolated(
     Ok(chosen)
 }
 
-/// Whether the second half has no more recordings beyond any step than the tail of the first allows.
+/// Whether the second half has no more recordings beyond any step than the tail of the first
+/// allows.
 fn check(tail: &Tail, second: &Curves, kind: usize) -> Result<(), CalibrateError> {
     for step in tail.from..STEPS {
         let expected = tail.rate(step) * second.hours();
@@ -128,7 +129,7 @@ fn check(tail: &Tail, second: &Curves, kind: usize) -> Result<(), CalibrateError
     Ok(())
 }
 
-/// Robot-hours without an alarm that show what is wanted.
+/// Robot-hours without an alarm that prove the requested rate.
 pub(super) fn needed_h(request: &Request) -> f64 {
     upper_mean(0, request.confidence) / request.per_robot_h()
 }
@@ -197,7 +198,7 @@ mod tests {
                 uses += rate / 1.5 / 200.0;
             }
             assert!(holds >= 190, "{holds} of 200");
-            // And the limits are no higher than they must be.
+            // The limits are no higher than necessary.
             assert!(uses > 0.25, "{uses}");
         }
     }

@@ -11,8 +11,8 @@ use super::play::Robot;
 
 /// Rows between the settling of the residuals and a fault.
 const SPARE_ROWS: usize = 10;
-/// Least time that is left for finding it, s.
-const LEAST_S: f64 = 5.0;
+/// Minimum time that remains for finding a fault, s.
+const MIN_S: f64 = 5.0;
 
 /// How soon a fault is found.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -20,13 +20,13 @@ pub struct Delays {
     /// The fault.
     #[serde(flatten)]
     pub fault: Fault,
-    /// By the calibrated limits and the alarms that samples raise themselves.
+    /// Delay with the calibrated limits, and the alarms that samples raise themselves.
     pub calibrated: Delay,
-    /// By the textbook's CUSUM.
+    /// Delay with the textbook's CUSUM.
     pub textbook: Delay,
-    /// By a limit of power.
+    /// Delay with a limit of power.
     pub power: Delay,
-    /// By a limit of voltage.
+    /// Delay with a limit of voltage.
     pub voltage: Delay,
 }
 
@@ -35,17 +35,17 @@ pub struct Delays {
 pub struct Delay {
     /// Share of the recordings in which it was found before their end.
     pub found: f64,
-    /// Median, s; NaN (null in JSON) where it was found in too few for it.
+    /// Median, s. NaN (null in JSON) if too few recordings found the fault.
     pub median_s: f64,
     /// 90 % quantile, s; NaN likewise.
     pub q90_s: f64,
 }
 
 impl Delay {
-    /// Of the times until it was found, in each recording.
+    /// Summarises the time until the fault was found, in each recording.
     pub(super) fn of(times_s: &[Option<f64>]) -> Self {
         let found = times_s.iter().flatten().count() as f64 / times_s.len() as f64;
-        // What was not found was found later than all others.
+        // A fault that was not found counts as later than all others.
         let times_s = times_s.iter().map(|time_s| time_s.unwrap_or(f64::MAX));
         let ascending = sorted(times_s);
         let known = |share: f64| {
@@ -78,7 +78,7 @@ impl Thresholds {
     /// The thresholds beyond which as many recordings of the first half go as the calibrated limits
     /// raised alarms on them.
     pub(super) fn of(first: &[Vec<Sample>], second: &[Vec<Sample>], alarms: u64) -> Self {
-        // Of the alarms, ascending.
+        // The alarms' extremes, ascending.
         let beyond = |extremes: Vec<f64>| {
             let last = extremes.len().saturating_sub(1);
             let place = usize::try_from(alarms).unwrap_or(last).min(last);
@@ -144,12 +144,13 @@ fn first(
 pub(super) struct Faulty<'a>(Vec<(&'a [Sample], u64)>);
 
 impl<'a> Faulty<'a> {
-    /// Those in which the residuals have settled before two fifths of the rows, where faults begin.
+    /// Keeps recordings whose residuals have settled before two fifths of the rows, where faults
+    /// begin.
     pub(super) fn of(recordings: &'a [Vec<Sample>], settle_samples: usize) -> Self {
         let begins = |samples: &'a Vec<Sample>| {
             let row = samples.len() / 5 * 2;
             let (from_ns, last_ns) = (samples.get(row)?.stamp_ns, samples.last()?.stamp_ns);
-            let fits = row >= settle_samples + SPARE_ROWS && since_s(from_ns, last_ns) >= LEAST_S;
+            let fits = row >= settle_samples + SPARE_ROWS && since_s(from_ns, last_ns) >= MIN_S;
             fits.then_some((samples.as_slice(), from_ns))
         };
         Self(recordings.iter().filter_map(begins).collect())

@@ -7,7 +7,7 @@ use serde::Serialize;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "fault", content = "share")]
 pub enum Fault {
-    /// None: what is found is a false alarm.
+    /// No fault: an alarm is a false alarm.
     None,
     /// The robot draws this share of its mean power more.
     ExtraLoad(f64),
@@ -22,7 +22,7 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// What is put into every recording.
+    /// The faults that are put into every recording.
     pub const ALL: [Self; 12] = [
         Self::None,
         Self::ExtraLoad(0.1),
@@ -38,7 +38,7 @@ impl Fault {
         Self::Dropout,
     ];
 
-    /// What it is called in tables.
+    /// The name in tables.
     #[must_use]
     pub fn name(self) -> String {
         let percent = |share: f64| 100.0 * share;

@@ -12,8 +12,8 @@ pub(super) const KEYS: [&str; KINDS] = ["cusum_limit", "noise_limit", "mismatch_
 /// Steps of the grid: a fifth more each for the cumulative sum, about an eighth for the others.
 pub(super) const STEPS: usize = 40;
 
-/// A limit at a step: from the least that is allowed to the greatest, in equal ratios, rounded to three
-/// significant digits.
+/// A limit at a step: from the least that is allowed to the greatest, in equal ratios, rounded to
+/// three significant digits.
 pub(super) fn limit(kind: usize, step: usize) -> f64 {
     let allowed = [
         bounds::CUSUM_LIMIT,
@@ -53,8 +53,8 @@ pub(super) struct Curve {
 }
 
 impl Curve {
-    /// Plays a recording at the steps from the lowest on. Above one at which nothing is raised, nothing
-    /// is played: what is chosen is played again by itself.
+    /// Plays a recording at the steps of the grid from the lowest on, up to the first step without
+    /// an alarm. The chosen limits are later played separately.
     fn of(robot: &Robot, samples: &[Sample]) -> Result<Self, SettingsError> {
         let (mut raised, mut hours) = (Vec::new(), 0.0);
         for step in 0..STEPS {

@@ -7,13 +7,13 @@ use joulebus_wire::Sample;
 use super::play::ROBOT;
 use super::request::CalibrateError;
 
-/// Time of the first sample of every recording. Stamps of 0 are none.
+/// Time of the first sample of every recording, because 0 means no stamp.
 pub(super) const BASE_NS: u64 = 1_000_000_000;
 /// Longer recordings are played in pieces of this length.
 const PIECE_NS: u64 = 600_000_000_000;
 
-/// Two halves of about the same length, each recording as a whole in one of them, drawn by a fixed seed.
-/// A single recording is divided by its pieces.
+/// Two halves of about the same length, each recording as a whole in one of them, drawn by a fixed
+/// seed. A single recording is divided by its pieces.
 ///
 /// # Errors
 /// [`CalibrateError::Recordings`].

@@ -1,9 +1,9 @@
-//! Limits of the residual alarms for a rate of false alarms, with the evidence that recordings give.
+//! Limits of the residual alarms for a rate of false alarms, with the evidence of recordings.
 //!
-//! Recordings are taken for healthy. One half of them decides how the three limits stand to each other,
-//! the other half how high they are and what rate is stated. Where that needs more recordings than there
-//! are, the limits may be extrapolated. Every alarm comes from the fleet's own core, which the recordings
-//! are played through at each limit of a grid.
+//! Recordings count as healthy. One half of them decides the ratios of the three limits. The other
+//! half decides their level and the stated rate. If that needs more recordings than there are, the
+//! limits may be extrapolated. Every alarm comes from the fleet's own core, which plays the
+//! recordings at each limit of a grid.
 
 mod choose;
 mod delay;
@@ -33,11 +33,11 @@ use play::{KINDS, OTHERS, Played, Robot};
 pub use report::{Calibration, Evidence, Limit};
 pub use request::{CalibrateError, Request};
 
-/// Chooses limits for the platform number `platform` of the settings and states what they do. Each
-/// recording is played alone, as a robot of that platform with `model`.
+/// Chooses limits for the platform with index `platform` of the settings, and states their effect.
+/// Each recording is played alone, as a robot of that platform with `model`.
 ///
 /// # Errors
-/// [`CalibrateError`] with the number that is needed.
+/// [`CalibrateError`] with the amount that is needed.
 pub fn calibrate(
     settings: &FleetSettings,
     platform: usize,
@@ -70,7 +70,7 @@ pub fn calibrate(
         robots: request.robots,
         wanted_per_robot_h: request.per_robot_h(),
         confidence: request.confidence,
-        // What was chosen for a rate is known to keep that rate, and no lower one.
+        // Limits chosen for a rate are known to keep that rate, not a lower one.
         at_most_per_robot_h: if is_shown && !is_extrapolated {
             request.per_robot_h()
         } else {

@@ -12,7 +12,7 @@ pub(super) const KINDS: usize = 3;
 pub(super) const ROBOT: u32 = 0;
 /// Alarms that no limit of the residuals sets.
 pub(super) const OTHERS: [Alarm; 3] = [Alarm::StuckSensor, Alarm::HeldTooLong, Alarm::OutOfRange];
-/// Those that a limit sets, by the limit.
+/// Alarms with a limit, and the limit's index.
 const LIMITED: [(Alarm, usize); 4] = [
     (Alarm::BiasHigh, 0),
     (Alarm::BiasLow, 0),
@@ -25,11 +25,11 @@ const LIMITED: [(Alarm, usize); 4] = [
 pub(super) struct Robot {
     settings: FleetSettings,
     model: Model,
-    /// Alarms by which a fault is found.
+    /// Alarms that find a fault.
     finds: AlarmSet,
 }
 
-/// What a recording raised.
+/// The alarms of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Played {
     /// Alarms that each limit raised.

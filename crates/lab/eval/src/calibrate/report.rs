@@ -19,9 +19,9 @@ pub struct Calibration {
     pub confidence: f64,
     /// False alarms at these limits, a robot and hour, are at most this with that confidence.
     pub at_most_per_robot_h: f64,
-    /// Whether that is more than what was asked for: limits lie beyond what the recordings show.
+    /// Whether the limits are extrapolated beyond what the recordings prove.
     pub extrapolated: bool,
-    /// Robot-hours without an alarm, both halves together, that would show what was asked for.
+    /// Robot-hours without an alarm, of both halves, that would prove the requested rate.
     pub needed_h: f64,
     /// FNV-1a of the recordings' times and powers, hexadecimal.
     pub digest: String,
@@ -37,7 +37,7 @@ pub struct Calibration {
     pub textbook_per_robot_h: f64,
     /// Limits of power and voltage with as many false alarms on the first half.
     pub thresholds: Thresholds,
-    /// Recordings that faults were put into: those of the second half that are long enough.
+    /// Recordings with inserted faults: those of the second half that are long enough.
     pub faulty_recordings: usize,
     /// Median of the time from the fault to the end of the recording, s.
     pub after_s: f64,
@@ -63,18 +63,18 @@ pub struct Evidence {
 pub struct Limit {
     /// Its key in `[alarms]`.
     pub key: &'static str,
-    /// What the config has.
+    /// The config's limit.
     pub before: f64,
-    /// What was chosen.
+    /// The chosen limit.
     pub value: f64,
-    /// Where it comes from.
+    /// Its source.
     pub basis: Basis,
     /// False alarms on the first half, and on the second.
     pub alarms: [u64; 2],
 }
 
 impl Limit {
-    /// Where it comes from, in words.
+    /// Its source in words.
     #[must_use]
     pub fn evidence(&self) -> String {
         let [first, second] = self.alarms;
@@ -92,7 +92,7 @@ impl Limit {
 }
 
 impl Calibration {
-    /// The rate and what it rests on, in sentences.
+    /// The rate and its evidence, in sentences.
     #[must_use]
     pub fn evidence(&self) -> Vec<String> {
         let percent = 100.0 * self.confidence;

@@ -1,8 +1,8 @@
-//! What is asked for, and why it cannot be had.
+//! The request of a calibration, and why it cannot be met.
 
 use joulebus_settings::SettingsError;
 
-/// What is asked for.
+/// The requested rate and its conditions.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Request {
     /// False alarms of the fleet, an hour, all residual alarms of all robots together, above 0.
@@ -11,7 +11,7 @@ pub struct Request {
     pub robots: u32,
     /// Level of the bounds, above 0 and below 1.
     pub confidence: f64,
-    /// Whether limits may lie beyond what the recordings show.
+    /// Whether limits may be extrapolated beyond the recordings.
     pub extrapolate: bool,
 }
 
@@ -41,7 +41,7 @@ pub enum CalibrateError {
          ones, or more"
     )]
     Unscored,
-    /// They are too short for what was asked for.
+    /// The recordings are too short for the request.
     #[error(
         "{hours:.2} robot-hours, half of the recordings, can show at most {at_best:.3} false alarms a robot-hour at \
          {:.0} %, {:.1} a day of {robots} robots; asked for are {wanted:.3e}: record {needed_h:.1} robot-hours in which \

@@ -1,14 +1,14 @@
-//! How alarms become rarer with the limit, beyond what was recorded.
+//! The decrease of alarms with the limit, beyond the recordings.
 
 use joulebus_statistics::poisson::upper_decay;
 
 use super::grid::{Curves, STEPS};
 
-/// Recordings that a tail is fitted to, where there are as many.
+/// Number of recordings that a tail is fitted to, if there are as many.
 const FITTED: usize = 20;
 
-/// A power law of the limit: every step of the grid, which is a factor, divides the alarms by the same
-/// number. Alarms whose limit is that of a sum of independent residuals become rarer faster, exponentially.
+/// A power law of the limit: every step of the grid, which is a factor, divides the alarms by the
+/// same number. For a sum of independent residuals alarms decrease faster, exponentially.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Tail {
     /// The step that it begins at.
@@ -45,7 +45,7 @@ impl Tail {
         self.rate * libm::pow(self.decay, step.saturating_sub(self.from) as f64)
     }
 
-    /// The lowest step at which alarms are as rare as allowed; [`STEPS`] if there is none.
+    /// The lowest step at which alarms are as rare as allowed. [`STEPS`] if there is none.
     pub(super) fn step_for(&self, allowed: f64) -> usize {
         let rare = (self.from..STEPS).find(|step| self.rate(*step) <= allowed);
         rare.unwrap_or(STEPS)

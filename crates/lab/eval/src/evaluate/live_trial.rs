@@ -1,4 +1,4 @@
-//! What a report needs of a trial's live path, without its steps.
+//! The parts of a trial's live path that a report needs, without its steps.
 
 use std::collections::BTreeMap;
 
@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{Forecast, RobotEvaluation};
 
-/// The live path of a trial without its steps. All trials of a platform are pooled reading by reading, so that the
-/// sums have the same bits in one process and of several.
+/// The live path of a trial without its steps. All trials of a platform are pooled reading by
+/// reading, so that the sums have the same bits in one process and of several.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct LiveTrial {
     pub(super) robot: u32,
@@ -27,7 +27,8 @@ pub(crate) struct LiveTrial {
     pub(super) drawn_uj: i64,
     pub(super) metered_ns: u64,
     pub(super) unmetered_ns: u64,
-    /// Of each scored reading, in order: the reading, the residual of its forecast, the reading before it, W.
+    /// For each scored reading, in order: the reading, the residual of its forecast, and the
+    /// previous reading, W.
     pub(super) scored_readings_w: Vec<[f32; 3]>,
 }
 
@@ -68,6 +69,6 @@ fn quality_name(quality: Quality) -> String {
         Quality::Warmup { .. } => "Warmup".to_owned(),
         Quality::OpenLoop { .. } => "OpenLoop".to_owned(),
         Quality::Invalid(reason) => format!("Invalid({})", reason.name()),
-        Quality::Unknown => "Unknown".to_owned(),
+        _ => "Unknown".to_owned(),
     }
 }

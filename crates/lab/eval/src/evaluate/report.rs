@@ -30,7 +30,7 @@ pub struct ScoreReport {
     pub persistence_mae_w: f64,
     /// Coefficient of determination of persistence.
     pub persistence_r2: f64,
-    /// 1 − squared error over that of persistence: above 0 is better than persistence.
+    /// 1 − ratio of the squared error to persistence's. Positive is better than persistence.
     pub skill: f64,
 }
 
@@ -80,7 +80,7 @@ pub struct RobotReport {
     pub scores: ScoreReport,
     /// Share of scored readings inside their interval.
     pub coverage: f32,
-    /// State of online learning after the trial, where the platform learns online.
+    /// State of online learning after the trial, if the platform learns online.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub learned: Option<Learned>,
     /// Energy drawn over the metered time, J.
@@ -105,7 +105,7 @@ impl Evaluation {
 /// Trials of one or several platforms, without their readings: these are pooled as they come.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct LivePool {
-    /// By platform and model.
+    /// Totals by platform and model.
     platforms: BTreeMap<(String, String), Pooled>,
     robots: Vec<RobotReport>,
 }
@@ -117,7 +117,7 @@ struct Pooled {
     trials: usize,
     accepted: u64,
     dropped: u64,
-    /// Of the readings of all trials, in order.
+    /// Scores of the readings of all trials, in order.
     scores: Scores,
 }
 

@@ -11,9 +11,9 @@ pub struct Series {
     pub reading_w: Vec<f64>,
     /// The forecast of the reading, made one tick before, W.
     pub forecast_w: Vec<f64>,
-    /// Lower end of its interval, W; NaN where there was none.
+    /// Lower end of its interval, W. NaN without an interval.
     pub lo_w: Vec<f64>,
-    /// Upper end of its interval, W; NaN where there was none.
+    /// Upper end of its interval, W. NaN without an interval.
     pub hi_w: Vec<f64>,
 }
 

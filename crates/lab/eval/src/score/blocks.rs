@@ -18,7 +18,8 @@ pub(crate) struct Sums {
 /// A block of consecutive rows.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 pub(crate) struct Block {
-    /// One entry per forecaster: the models, persistence, the linear baselines, the models' members.
+    /// One entry per forecaster: the models, persistence, the linear baselines, the models'
+    /// members.
     pub(crate) forecasters: Vec<Tally>,
     /// One entry per model.
     pub(crate) intervals: Vec<CoverageTally>,
@@ -120,7 +121,7 @@ impl Draws {
 }
 
 impl HorizonSums {
-    /// Of no origin.
+    /// Blocks without any origin.
     pub(crate) fn new(forecasters: usize) -> Self {
         Self {
             power: vec![Tally::default(); forecasters],

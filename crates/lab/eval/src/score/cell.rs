@@ -35,7 +35,7 @@ pub struct Cell {
 /// Resampled blocks of confidence intervals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Blocks {
-    /// Number of blocks. Below [`joulebus_statistics::bootstrap::LEAST_BLOCKS`], there is no
+    /// Number of blocks. Below [`joulebus_statistics::bootstrap::MIN_BLOCKS`], there is no
     /// interval.
     pub count: usize,
     /// Whether each block is a whole trial; otherwise a number of consecutive rows.
@@ -47,9 +47,9 @@ pub struct Blocks {
 pub struct ForecasterScore {
     /// Its name.
     pub name: String,
-    /// What it is in this evaluation.
+    /// Its role in this evaluation.
     pub role: Role,
-    /// Rows scored: those of the cell, or fewer where a linear baseline lacks a feature.
+    /// Rows scored. They are fewer than the cell's if a linear baseline lacks a feature.
     pub count: u64,
     /// Coefficient of determination.
     pub r2: Estimate,
@@ -71,11 +71,11 @@ pub struct ForecasterScore {
     pub interval: Option<IntervalScore>,
 }
 
-/// What a forecaster is in an evaluation.
+/// The role of a forecaster in an evaluation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
-    /// What a model's platform publishes.
+    /// The forecast that a model's platform publishes.
     Published,
     /// Persistence, or a linear model fitted on the recordings.
     Baseline,
@@ -83,7 +83,7 @@ pub enum Role {
     Member,
 }
 
-/// 1 − mean squared error over that of a baseline: above 0 is better.
+/// 1 − ratio of the mean squared error to a baseline's. Positive is better.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Skill {
     /// The baseline.
@@ -153,11 +153,12 @@ pub struct HorizonScore {
     pub skill: Vec<Skill>,
 }
 
-/// Names of the forecasters, and which of them are models and which baselines; the others are members.
+/// Names of the forecasters, and which of them are models and which baselines; the others are
+/// members.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Names {
     pub(crate) forecasters: Vec<String>,
-    /// In open loop, where each model is its network alone and there are no members.
+    /// Names in open loop, where each model is its network alone and there are no members.
     pub(crate) open_loop: Vec<String>,
     pub(crate) models: usize,
     pub(crate) baselines: usize,

@@ -1,4 +1,4 @@
-//! What all parts of an evaluation have in common: everything that is known before the recordings are run.
+//! The common inputs of all parts of an evaluation: everything known before the recordings are run.
 
 use joulebus_predictor::Model;
 use joulebus_settings::FleetSettings;
@@ -160,7 +160,7 @@ fn names(subject: Subject<'_>, options: &Options) -> Names {
     }
 }
 
-/// Names of what a model's forecast is combined from.
+/// Names of the members of a model's forecast.
 fn members(at: usize, subject: Subject<'_>, names: &Names) -> Vec<String> {
     let first = names.models + names.baselines;
     let all = Member::of(subject)

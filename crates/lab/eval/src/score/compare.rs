@@ -28,11 +28,11 @@ pub struct Comparison {
     pub old: ModelReport,
     /// The new model.
     pub new: ModelReport,
-    /// What the compared rows are to the models.
+    /// How the models know the compared rows.
     pub scored_rows: ScoredRows,
-    /// What must be known before the scores are read.
+    /// Warnings for the reader of the scores.
     pub warnings: Vec<String>,
-    /// Which rows were compared.
+    /// The rows that were compared.
     pub design: DesignReport,
     /// Configuration of the confidence intervals; both models share the draws.
     pub bootstrap: Bootstrap,
@@ -40,11 +40,11 @@ pub struct Comparison {
     pub all: Difference,
     /// Persistence, and the members of both models' online forecasts, on the rows of `all`.
     pub members: Vec<MemberScore>,
-    /// By group; empty if there is only one.
+    /// Differences by group. Empty if there is only one.
     pub groups: Vec<Difference>,
-    /// By robot; empty if there is only one.
+    /// Differences by robot. Empty if there is only one.
     pub robots: Vec<Difference>,
-    /// By trial; empty if there is only one.
+    /// Differences by trial. Empty if there is only one.
     pub trials: Vec<Difference>,
     /// Open loop, all recordings.
     pub open_loop: Vec<HorizonDifference>,
@@ -78,12 +78,12 @@ pub struct Difference {
     pub new: Side,
     /// Difference of R².
     pub r2: Estimate,
-    /// Difference of the mean absolute residuals, W: below 0 where the new model is better.
+    /// Difference of the mean absolute residuals, W. Negative if the new model is better.
     pub mae_w: Estimate,
-    /// Difference of the root mean squared residuals, W: below 0 where the new model is better.
+    /// Difference of the root mean squared residuals, W. Negative if the new model is better.
     pub rmse_w: Estimate,
-    /// 1 − mean squared error of the new over that of the old: above 0 where the new model is
-    /// better.
+    /// 1 − ratio of the new model's mean squared error to the old one's. Positive if the new model
+    /// is better.
     pub skill: Estimate,
     /// Difference of the coverage of the live intervals.
     pub coverage: Estimate,
@@ -123,7 +123,7 @@ pub struct HorizonDifference {
     pub new_mae_w: f64,
     /// Their difference, W.
     pub mae_w: Estimate,
-    /// 1 − mean squared error of the new over that of the old.
+    /// 1 − ratio of the new model's mean squared error to the old one's.
     pub skill: Estimate,
 }
 
@@ -132,9 +132,9 @@ pub struct HorizonDifference {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// The interval lies above 0.
+    /// The interval is above 0.
     Better,
-    /// The interval lies below 0.
+    /// The interval is below 0.
     Worse,
     /// The interval includes 0, or there is none: too few blocks, or no error to compare.
     Undecided,

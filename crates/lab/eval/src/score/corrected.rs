@@ -17,7 +17,7 @@ use joulebus_train::linear::Linear;
 
 /// Forecasts for each row of a recording.
 struct Column {
-    /// NaN where there is no forecast.
+    /// NaN without a forecast.
     power_w: Vec<f32>,
     lo_w: Vec<f32>,
     hi_w: Vec<f32>,
@@ -25,17 +25,17 @@ struct Column {
 
 /// Results of one recording; empty without rows to evaluate.
 pub(super) struct Found<T> {
-    /// Of the evaluated rows.
+    /// Sums of the evaluated rows.
     pub(super) sums: Sums,
-    /// Of the rows that a model was trained on, without open loop.
+    /// Sums of the rows that a model was trained on, without open loop.
     pub(super) trained_on: Sums,
-    /// Of the live path of each model.
+    /// Results of the live path of each model.
     pub(super) live: Vec<T>,
     /// The energy forecasts of each model; empty if not [asked for](Options::energy).
     pub(super) energy: Vec<EnergyScores>,
 }
 
-/// Sums of one recording, and what `keep` makes of the live path of each model.
+/// Sums of one recording, and the result of `keep` for the live path of each model.
 pub(super) fn one<T>(
     subject: Subject<'_>,
     options: &Options,

@@ -1,4 +1,4 @@
-//! Which rows are evaluated, and which rows the baselines are fitted on.
+//! The rows to evaluate, and the rows to fit the baselines on.
 
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
@@ -28,7 +28,7 @@ pub struct Design {
     pub split: Option<Split>,
     /// One or more folds.
     pub folds: Vec<Fold>,
-    /// Names of the evaluated units; for a split in time, and without a split, the trials.
+    /// Names of the evaluated units. For a split in time, and without a split, the trials.
     pub units: Vec<String>,
     /// Recordings used only for fitting.
     others: Vec<Recording>,
@@ -48,8 +48,8 @@ pub struct Fold {
 }
 
 impl Design {
-    /// Evaluates the held-out part of a split; baselines are fitted on all other rows, the
-    /// validation part included, since they need no early stopping.
+    /// Evaluates the held-out part of a split. Baselines are fitted on all other rows, the
+    /// validation part included, because they need no early stopping.
     ///
     /// The parts are those of [`assign_unread`]: a model trained with the same split of the same
     /// recordings has not seen the evaluated rows.
@@ -231,7 +231,7 @@ impl Design {
     }
 }
 
-/// Which rows were evaluated, for reports.
+/// The evaluated rows, for reports.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DesignReport {
     /// Description.
@@ -295,11 +295,11 @@ fn in_halves(rows: usize) -> Vec<Fold> {
     vec![fold(first, from..rows), fold(second, 0..until)]
 }
 
-/// The linear models of each fold, where they could be fitted.
+/// The linear models of each fold. `None` if one could not be fitted.
 pub(super) type Lines = [Vec<Option<Linear>>];
 
-/// The baselines of each fold: `lines[fold][i]` is `baselines[i]`, `None` where there are too few
-/// rows to fit it on.
+/// The baselines of each fold: `lines[fold][i]` is `baselines[i]`, `None` if there are too few rows
+/// to fit it on.
 ///
 /// # Errors
 /// [`ScoreError::Design`]: the design belongs to other recordings.
@@ -353,9 +353,9 @@ const fn key(part: &Part) -> (usize, usize, usize) {
     (part.0, part.1.start, part.1.end)
 }
 
-/// What baselines are fitted on.
+/// The rows on which baselines are fitted.
 struct Fitted<'a> {
-    /// Those that are evaluated, and those used only for fitting.
+    /// Evaluated recordings, and those used only for fitting.
     all: Vec<&'a Recording>,
     /// In ascending order, each once.
     parts: Vec<&'a Part>,
@@ -369,7 +369,7 @@ impl Fitted<'_> {
         found.ok()
     }
 
-    /// What `of` makes of the rows of each part, in their order; nothing is read unless `wanted`.
+    /// The results of `of` for the rows of each part, in order. Reads nothing unless `wanted`.
     fn map<T: Send>(
         &self,
         wanted: bool,

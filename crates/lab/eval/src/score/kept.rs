@@ -6,7 +6,7 @@ use std::ops::Range;
 use std::os::unix::fs::FileExt as _;
 
 /// Numbers in memory before they go to the file: 8 MB.
-const MOST_IN_MEMORY: usize = 1 << 21;
+const MAX_IN_MEMORY: usize = 1 << 21;
 /// Numbers that are read at a time.
 const READ_AT_ONCE: usize = 1 << 14;
 
@@ -23,7 +23,7 @@ pub(super) struct Kept {
 impl Default for Kept {
     fn default() -> Self {
         Self {
-            most_in_memory: MOST_IN_MEMORY,
+            most_in_memory: MAX_IN_MEMORY,
             file: None,
             in_file: 0,
             memory: Vec::new(),
@@ -32,7 +32,7 @@ impl Default for Kept {
 }
 
 impl Kept {
-    /// Keeps some numbers, and returns where they are.
+    /// Keeps some numbers. Returns their position.
     pub(super) fn push(&mut self, numbers: &[f32]) -> io::Result<Range<u64>> {
         let start = self.in_file + self.memory.len() as u64;
         self.memory.extend_from_slice(numbers);

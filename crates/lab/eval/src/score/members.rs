@@ -1,4 +1,4 @@
-//! The forecasts that are scored, and what they are combined from.
+//! The forecasts that are scored, and the members that they combine.
 
 use joulebus_predictor::{FeatureSet, Features, Linear, Model, Network};
 
@@ -8,7 +8,7 @@ use crate::evaluate::Forecast;
 /// Rows that a network forecasts at a time.
 const BATCH_ROWS: usize = 4_096;
 
-/// What an online forecast combines, beside the last reading, which is persistence.
+/// A member of an online forecast, beside persistence (the last reading).
 #[derive(Clone, Copy)]
 pub(super) enum Member<'a> {
     /// The network alone.
@@ -18,7 +18,7 @@ pub(super) enum Member<'a> {
 }
 
 impl<'a> Member<'a> {
-    /// The members of each model that is scored by what it learns online, with its index.
+    /// The members of each model that learns online, with its index.
     pub(super) fn of(subject: Subject<'a>) -> Vec<(usize, Self)> {
         let mut members = Vec::new();
         for (at, model) in subject.models.iter().enumerate() {
@@ -41,7 +41,7 @@ impl<'a> Member<'a> {
         }
     }
 
-    /// Its forecast of each row, W; NaN where a feature is missing.
+    /// Its forecast of each row, W. NaN if a feature is missing.
     pub(super) fn forecasts_w(&self, contents: &Contents) -> Vec<f32> {
         let rows = &contents.rows.rows;
         match self {

@@ -8,16 +8,17 @@ use rayon::prelude::*;
 
 use super::recording::Recording;
 
-/// Rows of recordings that are read and evaluated at the same time, if they are more than one: a recording that is evaluated
-/// needs some 300 bytes a row, and its results wait until those before it are there.
+/// Maximum number of rows of recordings that are read and evaluated at the same time, except for a
+/// single longer one. A recording needs some 300 bytes a row, and its results wait for those before
+/// it.
 const ROWS_AT_ONCE: u64 = 1 << 19;
 
 /// Rows of recordings in memory for the verbs that read more than memory holds: 150 MB.
 pub const ROWS_IN_MEMORY: u64 = 1 << 19;
 
 /// Reads recordings in parallel and returns them in the order of their files. Each has the id given
-/// with its file; a file with several robots yields a recording for each. `map` names the columns of
-/// CSV files.
+/// with its file. A file with several robots yields a recording for each. `map` names the columns
+/// of CSV files.
 ///
 /// # Errors
 /// The error of the first file, in their order, that cannot be read.
@@ -28,11 +29,12 @@ pub fn read_recordings(
     open_recordings(files, map, u64::MAX)
 }
 
-/// As [`read_recordings`], but only so many rows stay in memory. The others are read again
-/// whenever they are needed ([`Recording::contents`]), except for those of a file with several robots, which stay.
+/// Same as [`read_recordings`], but only a bounded number of rows stays in memory. The others are
+/// read again when they are needed ([`Recording::contents`]). Recordings of a file with several
+/// robots always stay.
 ///
 /// # Errors
-/// As [`read_recordings`].
+/// Same as [`read_recordings`].
 pub fn open_recordings(
     files: &[(u32, PathBuf)],
     map: &ColumnMap,
@@ -92,8 +94,8 @@ fn in_groups<T>(all: &[T], rows: impl Fn(&T) -> u64 + Copy) -> impl Iterator<Ite
     })
 }
 
-/// Calls `take` with the index of each recording, in order, and what `of` makes of it: in parallel, as far as memory has room
-/// for what `of` reads.
+/// Calls `take` with the index of each recording and the result of `of`, in order. Runs `of` in
+/// parallel, as far as memory has room for the rows that it reads.
 ///
 /// # Errors
 /// The first error, in order, of `of` or of `take`.
@@ -103,7 +105,7 @@ pub(crate) fn each<T: Send, E: Send>(
     mut take: impl FnMut(usize, T) -> Result<(), E>,
 ) -> Result<(), E> {
     let places: Vec<usize> = (0..recordings.len()).collect();
-    // What is made of a recording needs memory too: those that are in memory count as well.
+    // Results need memory, too, so recordings that are already in memory count as well.
     for group in in_groups(&places, |at| recordings[*at].trial_rows() as u64) {
         // Collected first, so that the error is always the first one.
         let found: Vec<Result<T, E>> = group.par_iter().map(|at| of(*at)).collect();

@@ -23,14 +23,15 @@ struct Origin {
     fold: usize,
 }
 
-/// Rows from one origin to the next at a horizon: `every`, or the horizon where that is less, so that
-/// one tick ahead every row is scored, as in corrected mode.
+/// Rows from one origin to the next at a horizon: `every`, or the horizon if that is less. One tick
+/// ahead every row is therefore scored, as in corrected mode.
 fn stride(horizon: usize, every: usize) -> usize {
     horizon.min(every)
 }
 
-/// Every `stride`-th of the evaluated rows, which are counted through all recordings (`before`: those
-/// of the recordings before): the beginning of a run or a recording is an origin as often as any other row.
+/// Every `stride`-th of the evaluated rows, counted through all recordings (`before` is the number
+/// in earlier recordings). The beginning of a run or a recording is then an origin as often as any
+/// other row.
 fn origins(
     contents: &Contents,
     parts: &[(usize, Range<usize>)],
@@ -68,8 +69,8 @@ struct Trace {
     energy_j: Vec<f64>,
 }
 
-/// The sums at each horizon, over the evaluated parts of a recording. `before`: evaluated rows of the
-/// recordings before it.
+/// The sums at each horizon, over the evaluated parts of a recording. `before`: evaluated rows of
+/// the recordings before it.
 pub(super) fn sums(
     models: &[Model],
     contents: &Contents,
@@ -115,7 +116,7 @@ struct Rollout<'a> {
 }
 
 impl Rollout<'_> {
-    /// Of the models, persistence, and the linear baselines.
+    /// Traces of the models, persistence, and the linear baselines.
     fn traces(&self, models: &[Model], lines: &Lines) -> Vec<Trace> {
         let mut traces: Vec<Trace> = models.iter().map(|model| self.together(model)).collect();
         traces.push(self.alone(|_, _, [newest_w, ..]| *newest_w));

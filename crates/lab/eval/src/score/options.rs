@@ -11,8 +11,8 @@ use crate::evaluate::EvaluateError;
 
 /// The longest horizon, ticks.
 pub const LONGEST_HORIZON: usize = 300;
-/// Most draws for confidence intervals.
-const MOST_RESAMPLES: u32 = 1_000_000;
+/// Maximum number of draws for confidence intervals.
+const MAX_RESAMPLES: u32 = 1_000_000;
 
 /// Options of scoring.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,10 +20,11 @@ pub struct Options {
     /// Horizons of the open loop, ticks, ascending, each 1 to [`LONGEST_HORIZON`]; empty to disable
     /// it.
     pub horizons: Vec<usize>,
-    /// Rows from one origin of the open loop to the next, counted through all recordings; at least 1.
-    /// A horizon of fewer ticks has an origin every so many rows.
+    /// Rows from one origin of the open loop to the next, counted through all recordings, at
+    /// least 1. A horizon of fewer ticks has its origins that far apart.
     pub origins_every: usize,
-    /// Whether the energy of the next 1 to 300 s is scored too: rollouts of that length take a while.
+    /// Whether the energy of the next 1 to 300 s is scored too: rollouts of that length take a
+    /// while.
     pub energy: bool,
     /// Linear models as baselines in addition to persistence.
     pub baselines: Vec<Terms>,
@@ -32,8 +33,8 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// Horizons of 1 to 300 ticks in half decades, an origin every 10 rows at most, AR(5) and AR(5) +
-    /// velocities.
+    /// Horizons of 1 to 300 ticks in half decades, an origin every 10 rows at most, AR(5) and
+    /// AR(5) + velocities.
     fn default() -> Self {
         Self {
             horizons: vec![1, 3, 10, 30, 100, 300],
@@ -132,7 +133,7 @@ impl From<TrialError> for ScoreError {
 }
 
 impl ScoreError {
-    /// Of the temporary file.
+    /// Wraps an error of the temporary file.
     pub(super) fn kept(error: &io::Error) -> Self {
         Self::Kept {
             folder: std::env::temp_dir().display().to_string(),
@@ -166,7 +167,7 @@ impl Options {
             (
                 "resamples",
                 resamples.into(),
-                resamples <= MOST_RESAMPLES,
+                resamples <= MAX_RESAMPLES,
                 "0 to 1,000,000",
             ),
             (

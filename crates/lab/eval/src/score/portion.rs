@@ -1,4 +1,4 @@
-//! The scores of some of an evaluation's recordings, which are merged into those of all.
+//! The scores of some of an evaluation's recordings, to be merged into those of all.
 
 use std::ops::ControlFlow;
 
@@ -11,8 +11,9 @@ use super::{Options, ScoreError, Subject};
 use crate::energy::EnergyScores;
 use crate::evaluate::{LivePool, LiveTrial};
 
-/// Sums of some recordings of an evaluation. Sums of floats depend on their order: each recording's are kept, and are
-/// added in the order of the recordings when all are there, so that the tables have the bits of a single run.
+/// Sums of some recordings of an evaluation. Sums of floats depend on their order. Each recording's
+/// sums are therefore kept, and added in the order of the recordings once all are there, so that
+/// the tables have the bits of a single run.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Portion {
     common: Common,
@@ -26,7 +27,7 @@ struct OfRecording {
     place: usize,
     evaluated: Sums,
     trained_on: Sums,
-    /// Of each model.
+    /// The live path of each model.
     live: Vec<LiveTrial>,
     energy: Vec<EnergyScores>,
 }
@@ -34,18 +35,19 @@ struct OfRecording {
 /// Why portions cannot be merged.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Misfit {
-    /// They are of different evaluations.
+    /// The portions belong to different evaluations.
     Different,
     /// Results of a recording, by its index, are there twice, or are missing.
     Recording(usize),
-    /// Tables of another size than those of the evaluation.
+    /// A table has another size than the evaluation's.
     Size,
 }
 
-/// Evaluates the recordings at those indices for which `is_own` is true; baselines are fitted on all.
+/// Evaluates the recordings whose index satisfies `is_own`. Baselines are fitted on all recordings.
 ///
 /// # Errors
-/// As [`score`](super::score), except for rows that cannot be scored: only all portions together tell.
+/// Same as [`score`](super::score), except for rows that cannot be scored: only all portions
+/// together show that.
 pub fn score_portion(
     subject: Subject<'_>,
     options: &Options,
@@ -86,7 +88,8 @@ impl Portion {
         &self.common.platform
     }
 
-    /// What a single run reports of the evaluation that the portions make up. The inner error is that of a single run.
+    /// The report of a single run, from the portions of the evaluation. The inner error is that of
+    /// a single run.
     pub(crate) fn merged(portions: Vec<Self>) -> Result<Result<Reported, ScoreError>, Misfit> {
         let mut portions = portions.into_iter();
         let Some(Self {

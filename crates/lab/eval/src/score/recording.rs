@@ -36,14 +36,14 @@ pub struct Recording {
     held: Held,
 }
 
-/// Where a recording is.
+/// Where a recording's rows are.
 #[derive(Clone)]
 enum Held {
     Memory(Arc<Contents>),
     Stored(Stored),
 }
 
-/// What a recording has.
+/// The contents of a recording.
 #[derive(Debug)]
 pub struct Contents {
     /// The trial.
@@ -61,7 +61,7 @@ impl Contents {
     pub fn of(trial: Trial) -> Self {
         let rows = trial_rows(&trial);
         let offset_ns = trial.offset_ns();
-        // Sample k carries the reading of row k; its forecast is for that of row k + 1.
+        // Sample k carries the reading of row k. Its forecast is for the reading of row k + 1.
         let step_s = rows.sample_seq.iter().map(|seq| {
             let at = *seq as usize;
             (offset_ns[at + 1] - offset_ns[at]) as f64 * 1e-9
@@ -107,7 +107,7 @@ impl Recording {
         &self.implausible
     }
 
-    /// The same, read again from where it came whenever its rows are needed.
+    /// The same recording, read again from its source when its rows are needed.
     pub(super) fn stored(self, place: Stored) -> Self {
         Self {
             held: Held::Stored(place),
@@ -192,7 +192,7 @@ impl Recording {
         self.period_ns
     }
 
-    /// As a source of a split.
+    /// The recording as a source of a split.
     #[must_use]
     pub fn info(&self) -> SourceInfo {
         SourceInfo {

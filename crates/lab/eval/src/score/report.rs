@@ -18,15 +18,15 @@ use joulebus_statistics::bootstrap::Bootstrap;
 /// scores are null.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ScoreReport {
-    /// Name of the platform; `recorded` where period and limits are the recordings'.
+    /// Name of the platform. `recorded` if period and limits are the recordings'.
     pub platform: String,
     /// The models, in order.
     pub models: Vec<ModelReport>,
-    /// What the rows of all tables but `trained_on` are to the models.
+    /// How the models know the rows of all tables but `trained_on`.
     pub scored_rows: ScoredRows,
-    /// What must be known before the scores are read.
+    /// Warnings for the reader of the scores.
     pub warnings: Vec<String>,
-    /// Which rows were evaluated.
+    /// The rows that were evaluated.
     pub design: DesignReport,
     /// The linear baselines, in order.
     pub baselines: Vec<BaselineReport>,
@@ -36,23 +36,24 @@ pub struct ScoreReport {
     pub period_s: f64,
     /// Corrected mode, all recordings.
     pub all: Cell,
-    /// Corrected mode, rows that a model was trained on, where they are scored apart.
+    /// Corrected mode on rows that a model was trained on, if they are scored apart.
     pub trained_on: Option<Cell>,
-    /// By group; empty if there is only one.
+    /// Cells by group. Empty if there is only one.
     pub groups: Vec<Cell>,
-    /// By robot; empty if there is only one.
+    /// Cells by robot. Empty if there is only one.
     pub robots: Vec<Cell>,
-    /// By trial; empty if there is only one.
+    /// Cells by trial. Empty if there is only one.
     pub trials: Vec<Cell>,
-    /// Rows from one origin of the open loop to the next; at shorter horizons, as many as the horizon has ticks.
+    /// Rows from one origin of the open loop to the next; at shorter horizons, as many as the
+    /// horizon has ticks.
     pub origins_every: usize,
     /// Open loop, all recordings.
     pub open_loop: HorizonCell,
-    /// By group; empty if there is only one.
+    /// Cells by group. Empty if there is only one.
     pub open_loop_groups: Vec<HorizonCell>,
-    /// By robot; empty if there is only one.
+    /// Cells by robot. Empty if there is only one.
     pub open_loop_robots: Vec<HorizonCell>,
-    /// By trial; empty if there is only one.
+    /// Cells by trial. Empty if there is only one.
     pub open_loop_trials: Vec<HorizonCell>,
 }
 
@@ -65,12 +66,12 @@ pub struct ModelReport {
     pub hash: String,
     /// Whose forecast was scored one tick ahead; open loop is the network's alone.
     pub forecast: Forecast,
-    /// Names in the tables of what the forecast is combined from; empty if it is one forecaster's.
+    /// Names of the forecast's members in the tables. Empty for a single forecaster.
     pub members: Vec<String>,
     /// Its training data as stated in its file; `None` for persistence.
     pub training_data: Option<String>,
-    /// The rows that it was trained on, among those that were to be evaluated. `None` if its file does not state
-    /// them.
+    /// The rows that it was trained on, among those that were to be evaluated. `None` if its file
+    /// does not state them.
     pub trained_on: Option<TrainedOn>,
     /// Errors of its energy forecasts of the evaluated rows; `None` if not
     /// [asked for](super::Options::energy).

@@ -20,11 +20,12 @@ use crate::evaluate::{Evaluation, LivePool, LiveTrial, RobotEvaluation};
 pub struct Scored {
     /// All scores.
     pub report: ScoreReport,
-    /// The live path of each model, step by step; readings of rows that are not evaluated are not scored.
+    /// The live path of each model, step by step; readings of rows that are not evaluated are not
+    /// scored.
     pub live: Vec<Evaluation>,
 }
 
-/// What is reported of an evaluation, without the steps of the live path.
+/// The reported part of an evaluation, without the steps of the live path.
 #[derive(Debug, Clone)]
 pub struct Reported {
     /// All scores.
@@ -46,7 +47,8 @@ pub struct Reported {
 /// let models = [Model::Network(Network::from_safetensors(file)?)];
 /// // Simulated; `Trial::read` reads one from a file.
 /// let trials = [protocol::trial(4, 7)?, protocol::trial(6, 7)?];
-/// let recordings: Vec<_> = (0..).zip(trials).map(|(id, trial)| Recording::new(id, trial)).collect();
+/// let recordings = (0..).zip(trials).map(|(id, trial)| Recording::new(id, trial));
+/// let recordings: Vec<_> = recordings.collect();
 /// let subject = Subject {
 ///     settings: config.settings(),
 ///     platform: None,
@@ -68,11 +70,11 @@ pub fn score(subject: Subject<'_>, options: &Options) -> Result<Scored, ScoreErr
     score_watched(subject, options, |_| ControlFlow::Continue(()))
 }
 
-/// As [`score`]. `watch` is called, from any thread, when a recording is done, with the number of those that are; it
-/// may end the evaluation.
+/// Same as [`score`]. Calls `watch`, from any thread, after each recording with the number of
+/// finished ones. `watch` may end the evaluation.
 ///
 /// # Errors
-/// As [`score`]; [`ScoreError::Ended`] when `watch` has ended it.
+/// Same as [`score`], and [`ScoreError::Ended`] if `watch` has ended it.
 pub fn score_watched(
     subject: Subject<'_>,
     options: &Options,
@@ -84,11 +86,11 @@ pub fn score_watched(
     Ok(Scored { report, live })
 }
 
-/// As [`score`], for reports. The steps of a recording's live path, which are most of what [`Scored`] holds, are gone when
-/// the recording is done.
+/// Same as [`score`], for reports. Drops the steps of a recording's live path when the recording is
+/// done: they are most of the contents of [`Scored`].
 ///
 /// # Errors
-/// As [`score`].
+/// Same as [`score`].
 pub fn score_reported(subject: Subject<'_>, options: &Options) -> Result<Reported, ScoreError> {
     let watch = |_| ControlFlow::Continue(());
     let mut live = vec![LivePool::default(); subject.models.len()];
@@ -107,8 +109,8 @@ pub(super) fn tallied(
     run_all(subject, options, watch, |_| (), |_, ()| ())
 }
 
-/// The tables and their sums. `take` gets what `keep` makes of the live path of each model, with its index, in the
-/// recordings' order.
+/// The tables and their sums. `take` gets the results of `keep` for the live path of each model,
+/// with its index, in the recordings' order.
 fn run_all<T: Send>(
     subject: Subject<'_>,
     options: &Options,
@@ -154,8 +156,8 @@ impl<'a> Prepared<'a> {
         })
     }
 
-    /// Runs some recordings, in parallel. `take` gets their indices and results in the order of `places`; of the live path
-    /// these have what `keep` makes of it as soon as a recording is done.
+    /// Runs some recordings in parallel. `take` gets their indices and results in the order of
+    /// `places`. Of the live path only the result of `keep` is retained when a recording is done.
     pub(super) fn run<T: Send>(
         &self,
         places: &[usize],
@@ -185,7 +187,7 @@ impl<'a> Prepared<'a> {
 pub(super) struct SumsOfAll {
     evaluated: Tallied,
     trained_on: Tallied,
-    /// Of each model.
+    /// Energy scores of each model.
     energy: Vec<EnergyScores>,
 }
 

@@ -18,6 +18,6 @@ pub struct Subject<'a> {
     pub models: &'a [Model],
     /// The recordings.
     pub recordings: &'a [Recording],
-    /// Which rows are evaluated and which the baselines are fitted on.
+    /// The rows to evaluate, and the rows to fit the baselines on.
     pub design: &'a Design,
 }

@@ -13,8 +13,9 @@ use joulebus_statistics::bootstrap::Bootstrap;
 use joulebus_statistics::metrics::{ResidualQuantiles, Tally};
 use joulebus_statistics::order::residual_quantiles;
 
-/// Blocks above which neighbours are joined: some 10 MB of sums, and as many for each table that is resampled.
-const MOST_BLOCKS: usize = 16_384;
+/// Blocks above which neighbours are joined: some 10 MB of sums, and as many for each table that is
+/// resampled.
+const MAX_BLOCKS: usize = 16_384;
 
 /// The sums of all recordings that have rows to evaluate.
 #[derive(Debug, Default)]
@@ -22,7 +23,7 @@ pub(crate) struct Tallied {
     recordings: Vec<Named>,
     /// Blocks of all recordings.
     blocks: usize,
-    /// How many times neighbouring blocks were joined in pairs.
+    /// Number of times that neighbouring blocks were joined in pairs.
     joined: u32,
     residuals: Kept,
 }
@@ -33,11 +34,11 @@ struct Named {
     blocks: Vec<Block>,
     /// One entry per horizon.
     horizons: Vec<HorizonSums>,
-    /// Where the residuals of each forecaster are.
+    /// Positions of the residuals of each forecaster.
     residuals: Vec<Range<u64>>,
 }
 
-/// What tables need of a recording beside its sums.
+/// The contents of tables about a recording, beside its sums.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Listed {
     pub(crate) name: String,
@@ -90,7 +91,8 @@ impl Tallied {
         if blocks.is_empty() {
             return Ok(());
         }
-        // As if it had been there before the others were joined: the sums do not depend on when they are.
+        // As if it had been there before the others were joined: the sums do not depend on the time
+        // of joining.
         (0..self.joined).for_each(|_| Block::join_pairs(&mut blocks));
         let residuals = residuals_w.iter().map(|own| self.residuals.push(own));
         let residuals = residuals.collect::<io::Result<_>>()?;
@@ -102,7 +104,7 @@ impl Tallied {
             residuals,
         });
         // A recording keeps one block, however many there are.
-        while self.blocks > MOST_BLOCKS.max(2 * self.recordings.len()) {
+        while self.blocks > MAX_BLOCKS.max(2 * self.recordings.len()) {
             self.joined += 1;
             let each = self.recordings.iter_mut();
             each.for_each(|named| Block::join_pairs(&mut named.blocks));

@@ -7,7 +7,7 @@ use super::compare::{Comparison, Difference};
 use super::design::DesignReport;
 use super::report::{ModelReport, ScoreReport};
 use super::trained_on::{ScoredRows, TrainedOn};
-use joulebus_statistics::bootstrap::{Bootstrap, Estimate, LEAST_BLOCKS};
+use joulebus_statistics::bootstrap::{Bootstrap, Estimate, MIN_BLOCKS};
 
 /// Maximum number of trials listed individually; of more, only the worst.
 const LISTED: usize = 24;
@@ -153,7 +153,7 @@ fn name_width<'a>(names: impl Iterator<Item = &'a str>, least: usize) -> usize {
     longest.unwrap_or(0).max(least)
 }
 
-/// What the rows of a table are to the models.
+/// The heading's words for a table's rows.
 const fn whose(rows: ScoredRows) -> &'static str {
     match rows {
         ScoredRows::NotTrainedOn => ", rows that no model was trained on",
@@ -241,10 +241,10 @@ fn write_blocks(out: &mut Formatter<'_>, cell: &Cell, bootstrap: &Bootstrap) -> 
     } else {
         format!("blocks of {} rows", bootstrap.block_rows)
     };
-    if count < LEAST_BLOCKS {
+    if count < MIN_BLOCKS {
         return writeln!(
             out,
-            "no confidence intervals: {count} {block}, {LEAST_BLOCKS} are needed"
+            "no confidence intervals: {count} {block}, {MIN_BLOCKS} are needed"
         );
     }
     writeln!(
@@ -600,7 +600,7 @@ fn cut(name: &str, most: usize) -> String {
     if name.chars().count() <= most {
         return name.to_owned();
     }
-    // What is in parentheses at the end, such as the forecast, is kept.
+    // Keeps parentheses at the end, such as the forecast's.
     let (base, end) = name.split_at(name.rfind(" (").unwrap_or(name.len()));
     let (base, end) = match end.chars().count() + 1 < most {
         true => (base, end),

@@ -1,4 +1,4 @@
-//! Which of the scored rows a model was trained on.
+//! Recognises the scored rows that a model was trained on.
 
 use std::ops::Range;
 
@@ -24,7 +24,7 @@ pub struct TrainedOn {
     pub share: f64,
 }
 
-/// What the rows of the tables are to the models.
+/// How the models know the rows of the tables.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ScoredRows {
@@ -34,7 +34,8 @@ pub enum ScoredRows {
     TrainedOn,
     /// A model was trained on some of them.
     Mixed,
-    /// A model's file does not state the rows it was trained on, and no other model was trained on them.
+    /// A model's file does not state the rows it was trained on, and no other model was trained on
+    /// them.
     Unknown,
 }
 
@@ -107,7 +108,7 @@ impl Recognised {
     }
 }
 
-/// Where a mask is true.
+/// The ranges in which a mask is true.
 fn stretches(mask: &[bool]) -> Vec<Range<usize>> {
     let mut end = 0;
     let all = mask.chunk_by(|a, b| a == b).map(|stretch| {
@@ -126,8 +127,8 @@ fn overlap(one: &Range<usize>, other: &Range<usize>) -> usize {
 
 impl Design {
     /// Moves the evaluated rows that a model was trained on into
-    /// [`Fold::trained_on`](super::Fold::trained_on), to be scored apart. Nothing is moved if fewer than
-    /// 50 others would be left: [`ScoredRows`] then states what the scores are of.
+    /// [`Fold::trained_on`](super::Fold::trained_on), to be scored apart. Moves nothing if fewer
+    /// than 50 others would be left. [`ScoredRows`] then states which rows are scored.
     ///
     /// # Errors
     /// [`ScoreError::Recording`].
@@ -171,14 +172,13 @@ impl Design {
         self.folds.iter().flat_map(|fold| &fold.evaluated)
     }
 
-    /// Of the rows to be evaluated, those that the model was trained on; `None` if its file does not
-    /// state them.
+    /// The rows to evaluate that the model was trained on. `None` if its file does not state them.
     pub(super) fn trained_on(&self, recognised: &Recognised, model: usize) -> Option<TrainedOn> {
         let apart = self.folds.iter().flat_map(|fold| &fold.trained_on);
         recognised.count(model, self.parts().chain(apart))
     }
 
-    /// What the evaluated rows are to the models.
+    /// How the models know the evaluated rows.
     pub(super) fn scored_rows(&self, recognised: &Recognised) -> ScoredRows {
         let counts = 0..recognised.of.len();
         let counts = counts.map(|model| recognised.count(model, self.parts()));
@@ -196,8 +196,8 @@ impl Design {
         }
     }
 
-    /// Marks readings of rows that are not evaluated as not scored, and sums the scores again without
-    /// them. Readings that belong to no row, after gaps, stay.
+    /// Marks readings of rows that are not evaluated as not scored, and sums the scores again
+    /// without them. Readings that belong to no row, after gaps, stay.
     pub fn restrict(&self, at: usize, contents: &Contents, live: &mut RobotEvaluation) {
         let rows = contents.rows.rows.len();
         let mut left_out = vec![true; rows];
@@ -219,7 +219,7 @@ impl Design {
     }
 }
 
-/// What must be known before the scores are read.
+/// Warnings for the reader of the scores.
 pub(super) fn warnings<'a>(
     models: impl Iterator<Item = (&'a str, Option<TrainedOn>)>,
     scored: ScoredRows,

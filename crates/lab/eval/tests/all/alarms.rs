@@ -1,5 +1,5 @@
-//! The demo's fleet in process, at simulated time: healthy robots raise next to no alarm, and planted faults
-//! are found soon.
+//! The demo's fleet in process, at simulated time: healthy robots raise next to no alarm, and
+//! planted faults are found soon.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -9,7 +9,7 @@ use joulebus_plant::{Fault, Plant, SimReading};
 use joulebus_predictor::{Model, Network};
 use joulebus_wire::{Alarm, AlarmSet, SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
-/// The plant starts here: stamps of 0 are none.
+/// Start of the plant's time, because 0 means no stamp.
 const BASE_NS: u64 = 1_000_000_000;
 
 /// A fault, from a time on, s, and the alarms that may announce it.
@@ -18,14 +18,14 @@ type Planted<'a> = (usize, Fault, f64, &'a [Alarm]);
 /// Alarms raised in a run.
 #[derive(Default)]
 struct Raised {
-    /// By robot and alarm: when it was first raised, s.
+    /// Time of the first raise by robot and alarm, s.
     first_s: BTreeMap<(u32, &'static str), f64>,
     /// Number of times that an alarm of a robot without a fault was raised, and robot hours.
     false_alarms: u32,
     hours: f64,
 }
 
-/// Plays `robots` of a seed for `seconds`, as the shipped configuration says.
+/// Plays `robots` of a seed for `seconds`, with the shipped configuration.
 fn play(seed: u64, robots: u32, seconds: f64, planted: &[Planted<'_>]) -> Raised {
     play_as(true, seed, robots, seconds, planted)
 }
@@ -122,7 +122,7 @@ fn faults(from_s: f64) -> [Planted<'static>; 3] {
     ]
 }
 
-/// Times from the start of each fault to its alarm, s; infinite where there is none.
+/// Times from the start of each fault to its alarm, s. Infinite without an alarm.
 fn found_after_s(planted: &[Planted<'_>], run: &Raised) -> Vec<f64> {
     let found = planted.iter().map(|(robot, _, from_s, alarms)| {
         let when = |alarm: &Alarm| run.first_s.get(&(*robot as u32, alarm.name()));
@@ -132,7 +132,7 @@ fn found_after_s(planted: &[Planted<'_>], run: &Raised) -> Vec<f64> {
     found.collect()
 }
 
-/// A load that jumps for a second cannot be told from a fault of a second.
+/// A load that jumps for a second is indistinguishable from a fault of a second.
 #[test]
 fn in_ten_hours_at_most_one_healthy_robot_raises_an_alarm() {
     let runs = [1, 2, 3].map(|seed| play(seed, 100, 120.0, &[]));
@@ -153,8 +153,8 @@ fn planted_faults_are_found_in_seconds_even_from_the_start() {
         for seed in 1..=4 {
             let planted = faults(from_s);
             let found_s = found_after_s(&planted, &play(seed, 5, from_s + 20.0, &planted));
-            // The monitor must repeat itself for ten seconds. What was there from the start is no change, and
-            // the alarms settle for five seconds.
+            // The monitor must repeat itself for ten seconds. What was there from the start is no
+            // change, and the alarms settle for five seconds.
             let within_s = if from_s > 0.0 {
                 [3.0, 10.0, 11.5]
             } else {

@@ -48,8 +48,8 @@ fn asked(trials: &[Trial], request: &Request) -> Result<Calibration, CalibrateEr
     calibrate(&settings(), 0, &model(), trials, request)
 }
 
-/// The times from `from_ns` on at which residual alarms are raised, ns, and the hours watched: by the
-/// fleet's core, without what `calibrate` plays recordings with.
+/// The times from `from_ns` on at which residual alarms are raised, ns, and the hours watched.
+/// Computed by the fleet's core, without `calibrate`'s code.
 fn raised_ns(limits: AlarmLimits, samples: &[Sample], from_ns: u64) -> (Vec<u64>, f64) {
     let mut settings = settings();
     settings.alarms = settings.alarms.of(&joulebus_settings::Platform {
@@ -176,7 +176,7 @@ fn the_table_of_faults_tells_a_load_from_a_sensor_and_both_from_chance() {
     for fault in [Fault::StuckSensor, Fault::Gain(1.0), Fault::Dropout] {
         let delays = delays_of(&found, fault);
         assert_eq!(delays.calibrated.found, 1.0, "{fault:?}: {found}");
-        // The voltage is that of a healthy robot.
+        // The voltage is a healthy robot's.
         assert_eq!(delays.voltage.found, none.voltage.found, "{fault:?}");
     }
     // A monitor must repeat itself for ten seconds.

@@ -1,5 +1,5 @@
-//! On a part of the recordings: the online forecast is never much worse than its best member, it beats the
-//! baselines where the network does not, and intervals keep their coverage per trial.
+//! On a part of the recordings, the online forecast is never much worse than its best member, it
+//! beats the baselines where the network does not, and intervals keep their coverage per trial.
 
 use std::path::PathBuf;
 
@@ -15,7 +15,7 @@ use joulebus_statistics::metrics::Tally;
 use joulebus_testkit::recordings;
 use joulebus_train::{TrainSettings, train};
 
-/// The first trials of a terrain; `None` where there are no recordings.
+/// The first trials of a terrain. `None` without recordings.
 fn trials(terrain: &str, count: usize) -> Option<Vec<Trial>> {
     let mut paths = recordings::trials("borealtc_husky")?;
     paths.retain(|path| path.to_string_lossy().contains(&format!("/{terrain}_")));

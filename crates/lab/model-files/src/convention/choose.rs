@@ -18,7 +18,7 @@ use crate::{Found, Statistics, StatisticsFrom};
 /// Features of the command, before the readings.
 const COMMANDS: usize = FEATURES - LAGS;
 
-/// Least share by which the second's squared error must be larger: at R² .9, a margin of .005.
+/// Minimum share by which the second's squared error must be larger: at R² .9, a margin of .005.
 const MIN_EXCESS: f64 = 0.05;
 /// Conventions named in an error.
 const SHOWN: usize = 4;
@@ -43,9 +43,9 @@ pub struct Choice {
     pub forced: bool,
     /// All conventions that differ on these data and fit the statistics, best first.
     pub ranking: Vec<Ranked>,
-    /// Those that the statistics ruled out.
+    /// Conventions that the statistics ruled out.
     pub ruled_out: Vec<Convention>,
-    /// R² of the best minus that of the second; infinite if there is no other.
+    /// R² of the best minus R² of the second. Infinite if there is no other.
     pub margin_r2: f64,
     /// Blocks of 300 readings, ten seconds at 30 Hz.
     pub blocks: usize,
@@ -158,7 +158,7 @@ impl Found {
             .collect();
         let is_out = |own: &Vec<f64>| distances.iter().any(|other| is_ruled_out(own, other));
         let out: Vec<bool> = distances.iter().map(is_out).collect();
-        // Statistics that contradict every convention say nothing.
+        // Statistics that contradict every convention rule out none.
         if out.iter().all(|out| *out) {
             return Vec::new();
         }
@@ -199,7 +199,7 @@ impl Found {
         candidates
     }
 
-    /// Index of the chosen candidate; candidates are sorted best first.
+    /// Index of the chosen candidate. Candidates are sorted best first.
     fn place(
         &self,
         scored: &[(Candidate, score::Score)],
@@ -323,7 +323,7 @@ impl Found {
                 rows.flat_map(|row| self.feature_set.range().map(|feature| row[place(feature)]));
             first.weights = reordered.collect();
         }
-        // Layers that do not fit were refused when they were found; none has no shape.
+        // Layers that do not fit were refused earlier. A missing one has no shape.
         let nothing = || Layer {
             weights: Vec::new(),
             bias: Vec::new(),
@@ -376,7 +376,7 @@ impl Found {
         move |feature, place| match &statistics {
             Statistics::Own { mean, std, power } => {
                 let scaled = |(mean, std): (f64, f64), by: f64| (mean * by, std * by);
-                // Statistics of the command's features alone precede those of the readings.
+                // Statistics of the command's features alone come before those of the readings.
                 let only_commands = feature_set == FeatureSet::Full && mean.len() == COMMANDS;
                 let own = if only_commands {
                     mean.get(feature).copied().zip(std.get(feature).copied())
@@ -417,9 +417,12 @@ fn centre(stated: &Statistics, convention: &Convention) -> Option<[f32; 2]> {
 }
 
 impl Choice {
-    /// This choice, if it was requested or the recordings tell the best convention from the second:
-    /// its squared error is smaller by a share that matters, and in more blocks than chance
-    /// explains (by twice the square root of their number, which happens once in some forty times).
+    /// Returns this choice if it was requested or if the recordings distinguish the best convention
+    /// from the second.
+    ///
+    /// The best one's squared error must be smaller by a relevant share, and in more blocks than
+    /// chance explains (by twice the square root of their number, which happens by chance once in
+    /// some forty times).
     fn clear(self) -> Result<Choice, ChooseError> {
         let (won, all) = (self.blocks_won as f64, self.blocks as f64);
         let is_significant = 2.0 * won - all >= 2.0 * all.sqrt();

@@ -13,10 +13,10 @@ use joulebus_predictor::{
 pub(super) const BLOCK_ROWS: usize = 300;
 /// Minimum number of readings for a choice.
 const MIN_ROWS: usize = 100;
-/// Maximum number of readings that are forecast; of more, every n-th block is used.
+/// Maximum number of readings that are forecast. If there are more, every n-th block is used.
 const MAX_ROWS: usize = 60_000;
 /// A step longer than this many median steps is a gap.
-const LONGEST_STEP: f64 = 1.5;
+const MAX_STEP: f64 = 1.5;
 
 /// Rows of features and the readings that followed.
 pub(super) struct Data {
@@ -175,7 +175,7 @@ impl Data {
     }
 }
 
-/// Standard deviation and quantiles of residuals; there is at least one.
+/// Standard deviation and quantiles of at least one residual.
 fn residual(residuals_w: &[f32]) -> ResidualStats {
     let count = residuals_w.len() as f64;
     let mean = residuals_w.iter().map(|r| f64::from(*r)).sum::<f64>() / count;
@@ -203,7 +203,7 @@ fn rows(trial: &Trial, set: FeatureSet) -> Vec<Row> {
         column(Column::Power),
     );
     let at = |column: &[f64], row: usize| column.get(row).map_or(f32::NAN, |value| *value as f32);
-    let longest_s = trial.period_ns() as f64 * 1e-9 * LONGEST_STEP;
+    let longest_s = trial.period_ns() as f64 * 1e-9 * MAX_STEP;
     let step_s = |row: usize| {
         let ns = trial.offset_ns();
         (ns[row] - ns[row - 1]) as f64 * 1e-9

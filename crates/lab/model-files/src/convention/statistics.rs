@@ -5,14 +5,14 @@ use joulebus_predictor::{FEATURES, FeatureSet, LAGS, Normalisation};
 use super::ChooseError;
 use crate::Statistics;
 
-/// A convention is ruled out if another one's deviations are nearer to those of the recordings by
-/// this factor, averaged over the features in which the two differ. Per step and per second lie 30
-/// apart at 30 Hz, milliwatt and watt 1000.
+/// A convention is ruled out if another one's deviations are nearer to the recordings' deviations
+/// by this factor, averaged over the features in which the two differ. At 30 Hz the factor is 30
+/// between per step and per second, and 1000 between milliwatt and watt.
 const RULED_OUT: f64 = 3.0;
-/// Most deviations of power between the recordings' mean and the published one.
-const MOST_DEVIATIONS: f64 = 3.0;
-/// Most between the deviations of velocities, as a factor.
-const MOST_FACTOR: f64 = 4.0;
+/// Maximum distance between the recordings' mean power and the published one, in deviations.
+const MAX_DEVIATIONS: f64 = 3.0;
+/// Maximum ratio of the velocities' deviations.
+const MAX_FACTOR: f64 = 4.0;
 
 /// Mean and deviation of a quantity.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,13 +27,13 @@ impl Spread {
         let mean = values.clone().sum::<f64>() / count;
         let variance = values.map(|value| (value - mean).powi(2)).sum::<f64>() / count;
         let std = variance.sqrt();
-        // What remains of a constant is rounding.
+        // The deviation of a constant is rounding error.
         let std = if std > mean.abs() * 1e-7 { std } else { 0.0 };
         Spread { mean, std }
     }
 
-    /// How far stated statistics are from these, as a logarithm; 0 where one of the two is of a
-    /// constant.
+    /// Distance between the stated statistics and these, as a logarithm. 0 if one of the two is of
+    /// a constant.
     fn distance(self, mean: f64, std: f64) -> f64 {
         if !(self.std > 0.0 && std > 0.0) {
             return 0.0;
@@ -94,13 +94,13 @@ pub(super) fn check_published(
     };
     // The published constants are in mW.
     let (mean_w, std_w) = (power.0 / 1e3, power.1 / 1e3);
-    let mut fits = (target.mean - mean_w).abs() <= MOST_DEVIATIONS * std_w;
+    let mut fits = (target.mean - mean_w).abs() <= MAX_DEVIATIONS * std_w;
     let mut found = format!("power {:.3} ± {:.3} W", target.mean, target.std);
     let mut published = format!("power {mean_w:.3} ± {std_w:.3} W");
     if set.needs_command() {
         for (at, name, unit, stated) in [(0, "v", "m/s", v.1), (1, "omega", "rad/s", omega.1)] {
             let std = recorded[at].std;
-            fits &= std <= MOST_FACTOR * stated;
+            fits &= std <= MAX_FACTOR * stated;
             found.push_str(&format!(", deviation of {name} {std:.4} {unit}"));
             published.push_str(&format!(", {stated} {unit}"));
         }

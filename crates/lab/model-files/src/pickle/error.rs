@@ -51,7 +51,7 @@ pub enum PickleError {
         at: usize,
         /// Name of the function.
         function: &'static str,
-        /// What was found and what is allowed.
+        /// The problem with the expected value.
         detail: String,
     },
     /// An opcode that is invalid in its context.
@@ -61,7 +61,7 @@ pub enum PickleError {
         at: usize,
         /// Name of the opcode.
         opcode: &'static str,
-        /// What was found and what is allowed.
+        /// The problem with the expected value.
         detail: String,
     },
     /// More values than any model file has.

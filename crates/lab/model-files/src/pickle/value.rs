@@ -120,7 +120,7 @@ impl Value {
 pub(crate) enum Global {
     OrderedDict,
     Set,
-    /// `_codecs.encode`, by which old protocols write bytes.
+    /// `_codecs.encode`, with which old protocols write bytes.
     Encode,
     Reconstruct,
     NdArray,

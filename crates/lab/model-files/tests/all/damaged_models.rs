@@ -10,7 +10,7 @@ use sha2::{Digest as _, Sha256};
 
 /// Maximum total allocation for a file of some 30 kB, counting vectors each time they grow: its
 /// numbers as f64 are 56 kB, and there are a few copies.
-const MOST_BYTES: u64 = 4 << 20;
+const MAX_BYTES: u64 = 4 << 20;
 
 /// Result of reading a file.
 #[derive(Debug, PartialEq, Eq)]
@@ -51,7 +51,7 @@ fn outcome(bytes: &[u8], whole: &[u8], what: impl Fn() -> String) -> Outcome {
     let read = read(bytes);
     let allocated = counting::bytes() - before;
     assert!(
-        allocated < MOST_BYTES,
+        allocated < MAX_BYTES,
         "{}: {allocated} bytes allocated",
         what()
     );
@@ -153,8 +153,8 @@ fn every_flipped_byte_is_an_error_with_its_location_or_changes_the_hash() {
                 bytes[at] ^= mask;
             }
         }
-        // A changed number is always detected where there are checksums; changed names may still
-        // change what is found.
+        // Checksums detect every changed number. Changed names may still change which network is
+        // found.
         assert!(
             !has_checksums || name.ends_with("npz") || other == 0,
             "{name}: {other} differ"

@@ -152,15 +152,15 @@ fn row(noise: &mut Noise) -> Features {
     })
 }
 
-/// A trial of a robot of some 49 W that draws what `power_w` makes of the features of each row, per
-/// second, and a little noise.
+/// A trial of a robot of some 49 W. Its power is `power_w` of the features of each row, per second,
+/// and a little noise.
 fn recorded(rows: usize, noise_w: f64, mut power_w: impl FnMut(&Features) -> f64) -> Trial {
     let mut noise = Noise(5);
     let mut csv = "robot_id,timestamp_s,v_cmd_mps,omega_cmd_radps,power_mW\n".to_owned();
     let (mut v, mut omega, mut before) = (0.0_f32, 0.0_f32, (0.0_f32, 0.0_f32));
     let mut lag_w = [49.0_f32; 5];
     for at in 0..rows {
-        // Steps of a few hundredths: as large in m/s² as the statistics say.
+        // Steps of a few hundredths: as large in m/s² as in the statistics.
         v = (v + 0.025 * noise.next_f32()).clamp(-0.3, 0.7);
         omega = (omega + 0.06 * noise.next_f32()).clamp(-1.0, 1.0);
         let previous = Some((before.0, before.1, 1.0 / 30.0));
@@ -348,13 +348,13 @@ fn an_activation_that_the_kernel_lacks_is_refused_until_the_caller_names_another
 
 #[test]
 fn the_files_own_statistics_rule_conventions_out_before_recordings_decide() {
-    // A network that hardly reads the derivatives: recordings alone cannot tell per step from per
-    // second. The statistics are per second.
+    // A network that hardly reads the derivatives: recordings alone cannot distinguish per step
+    // from per second. The statistics are per second.
     let mut layers = layers(&[11, 64, 64, 32, 1], 6);
     for row in layers[0].0.chunks_mut(FEATURES) {
         row[2] *= 1e-3;
         row[3] *= 1e-3;
-        // The newest reading counts most, so that their order can be told.
+        // The newest reading counts most, so that the order of the readings is identifiable.
         row[6] *= 4.0;
         row[7..].iter_mut().for_each(|weight| *weight *= 0.1);
     }
@@ -387,7 +387,7 @@ fn the_files_own_statistics_rule_conventions_out_before_recordings_decide() {
 
 #[test]
 fn conventions_that_forecast_alike_are_named_and_none_is_chosen() {
-    // All readings weigh the same: their order cannot be told.
+    // All readings weigh the same, so their order is not identifiable.
     let mut layers = layers(&[11, 32, 1], 6);
     for row in layers[0].0.chunks_mut(FEATURES) {
         let mean = row[6..].iter().sum::<f32>() / 5.0;
@@ -431,7 +431,7 @@ fn constants_of_the_published_robot_are_not_taken_for_a_larger_one() {
         text.contains("3.652") && text.contains("--normalisation recordings"),
         "{text}"
     );
-    // By the recordings' own constants, the output scale is theirs.
+    // With the recordings' own constants, the output scale is theirs.
     found.normalisation.from = StatisticsFrom::Recordings;
     let choice = chosen(&found, &trial, Some(CONVENTION)).unwrap();
     let normalisation = choice.network().parameters().normalisation;

@@ -1,5 +1,5 @@
-//! Row 13: a pickle that would execute code is refused before anything is executed, in any container;
-//! and no claimed size causes an allocation.
+//! Row 13: a pickle that would execute code is refused before anything is executed, in any
+//! container; and no claimed size causes an allocation.
 
 use std::io::{Cursor, Write as _};
 use std::path::Path;

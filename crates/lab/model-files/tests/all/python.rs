@@ -1,4 +1,4 @@
-//! An exported Python module forecasts what the network does.
+//! An exported Python module makes the network's forecasts.
 
 use std::process::Command;
 
@@ -41,7 +41,7 @@ for refused in [lambda: one.step(float("nan"), 0.0), lambda: one.reset(float("in
 json.dump(found, sys.stdout)
 "#;
 
-/// A Python with NumPy: that of `tools/python.sh`, else the system's. `None` without one.
+/// A Python with NumPy: of `tools/python.sh`, else of the system. `None` without one.
 fn python() -> Option<String> {
     let named = std::env::var("JOULEBUS_PYTHON").ok();
     let found = [named, Some("python3".to_owned())].into_iter().flatten();
@@ -65,7 +65,7 @@ fn with(network: &Network, activation: Activation) -> Network {
     Network::new(parameters, network.card().clone()).unwrap()
 }
 
-/// The forecasts in W, step by step; `measured_w` continues with readings where there are some.
+/// The forecasts in W, step by step. `measured_w` has the readings with which they continue.
 fn expected(network: &Network, commands: &[(f32, f32)], measured_w: &[Option<f32>]) -> Vec<f32> {
     let (mut lag_w, mut before) = ([3.5; LAGS], None);
     let step = |(at, (v, omega)): (usize, &(f32, f32))| {

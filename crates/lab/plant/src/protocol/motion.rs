@@ -14,7 +14,7 @@ const GOAL_MARGIN_M: f64 = 0.25;
 const APPROACH_PER_S: f64 = 1.0;
 const TURN_PER_S: f64 = 2.5;
 /// Maximum angular velocity of goal navigation, rad/s.
-const TURN_MOST_RADPS: f64 = 2.0;
+const TURN_MAX_RADPS: f64 = 2.0;
 /// Time at a goal before the next one, s.
 const AT_GOAL_S: (f64, f64) = (1.0, 6.0);
 
@@ -61,7 +61,7 @@ impl Motion {
             }
             let segment = plan::segment(self.protocol, self.begun, self.segment.to, noise);
             self.begun += 1;
-            // What the last step was too long or too short does not add up.
+            // Timing errors of steps do not accumulate.
             let rest_s = self.over_s - self.segment.time_s;
             self.begin(segment);
             self.over_s = rest_s;
@@ -121,6 +121,6 @@ fn towards(goal_m: Vector, pose: Pose) -> Option<Command> {
     let speed_mps = (APPROACH_PER_S * distance_m).min(FORWARD_MPS);
     Some(Command {
         v_mps: speed_mps * libm::cos(off_rad).max(0.0),
-        omega_radps: (TURN_PER_S * off_rad).clamp(-TURN_MOST_RADPS, TURN_MOST_RADPS),
+        omega_radps: (TURN_PER_S * off_rad).clamp(-TURN_MAX_RADPS, TURN_MAX_RADPS),
     })
 }

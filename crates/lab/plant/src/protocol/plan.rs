@@ -1,4 +1,4 @@
-//! What each protocol drives, segment by segment; goal navigation has goals instead.
+//! The segments of each protocol. Goal navigation has goals instead.
 
 use super::Protocol;
 use super::segment::{BACKWARD_MPS, Course, FORWARD_MPS, Segment, TURN_RADPS};
@@ -23,7 +23,7 @@ pub(super) fn segment(
     }
 }
 
-/// Number of segments after which a protocol repeats itself; 1 where segments are drawn.
+/// Number of segments after which a protocol repeats itself. 1 if segments are drawn.
 pub(super) const fn segments(protocol: Protocol) -> usize {
     match protocol {
         Protocol::Structured => STRUCTURED.len(),
@@ -76,12 +76,12 @@ const fn sine(phase: u32, v_mps: f64, most_radps: f64, time_s: f64) -> Segment {
     }
 }
 
-/// A quarter turn takes a second at this velocity, rad/s.
+/// The velocity of a quarter turn in a second, rad/s.
 const QUARTER_RADPS: f64 = std::f64::consts::FRAC_PI_2;
 /// A circle of this angular velocity takes eight seconds, rad/s.
 const CIRCLE_RADPS: f64 = std::f64::consts::FRAC_PI_4;
 
-/// The eight phases in turn, 33 s each: a trial has every one once.
+/// The eight phases in turn, 33 s each. A trial has every one once.
 const STRUCTURED: [Segment; 51] = [
     // 0, idle.
     rest(0, 33.0),
@@ -175,8 +175,8 @@ fn acceleration(number: usize) -> Segment {
     }
 }
 
-/// Phases: 0 rest, 1 greatest and least v, 2 greatest and least ω, 3 rapid reversals of v, 4 of ω, 5
-/// both together.
+/// Phases: 0 rest, 1 greatest and least v, 2 greatest and least ω, 3 rapid reversals of v, 4 of ω,
+/// 5 both together.
 const EXTREMES: [Segment; 24] = [
     held(1, FORWARD_MPS, 0.0, 4.0),
     held(1, BACKWARD_MPS, 0.0, 3.0),

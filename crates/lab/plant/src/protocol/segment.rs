@@ -1,4 +1,4 @@
-//! Segments: what is commanded for a time.
+//! Segments: a command for a time.
 
 use crate::arena::Command;
 

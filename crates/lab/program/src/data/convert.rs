@@ -96,8 +96,8 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         let mut resampled = None;
         if let Some(how) = resample {
             let refused = || format!("{} cannot be resampled", from.display());
-            let (made, told) = table.resampled(how).with_context(refused)?;
-            (table, resampled) = (made, Some(told));
+            let (made, counts) = table.resampled(how).with_context(refused)?;
+            (table, resampled) = (made, Some(counts));
         }
         table.write(&file)?;
         files.push(Written {
@@ -110,7 +110,10 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
             unnamed_rows,
         });
     }
-    let lost = |file: &Written| file.resampled.is_some_and(|told| told.not_advancing > 0);
+    let lost = |file: &Written| {
+        file.resampled
+            .is_some_and(|counts| counts.not_advancing > 0)
+    };
     let lost = files.iter().any(lost);
     output.report(&ConvertReport { resample, files })?;
     Ok(Outcome::unless_lost(lost))
@@ -243,13 +246,13 @@ impl fmt::Display for ConvertReport {
         for written in &self.files {
             let (from, file, rows) = (written.from.display(), written.file.display(), written.rows);
             writeln!(out, "{from} to {file}: {rows} rows")?;
-            if let Some(told) = &written.resampled {
+            if let Some(counts) = &written.resampled {
                 let Resampled {
                     rows_before,
                     not_advancing,
                     in_gaps,
                     ..
-                } = told;
+                } = counts;
                 writeln!(
                     out,
                     "  resampled from {rows_before} rows; {in_gaps} times of the grid lie in gaps, \

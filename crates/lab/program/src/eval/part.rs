@@ -16,10 +16,10 @@ use serde::Serialize;
 use super::subject::Section;
 use super::{Args, usage, warn};
 
-/// Most parts of an evaluation.
-const MOST_PARTS: u32 = 100_000;
-/// Most bytes of a part's file: some 35 a row of its recordings.
-const MOST_BYTES: u64 = 8 << 30;
+/// Maximum number of parts of an evaluation.
+const MAX_PARTS: u32 = 100_000;
+/// Maximum size of a part's file, bytes. It needs some 35 for each row of its recordings.
+const MAX_BYTES: u64 = 8 << 30;
 
 /// Evaluating in parts.
 #[derive(Debug, clap::Args)]
@@ -65,10 +65,10 @@ impl FromStr for Partition {
     fn from_str(text: &str) -> Result<Self, String> {
         let parsed = text.split_once('/').and_then(|(number, of)| {
             let (number, of) = (number.parse().ok()?, of.parse().ok()?);
-            (1 <= number && number <= of && of <= MOST_PARTS).then_some(Self { number, of })
+            (1 <= number && number <= of && of <= MAX_PARTS).then_some(Self { number, of })
         });
         parsed.ok_or_else(|| {
-            format!("allowed are I/N with whole numbers, I from 1 to N and N up to {MOST_PARTS}")
+            format!("allowed are I/N with whole numbers, I from 1 to N and N up to {MAX_PARTS}")
         })
     }
 }
@@ -79,10 +79,10 @@ impl fmt::Display for Partition {
     }
 }
 
-/// What was done of an evaluation.
+/// The report of one part of an evaluation.
 #[derive(Debug, Serialize)]
 struct PartReport {
-    /// As asked for: 2/7.
+    /// The requested part, for instance 2/7.
     partition: String,
     /// Recordings evaluated here.
     recordings: usize,
@@ -115,7 +115,8 @@ pub(super) fn run(
     output: Output,
 ) -> anyhow::Result<Outcome> {
     let AskedPart { part, out } = *asked;
-    // Before the work; a name that appears meanwhile is that of a process with the same part.
+    // Checked before the work. A file of that name that appears during it belongs to a process with
+    // the same part.
     if out.symlink_metadata().is_ok() {
         bail!("{} exists; name a new file, or remove it", out.display());
     }
@@ -144,14 +145,14 @@ pub(super) fn run(
     Ok(Outcome::Done)
 }
 
-/// Reports what parts are together.
+/// Reports the merged parts.
 pub(super) fn merge<'a>(
     files: impl Iterator<Item = &'a Path>,
     output: Output,
 ) -> anyhow::Result<Outcome> {
     let read = |path: &Path| -> anyhow::Result<_> {
         let name = path.display().to_string();
-        let bytes = joulebus_files::read(path, MOST_BYTES);
+        let bytes = joulebus_files::read(path, MAX_BYTES);
         let bytes = bytes.map_err(|error| anyhow::anyhow!("{name}: {error}"))?;
         let part = EvalPart::from_bytes(&name, &bytes)?;
         Ok((name, part))

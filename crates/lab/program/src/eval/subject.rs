@@ -65,7 +65,7 @@ pub(crate) struct Selection {
 pub(crate) struct Section {
     /// The config's platform; `None` takes each recording as it is.
     platform: Option<Platform>,
-    /// Its index in the config, and that of its model.
+    /// Its index in the config, which is also its model's.
     pub(crate) place: usize,
     settings: FleetSettings,
     recordings: Vec<Recording>,

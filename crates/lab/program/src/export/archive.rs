@@ -1,9 +1,10 @@
 //! The folder of an archive while recordings are added to it.
 //!
-//! Files of a recording's trials are written under other names first, then the draft of its listing; then all get their
-//! names, the listing last. So an export that did not finish leaves drafts and the files that the draft of the listing
-//! names, which the next one removes. Other files are somebody's, and no link is followed: anybody may have made the
-//! archive.
+//! The files of a recording's trials are written under temporary names, then the draft of its
+//! listing. Then all get their final names, the listing last. An interrupted export therefore
+//! leaves drafts and the files that the draft of the listing names, and the next export removes
+//! them. Other files belong to somebody else. No link is followed, because anybody may have made
+//! the archive.
 
 use std::collections::{HashMap, HashSet};
 use std::fs::{self, OpenOptions};
@@ -139,7 +140,7 @@ impl Archive {
         }
     }
 
-    /// Reads what is listed, and removes what an export that did not finish has left.
+    /// Reads the listings, and removes the remains of an interrupted export.
     fn take_stock(&mut self) -> anyhow::Result<()> {
         let mut listed = HashSet::new();
         for path in archive::listings(&self.folder)? {
@@ -181,7 +182,7 @@ impl Archive {
                 let is_own = before
                     .file_name()
                     .is_some_and(|name| is_draft(&name.to_string_lossy()));
-                // It got its name from the draft, which is no more.
+                // The draft is gone, so the file got its final name.
                 let has_moved = fs::symlink_metadata(self.folder.join(&before)).is_err();
                 is_own
                     && has_moved
@@ -211,10 +212,10 @@ impl Archive {
         Ok(())
     }
 
-    /// Removes what was written of a recording that could not be added; of an archive without recordings everything that
-    /// was made for it.
+    /// Removes the files of a recording that could not be added. Of an archive without recordings
+    /// it removes everything that was made for it.
     pub(crate) fn undo(mut self) {
-        // What cannot be removed now, the next export removes.
+        // The next export removes what cannot be removed now.
         let _ = self.take_stock();
         if self.recordings.is_empty() {
             let listings = self.folder.join(LISTINGS);
@@ -363,7 +364,8 @@ fn drafts(root: &Path, folder: &Path, left: &mut Vec<PathBuf>) -> std::io::Resul
     Ok(())
 }
 
-/// Makes the folders of a partition below the archive itself: a link among them would lead elsewhere.
+/// Makes the folders of a partition below the archive itself: a link among them would lead
+/// elsewhere.
 fn make_folders(root: &Path, folder: &Path) -> anyhow::Result<()> {
     let mut path = root.to_owned();
     for name in folder {
@@ -386,7 +388,7 @@ fn own_folder(path: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Renames a file to a name that nobody has.
+/// Renames a file to a name that is free.
 fn rename_new(from: &Path, to: &Path) -> std::io::Result<()> {
     match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
         // The file system does not know how.

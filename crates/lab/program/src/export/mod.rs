@@ -18,7 +18,7 @@ use crate::recordings::find_recordings;
 use archive::{Adding, Archive};
 pub(crate) use arguments::Args;
 
-/// What was exported.
+/// The report of an export.
 #[derive(Debug, Serialize)]
 struct ExportReport {
     /// The archive.

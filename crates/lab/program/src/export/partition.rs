@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-/// What engines read as no value.
+/// The partition value that engines read as null.
 const NOTHING: &str = "__HIVE_DEFAULT_PARTITION__";
 
 const DAY_NS: u64 = 86_400_000_000_000;
@@ -20,7 +20,8 @@ pub(crate) fn folder(fleet: Option<&str>, unix_ns: Option<u64>, robot: Option<&s
     PathBuf::from(fleet).join(format!("day={day}")).join(robot)
 }
 
-/// The value with every byte as `%2F` that a name of a folder cannot have, or that engines read otherwise.
+/// The value with every byte as `%2F` that a name of a folder cannot have, or that engines read
+/// otherwise.
 fn escape(value: &str) -> String {
     let mut escaped = String::with_capacity(value.len());
     for byte in value.bytes() {

@@ -1,5 +1,5 @@
-//! Bags of rosbag2: one file, or a folder with the files of a bag that was split. SQLite files are turned into MCAP by the
-//! program `joulebus-rosbag`.
+//! Bags of rosbag2: one file, or a folder with the files of a bag that was split. SQLite files are
+//! turned into MCAP by the program `joulebus-rosbag`.
 
 use std::env;
 use std::ffi::OsStr;
@@ -17,14 +17,14 @@ use joulebus_program::installed::find_program;
 
 /// The program that reads SQLite files.
 const READER: &str = "joulebus-rosbag";
-/// Most bytes of `metadata.yaml` that are read; it has some hundred a topic.
-const MOST_METADATA_BYTES: u64 = 16 << 20;
+/// Maximum size of `metadata.yaml`, bytes. It has some hundred a topic.
+const MAX_METADATA_BYTES: u64 = 16 << 20;
 
 /// A bag that was read.
 #[derive(Debug)]
 pub(super) struct BagRead {
     pub(super) imported: Imported,
-    /// What of it was not read, with reasons.
+    /// Parts that were not read, with reasons.
     pub(super) left_out: Vec<String>,
 }
 
@@ -82,7 +82,7 @@ fn files_of(folder: &Path, left_out: &mut Vec<String>) -> anyhow::Result<Vec<Pat
         }
     }
     for listed in listed_files(folder) {
-        // What is compressed is named above, and what was is read.
+        // A compressed file is named above. Its uncompressed name is read.
         let own = unpacked(&listed).unwrap_or(&listed);
         let is_there = |name: &str| folder.join(name).exists();
         if !is_there(own) && !is_there(&format!("{own}.zstd")) {
@@ -108,12 +108,12 @@ fn unpacked(name: &str) -> Option<&str> {
     (own.ends_with(".db3") || own.ends_with(".mcap")).then_some(own)
 }
 
-/// The names under `relative_file_paths` of `metadata.yaml`, if there is one: a list of plain or quoted names, as rosbag2
-/// writes it.
+/// The names under `relative_file_paths` of `metadata.yaml`, if there is one: a list of plain or
+/// quoted names, as rosbag2 writes it.
 fn listed_files(folder: &Path) -> Vec<String> {
     let mut text = String::new();
     let read = joulebus_files::open(&folder.join("metadata.yaml"))
-        .and_then(|file| file.take(MOST_METADATA_BYTES).read_to_string(&mut text));
+        .and_then(|file| file.take(MAX_METADATA_BYTES).read_to_string(&mut text));
     if read.is_err() {
         return Vec::new();
     }
@@ -126,7 +126,8 @@ fn listed_files(folder: &Path) -> Vec<String> {
     own.map(str::to_owned).collect()
 }
 
-/// Turns an SQLite file into an MCAP file that has no name, so that nothing is left of it however this process ends.
+/// Turns an SQLite file into an MCAP file that has no name, so that nothing is left of it however
+/// this process ends.
 fn convert(bag: &Path, left_out: &mut Vec<String>) -> anyhow::Result<File> {
     let named = bag.display().to_string();
     let program = find_program(READER).with_context(|| named.clone())?;
@@ -149,8 +150,8 @@ fn convert(bag: &Path, left_out: &mut Vec<String>) -> anyhow::Result<File> {
         .stderr(Stdio::piped());
     let ended = command.spawn().and_then(output_of);
     let ended = ended.with_context(|| format!("cannot run {}", program.display()))?;
-    let said = String::from_utf8_lossy(&ended.stderr);
-    let lines = said.lines().filter(|line| !line.trim().is_empty());
+    let message = String::from_utf8_lossy(&ended.stderr);
+    let lines = message.lines().filter(|line| !line.trim().is_empty());
     match ended.status.code() {
         Some(0) => {}
         Some(code) if code == i32::from(INCOMPLETE) => {

@@ -9,7 +9,7 @@ use joulebus_program::exit::UsageError;
 use crate::recordings::Sign;
 
 /// Maximum size of a mapping, bytes.
-const MOST_MAPPING_BYTES: u64 = 4 << 20;
+const MAX_MAPPING_BYTES: u64 = 4 << 20;
 
 /// Interpretation of a rosbag2 recording.
 #[derive(Debug, clap::Args)]
@@ -61,7 +61,7 @@ impl ImportArguments {
             Some(path) => {
                 let named = || path.display().to_string();
                 let text =
-                    joulebus_files::read_to_string(path, MOST_MAPPING_BYTES).with_context(named)?;
+                    joulebus_files::read_to_string(path, MAX_MAPPING_BYTES).with_context(named)?;
                 let parsed = text.parse::<Mapping>();
                 parsed.map_err(|error| UsageError(format!("{}: {error}", named())))?
             }

@@ -37,7 +37,7 @@ pub(crate) struct Args {
     to: Option<ExportFormat>,
 }
 
-/// Where the model goes.
+/// The target of an exported model.
 #[derive(Debug, clap::Args)]
 #[group(required = true, multiple = false)]
 struct Target {

@@ -1,4 +1,4 @@
-//! `joulebus model`: model files, ours and those of other programs.
+//! `joulebus model`: model files of this and of other programs.
 
 mod compare;
 mod export;

@@ -51,8 +51,8 @@ pub(crate) struct Args {
     /// Simulate the paper's trials and robots, train on them and report; needs no data
     #[arg(long, conflicts_with_all = ["paths", "model"])]
     pub(super) simulated: bool,
-    /// Evaluate the held-out part of a split, with baselines fitted on the rest, as in `train` and `eval`:
-    /// unit of the split
+    /// Evaluate the held-out part of a split, with baselines fitted on the rest, as in `train` and
+    /// `eval`: unit of the split
     #[arg(long, value_name = "BY", value_parser = ["trial", "robot", "group", "time"],
           conflicts_with_all = ["train", "simulated"])]
     pub(super) split: Option<String>,
@@ -62,8 +62,8 @@ pub(crate) struct Args {
     /// Trials, robots or groups to hold out by name, instead of a share
     #[arg(long, value_name = "NAME,…", value_delimiter = ',', requires = "split")]
     pub(super) leave_out: Vec<String>,
-    /// Seed of the split, as in training [default: 0]. With --simulated: of robots and training of the first
-    /// draw, each draw has the next [default: 1]
+    /// Seed of the split, as in training [default: 0]. With --simulated: of robots and training of
+    /// the first draw, each draw has the next [default: 1]
     #[arg(long, value_name = "N")]
     pub(super) seed: Option<u64>,
     /// With --simulated: draws over which mean and deviation are taken, 2 to 1000

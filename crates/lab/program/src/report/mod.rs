@@ -117,7 +117,7 @@ fn evaluate(args: &Args) -> anyhow::Result<(Document, Vec<Judged>)> {
     Ok((document, implausible))
 }
 
-/// Which rows are evaluated.
+/// The design: the rows to evaluate.
 fn design(
     args: &Args,
     recordings: &[Recording],

@@ -20,9 +20,10 @@ const SAVE_EVERY: Duration = Duration::from_secs(10);
 
 /// Maximum size of a checkpoint, bytes: a network, its optimizer and an entry per epoch are
 /// smaller.
-const MOST_SAVED_BYTES: u64 = 64 << 20;
+const MAX_SAVED_BYTES: u64 = 64 << 20;
 
-/// The beginning of a model file: the length of its header, which is less than 2⁴⁸ bytes, and the header.
+/// The beginning of a model file: the length of its header, which is less than 2⁴⁸ bytes, and the
+/// header.
 const MODEL_BEGINS: &[u8] = b"\0\0\0\0\0\0\0\0{";
 
 /// Output file and options of a training run.
@@ -49,8 +50,9 @@ impl RunArguments {
         }
     }
 
-    /// Checks the places of the model and its checkpoint before the training, not after minutes of it. What lies in the
-    /// checkpoint's place is a run's work, or somebody's file: only `--resume`, which reads it, may replace and remove it.
+    /// Checks the paths of the model and its checkpoint before the training, not after minutes of
+    /// it. A file at the checkpoint's path is the work of another run or somebody's file. Only
+    /// `--resume`, which reads it, may replace and remove it.
     pub(super) fn check(&self) -> anyhow::Result<()> {
         let saved_at = checkpoint_path(&self.out);
         if !self.resume && disk::exists(&saved_at) {
@@ -115,7 +117,7 @@ impl RunArguments {
             return Ok(Training::new(dataset, settings, self.threads)?);
         }
         let at = saved_at.display();
-        let saved = match joulebus_files::read(saved_at, MOST_SAVED_BYTES) {
+        let saved = match joulebus_files::read(saved_at, MAX_SAVED_BYTES) {
             Ok(saved) => saved,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 let what = format!("there is no checkpoint {at}");

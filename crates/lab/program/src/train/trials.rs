@@ -9,7 +9,7 @@ use joulebus_dataset::rows::{Dataset, write_rows};
 use joulebus_dataset::split::SplitSummary;
 use joulebus_dataset::trial::ColumnMap;
 use joulebus_eval::score::Recording;
-use joulebus_eval::training_data::{MOST_ROWS, Parts, TrainingDataError, training_data};
+use joulebus_eval::training_data::{MAX_ROWS, Parts, TrainingDataError, training_data};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, say};
 use joulebus_train::{Recipe, TrainReport, TrainSettings};
@@ -61,9 +61,9 @@ pub(super) struct Args {
     /// reading, W
     #[arg(long, value_name = "DIR")]
     rows: Option<PathBuf>,
-    /// Rows to train, validate and score on at most: of more, stretches that are spread evenly over all recordings are
-    /// taken
-    #[arg(long, value_name = "N", default_value_t = MOST_ROWS)]
+    /// Rows to train, validate and score on at most: of more, stretches that are spread evenly over
+    /// all recordings are taken
+    #[arg(long, value_name = "N", default_value_t = MAX_ROWS)]
     most_rows: NonZeroUsize,
     #[command(flatten)]
     columns: ColumnArguments,
@@ -96,7 +96,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// From this many recordings on, whole ones are held out.
+/// Minimum number of recordings for holding out whole ones.
 const WHOLE_FROM: usize = 10;
 
 impl Args {
@@ -121,7 +121,7 @@ impl Args {
             name: None,
             features: Some(features),
             rows: None,
-            most_rows: MOST_ROWS,
+            most_rows: MAX_ROWS,
             columns: columns.clone(),
             accept: AcceptArguments::settled(),
             run: RunArguments::new(out),
@@ -192,11 +192,11 @@ impl Args {
 }
 
 /// Maximum size of a recipe, bytes.
-const MOST_RECIPE_BYTES: u64 = 4 << 20;
+const MAX_RECIPE_BYTES: u64 = 4 << 20;
 
 fn read_recipe(path: &Path) -> anyhow::Result<Recipe> {
     let name = path.display();
-    let text = joulebus_files::read_to_string(path, MOST_RECIPE_BYTES)
+    let text = joulebus_files::read_to_string(path, MAX_RECIPE_BYTES)
         .with_context(|| format!("cannot read {name}"))?;
     Recipe::parse(&text).map_err(|error| UsageError(format!("the recipe {name}: {error}")).into())
 }

@@ -1,4 +1,4 @@
-//! Archives that anybody may have written.
+//! Archives from untrusted sources.
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -22,7 +22,7 @@ fn archive(place: &Path) -> PathBuf {
     folder
 }
 
-/// What reading the archive says, which must be a refusal.
+/// The refusal of an archive that must not be read.
 fn refusal(folder: &Path) -> String {
     let ended = joulebus("data info", &[folder]);
     assert_eq!(ended.code(), Some(1), "{}", ended.text());
@@ -38,20 +38,20 @@ fn a_file_cut_short_or_changed_is_named_before_it_is_decoded() {
     let file = parquet(&folder).remove(0);
     let whole = fs::read(&file).unwrap();
     fs::write(&file, &whole[..whole.len() / 2]).unwrap();
-    let said = refusal(&folder);
+    let message = refusal(&folder);
     assert!(
-        said.contains("damaged") && said.contains(".parquet"),
-        "{said}"
+        message.contains("damaged") && message.contains(".parquet"),
+        "{message}"
     );
     let mut changed = whole.clone();
     changed[whole.len() / 3] ^= 1;
     fs::write(&file, &changed).unwrap();
     assert!(refusal(&folder).contains("checksum"));
     fs::remove_file(&file).unwrap();
-    let said = refusal(&folder);
+    let message = refusal(&folder);
     assert!(
-        said.contains("is missing") && said.contains("day="),
-        "{said}"
+        message.contains("is missing") && message.contains("day="),
+        "{message}"
     );
 }
 
@@ -74,7 +74,7 @@ fn pipes_folders_and_links_in_the_place_of_files_do_not_block_or_leave_the_archi
     fs::create_dir(&file).unwrap();
     assert!(refusal(&folder).contains("directory"));
     fs::remove_dir(&file).unwrap();
-    // A link to the same bytes is read; the checksum is what counts.
+    // A link to the same bytes is read, because the checksum decides.
     let elsewhere = place.path().join("elsewhere");
     fs::write(&elsewhere, &whole).unwrap();
     symlink(&elsewhere, &file).unwrap();
@@ -85,8 +85,8 @@ fn pipes_folders_and_links_in_the_place_of_files_do_not_block_or_leave_the_archi
         let mut value: serde_json::Value = serde_json::from_str(&text).unwrap();
         value["trials"][0]["file"] = named.into();
         fs::write(&listing, value.to_string()).unwrap();
-        let said = refusal(&folder);
-        assert!(said.contains("not below the archive"), "{said}");
+        let message = refusal(&folder);
+        assert!(message.contains("not below the archive"), "{message}");
     }
     for (text, part) in [
         ("", "no listing"),
@@ -120,19 +120,19 @@ fn parquet_of_other_programs_and_of_other_schemas_is_refused_with_the_remedy() {
         .unwrap();
     let mut other = whole.clone();
     other[at] = b'x';
-    let said = refused(&other);
+    let message = refused(&other);
     assert!(
-        said.contains("another program") && said.contains("CSV"),
-        "{said}"
+        message.contains("another program") && message.contains("CSV"),
+        "{message}"
     );
     let mut other = whole.clone();
     let value = at + key.len() + 2;
     assert_eq!(other[value], b'1');
     other[value] = b'7';
-    let said = refused(&other);
+    let message = refused(&other);
     assert!(
-        said.contains("\"7\"") && said.contains("allowed is 1"),
-        "{said}"
+        message.contains("\"7\"") && message.contains("allowed is 1"),
+        "{message}"
     );
     // A column of another name.
     let name = b"voltage_mV";
@@ -143,10 +143,10 @@ fn parquet_of_other_programs_and_of_other_schemas_is_refused_with_the_remedy() {
     for at in places {
         other[at] = b'V';
     }
-    let said = refused(&other);
+    let message = refused(&other);
     assert!(
-        said.contains("found OPTIONAL DOUBLE Voltage_mV, allowed is OPTIONAL DOUBLE voltage_mV"),
-        "{said}"
+        message.contains("found OPTIONAL DOUBLE Voltage_mV, allowed is OPTIONAL DOUBLE voltage_mV"),
+        "{message}"
     );
     let mut other = b"PAR1".to_vec();
     other.extend([0; 100]);
@@ -181,7 +181,7 @@ fn no_byte_that_is_changed_and_no_cut_ends_the_reader_or_changes_a_value() {
             seed = seed
                 .wrapping_mul(6_364_136_223_846_793_005)
                 .wrapping_add(1_442_695_040_888_963_407);
-            // Most of the changes in the footer and the headers of pages, where counts are.
+            // Most changes are in the footer and the headers of pages, where counts are.
             let at = match round % 2 {
                 0 => (seed >> 33) as usize % whole.len(),
                 _ => whole.len() - 1 - (seed >> 33) as usize % (whole.len() / 3),

@@ -1,4 +1,5 @@
-//! Archives: what is exported, what other programs read of it, and that every verb reads it as what was exported.
+//! Archives: what an export writes, what other programs read, and that every verb reads them as the
+//! original recordings.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod hostile;

@@ -1,4 +1,4 @@
-//! What an export has in memory.
+//! Memory use of an export.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -41,7 +41,7 @@ fn an_export_of_a_long_capture_holds_a_part_of_its_samples() {
     const FRAMES: u64 = 50_000;
     const ROBOTS: u32 = 50;
     // Samples alone have 64 bytes each, and their tables more.
-    const MOST_BYTES: u64 = 256 << 20;
+    const MAX_BYTES: u64 = 256 << 20;
     let samples = FRAMES * u64::from(ROBOTS);
     let place = tempfile::tempdir().unwrap();
     let run = recordings::capture(place.path(), "long.mcap", FRAMES, ROBOTS);
@@ -57,7 +57,7 @@ fn an_export_of_a_long_capture_holds_a_part_of_its_samples() {
     assert_eq!(parquet(&archive).len(), ROBOTS as usize + 1);
     println!("figure: {samples} samples, {peak} bytes of memory at most");
     assert!(
-        peak > 0 && peak < MOST_BYTES,
+        peak > 0 && peak < MAX_BYTES,
         "{peak} bytes for {samples} samples"
     );
 }
@@ -77,8 +77,9 @@ fn archive_of(trials: u64, rows: u64, place: &Path) -> PathBuf {
 
 #[test]
 fn verbs_that_read_an_archive_hold_no_more_of_more_trials() {
-    // A row in memory has some 300. Sums of an evaluation grow until they are joined, or go to a file.
-    const MOST_BYTES_A_ROW: u64 = 40;
+    // A row in memory has some 300. Sums of an evaluation grow until they are joined, or go to a
+    // file.
+    const MAX_BYTES_A_ROW: u64 = 40;
     // More rows than stay in memory, and trials that are small beside them.
     const TRIALS: u64 = 100;
     const ROWS: u64 = 6_000;
@@ -123,7 +124,7 @@ fn verbs_that_read_an_archive_hold_no_more_of_more_trials() {
         let a_row = many.saturating_sub(few) / (TRIALS * ROWS);
         println!("figure: {verb:?}: {few} and {many} bytes of memory at most, {a_row} a row");
         assert!(
-            0 < few && a_row < MOST_BYTES_A_ROW,
+            0 < few && a_row < MAX_BYTES_A_ROW,
             "{verb:?}: {few} and {many} bytes, {a_row} a row"
         );
     }

@@ -1,4 +1,4 @@
-//! What DuckDB and Polars read of an archive.
+//! DuckDB and Polars read an archive.
 
 use std::fs;
 use std::path::Path;
@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use crate::recordings::{BEGIN_NS, every_kind};
 use crate::{export, parquet};
 
-/// What `tools/read_archive.py` ends with where its packages cannot be had.
+/// Exit code of `tools/read_archive.py` without its packages.
 const NO_PACKAGES: i32 = 77;
 
 /// A trial as it was recorded: its fleet, rows, and the exact integers of each row.
@@ -109,14 +109,14 @@ fn duckdb_and_polars_read_every_value_to_the_bit_and_integers_as_integers() {
         .arg(&expected)
         .output();
     let ended = ended.unwrap();
-    let said = String::from_utf8_lossy(&ended.stderr);
+    let message = String::from_utf8_lossy(&ended.stderr);
     if ended.status.code() == Some(NO_PACKAGES) {
-        assert!(std::env::var("CI").as_deref() != Ok("true"), "{said}");
-        println!("{said}");
+        assert!(std::env::var("CI").as_deref() != Ok("true"), "{message}");
+        println!("{message}");
         return;
     }
     println!("{}", String::from_utf8_lossy(&ended.stdout));
-    assert!(ended.status.success(), "{said}");
+    assert!(ended.status.success(), "{message}");
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use joulebus_capture_format::{Attachments, CaptureSettings, Message, Times, Writer};
-use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
+use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, Samples, sample_flag};
 
 /// Unix time of the first sample of [`capture`], ns: ten seconds before a midnight.
 pub(crate) const BEGIN_NS: u64 = 1_795_391_990_000_000_000;
@@ -22,8 +22,8 @@ fn power_mw(row: u64, seed: u64) -> f64 {
     12_000.0 + 3_000.0 * (row_s * 0.7).sin() + 400.0 * noise(row * 131 + seed)
 }
 
-/// A CSV of the published layout with everything that one may have: missing values, held readings, gaps, an unknown
-/// column, whole numbers, −0.
+/// A CSV of the published layout with everything that one may have: missing values, held readings,
+/// gaps, an unknown column, whole numbers, −0.
 pub(crate) fn full(folder: &Path, name: &str, rows: u64, seed: u64) -> PathBuf {
     let mut text = String::from(
         "robot_id,timestamp_s,phase,v_cmd_mps,omega_cmd_radps,x_m,y_m,theta_rad,voltage_mV,current_mA,power_mW,\
@@ -61,7 +61,7 @@ pub(crate) fn sparse(folder: &Path, name: &str, rows: u64, robots: u64) -> PathB
         for robot in 0..robots {
             let power_w = power_mw(row, robot) / 1000.0;
             let time_s = 1e5 + row as f64 / 10.0;
-            // The name has quotes of its own, and what looks like an escape.
+            // A name with quotes and an apparent escape.
             text += &format!("\"r/{robot} \"\"ü\"\" %41=,\",{time_s},{power_w}\n");
         }
     }
@@ -75,7 +75,8 @@ fn write(folder: &Path, name: &str, text: &str) -> PathBuf {
     path
 }
 
-/// A capture of several robots over a midnight, with a discontinuity, missing readings and a battery.
+/// A capture of several robots over a midnight, with a discontinuity, missing readings and a
+/// battery.
 pub(crate) fn capture(folder: &Path, name: &str, frames: u64, robots: u32) -> PathBuf {
     let path = folder.join(name);
     let settings = CaptureSettings::default();
@@ -102,7 +103,7 @@ pub(crate) fn capture(folder: &Path, name: &str, frames: u64, robots: u32) -> Pa
             publish_ns: at_ns,
         };
         let samples = (0..robots).map(sample).collect();
-        let message = Message::Samples(header, samples);
+        let message = Message::of::<Samples>(header, samples);
         writer.write("yard 3", times, &message).unwrap();
     }
     writer.finish().unwrap();

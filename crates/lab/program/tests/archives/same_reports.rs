@@ -50,7 +50,8 @@ fn tables_of_an_archive_are_those_of_the_recordings_in_all_that_they_have() {
         let original = Table::read_robots(read[0].path()).unwrap();
         assert_eq!(read.len(), original.len());
         for (read, original) in read.into_iter().zip(original) {
-            // NaN is not equal to itself: by the text of all fields, which shows every bit of a number but −0's sign.
+            // NaN is not equal to itself: by the text of all fields, which shows every bit of a
+            // number but −0's sign.
             assert_eq!(format!("{read:?}"), format!("{original:?}"));
             let (read, original) = (read.into_trial().unwrap(), original.into_trial().unwrap());
             let bits = |trial: &Trial| -> Vec<u32> {
@@ -132,8 +133,8 @@ fn parts_of_an_evaluation_of_an_archive_merge_into_the_report_of_the_recordings(
         .env("JOULEBUS", joulebus_testkit::joulebus_beside(crate::LAB))
         .output()
         .unwrap();
-    let said = String::from_utf8_lossy(&parts.stderr);
-    assert!(parts.status.success(), "{said}");
+    let message = String::from_utf8_lossy(&parts.stderr);
+    assert!(parts.status.success(), "{message}");
     let text = String::from_utf8(parts.stdout).unwrap();
     assert_eq!(text.trim_end(), whole.text().trim_end());
 }

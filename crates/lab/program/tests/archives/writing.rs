@@ -96,7 +96,7 @@ fn an_export_killed_at_any_time_leaves_whole_recordings_and_the_next_one_finishe
             std::thread::yield_now();
         }
         export_process.kill();
-        // What is listed is read without a fault.
+        // The listed files are read without a fault.
         let listed = listings(&folder).unwrap_or_default();
         if !listed.is_empty() {
             let ended = joulebus("data info", &[&folder]);
@@ -223,7 +223,8 @@ fn parquet_files_that_no_listing_names_are_kept() {
     let [folder, other] = ["archive", "other"].map(|name| place.path().join(name));
     assert_eq!(export(&[&one, &two], &folder).code(), Some(0));
     assert_eq!(export(&[&three, &two, &one], &other).code(), Some(0));
-    // Partitions of another archive, whose numbers are taken, next or far ahead; and a listing that got lost.
+    // Partitions of another archive, whose numbers are taken, next or far ahead; and a listing that
+    // got lost.
     let mut kept = Vec::new();
     for (at, file) in parquet(&other).into_iter().enumerate() {
         let partition = folder.join(format!("fleet=yard/day=2026-11-{:02}/robot=7", at + 1));

@@ -1,4 +1,5 @@
-//! Damaged and hostile files: an error or a count, never a panic, and never more memory than a message may take.
+//! Damaged and hostile files: an error or a count, never a panic, and never more memory than a
+//! message may take.
 
 use std::fs;
 use std::path::Path;
@@ -7,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use crate::bag::{Bag, convert, time_ns};
 
-fn said(ended: &Output) -> String {
+fn message(ended: &Output) -> String {
     String::from_utf8_lossy(&ended.stderr).into_owned()
 }
 
@@ -20,8 +21,8 @@ fn code_of(bag: &Path) -> (i32, String) {
         .code()
         .unwrap_or_else(|| panic!("killed: {ended:?}"));
     assert!([0, 1, 3].contains(&code), "{ended:?}");
-    assert_eq!(code == 0, said(&ended).is_empty(), "{ended:?}");
-    (code, said(&ended))
+    assert_eq!(code == 0, message(&ended).is_empty(), "{ended:?}");
+    (code, message(&ended))
 }
 
 fn small_bag(path: &Path) -> Vec<u8> {
@@ -41,8 +42,8 @@ fn a_bag_cut_at_any_page_or_within_is_refused_or_what_is_lost_is_said() {
     let mut codes = [0_u32; 4];
     for length in around.filter(|length| *length < whole.len()) {
         fs::write(&path, &whole[..length]).unwrap();
-        let (code, said) = code_of(&path);
-        assert_ne!(code, 0, "{length} of {} bytes: {said}", whole.len());
+        let (code, message) = code_of(&path);
+        assert_ne!(code, 0, "{length} of {} bytes: {message}", whole.len());
         codes[code as usize] += 1;
     }
     println!("figure: {} bytes, cut: exit codes {codes:?}", whole.len());
@@ -79,14 +80,14 @@ fn what_is_no_bag_is_refused_with_the_reason() {
         (b"SQLite format 3\0", "cannot read"),
     ] {
         fs::write(&path, bytes).unwrap();
-        let (code, said) = code_of(&path);
-        assert_eq!(code, 1, "{said}");
-        assert!(said.contains(why), "{said}");
+        let (code, message) = code_of(&path);
+        assert_eq!(code, 1, "{message}");
+        assert!(message.contains(why), "{message}");
     }
-    let (code, said) = code_of(&place.path().join("missing.db3"));
-    assert!(code == 1 && said.contains("missing.db3"), "{said}");
-    let (code, said) = code_of(place.path());
-    assert!(code == 1 && said.contains("is a directory"), "{said}");
+    let (code, message) = code_of(&place.path().join("missing.db3"));
+    assert!(code == 1 && message.contains("missing.db3"), "{message}");
+    let (code, message) = code_of(place.path());
+    assert!(code == 1 && message.contains("is a directory"), "{message}");
 }
 
 #[test]
@@ -123,9 +124,12 @@ fn only_tables_are_read_and_nothing_that_computes() {
         bag.run(&sql);
         bag.close();
         let began = Instant::now();
-        let (code, said) = code_of(&path);
-        assert_eq!(code, 1, "{what}: {said}");
-        assert!(said.contains("is no bag of rosbag2"), "{what}: {said}");
+        let (code, message) = code_of(&path);
+        assert_eq!(code, 1, "{what}: {message}");
+        assert!(
+            message.contains("is no bag of rosbag2"),
+            "{what}: {message}"
+        );
         assert!(began.elapsed() < Duration::from_secs(100), "{what}");
     }
 }
@@ -145,15 +149,15 @@ fn rows_that_are_no_messages_are_counted_by_reason() {
     bomb.truncate(20);
     bag.raw(1, time_ns(12), &bomb);
     bag.close();
-    let (code, said) = code_of(&path);
-    assert_eq!(code, 3, "{said}");
+    let (code, message) = code_of(&path);
+    assert_eq!(code, 3, "{message}");
     for why in [
         "1 messages left out: its time is before 1970",
         "2 messages left out: topic and time are no integers",
         "2 messages left out: of a topic that the bag does not name",
         "messages left out: compressed: ",
     ] {
-        assert!(said.contains(why), "{why} in\n{said}");
+        assert!(message.contains(why), "{why} in\n{message}");
     }
 }
 
@@ -165,11 +169,11 @@ fn a_message_larger_than_allowed_ends_the_bag_without_taking_its_memory() {
     bag.drive(0..10);
     bag.run("INSERT INTO messages (topic_id, timestamp, data) VALUES (1, 5, zeroblob(268435457))");
     bag.close();
-    let (code, said) = code_of(&path);
-    assert_eq!(code, 3, "{said}");
+    let (code, message) = code_of(&path);
+    assert_eq!(code, 3, "{message}");
     assert!(
-        said.contains("this one and all after it: string or blob too big"),
-        "{said}"
+        message.contains("this one and all after it: string or blob too big"),
+        "{message}"
     );
 }
 
@@ -192,7 +196,8 @@ fn inner_page(child: u32, cells: u16) -> Vec<u8> {
 
 const PAGE: usize = 4_096;
 
-/// The bag with the root of `table` in place of a tree of three inner pages above it: 200 to the third times its rows.
+/// The bag with the root of `table` in place of a tree of three inner pages above it: 200 to the
+/// third times its rows.
 fn multiplied(path: &Path, table: &str) -> Vec<u8> {
     let sqlite = rusqlite::Connection::open(path).unwrap();
     let sql = "SELECT rootpage FROM sqlite_master WHERE name = ?1";
@@ -224,9 +229,9 @@ fn pages_that_name_each_other_give_no_more_rows_than_a_file_can_hold() {
         fs::write(&path, multiplied(&path, table)).unwrap();
         let ended = convert(&path, &out);
         let written = fs::metadata(&out).map_or(0, |file| file.len());
-        let (code, said) = (ended.status.code(), said(&ended));
-        assert!(matches!(code, Some(1 | 3)), "{table}: {said}");
-        assert!(said.contains("than its"), "{table}: {said}");
+        let (code, message) = (ended.status.code(), message(&ended));
+        assert!(matches!(code, Some(1 | 3)), "{table}: {message}");
+        assert!(message.contains("than its"), "{table}: {message}");
         let most = 8 * fs::metadata(&path).unwrap().len();
         assert!(written < most, "{table}: {written} bytes, allowed {most}");
     }
@@ -243,7 +248,7 @@ fn a_table_is_not_what_the_text_of_its_definition_says() {
          UPDATE sqlite_master SET sql = replace(sql, 'CREATE VIRTUAL', 'CREATE/**/VIRTUAL') WHERE name = 'messages'",
     );
     bag.close();
-    let (code, said) = code_of(&path);
-    assert_eq!(code, 1, "{said}");
-    assert!(said.contains("is no bag of rosbag2"), "{said}");
+    let (code, message) = code_of(&path);
+    assert_eq!(code, 1, "{message}");
+    assert!(message.contains("is no bag of rosbag2"), "{message}");
 }

@@ -1,4 +1,4 @@
-//! Bags of rosbag2 in SQLite files: what is imported of them, and what damaged and hostile ones do.
+//! Bags of rosbag2 in SQLite files: their import, and the refusal of damaged and hostile ones.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod bag;
@@ -46,7 +46,7 @@ fn readings_commands_and_odometry_of_a_bag_become_rows() {
     let row = &robot.rows[20];
     assert_eq!(row.time_ns, bag::time_ns(20));
     assert!((row.voltage_v - 12.0).abs() < 1e-6, "{row:?}");
-    // As ROS has it, a battery that is discharged has a negative current.
+    // In ROS the current is negative while a battery is discharged.
     assert!((row.current_a - 0.7).abs() < 1e-6, "{row:?}");
     assert!((row.power_w - 8.4).abs() < 1e-5, "{row:?}");
     assert!((row.v_mps - 0.20).abs() < 1e-9, "{row:?}");
@@ -69,7 +69,7 @@ fn a_bag_without_definitions_and_one_whose_messages_are_compressed_have_the_same
         format!("{:?}", imported.robots[0].rows)
     };
     let plain = rows("plain.db3", &|_| {});
-    // As Foxy and Humble write it.
+    // The format of Foxy and Humble.
     let old = rows("old.db3", &|bag| bag.run("DROP TABLE message_definitions"));
     let compressed = rows("compressed.db3", &|bag| bag.compress = true);
     let unnamed = rows("no extension, ä?#%.db3", &|_| {});
@@ -122,7 +122,7 @@ fn a_bag_with_a_log_beside_it_is_read_whole_and_not_changed() {
     let names = |folder: &Path| contents(folder).into_keys().collect::<Vec<_>>();
     assert_eq!(names(&killed), ["live.db3", "live.db3-shm", "live.db3-wal"]);
     bag.close();
-    // Nothing appears beside a bag that has none.
+    // No file appears beside a bag that has none.
     let alone = place.path().join("alone");
     fs::create_dir(&alone).unwrap();
     let path = alone.join("live.db3");
@@ -165,12 +165,12 @@ fn a_bag_whose_recorder_was_killed_within_a_change_names_its_journal() {
     let before = contents(&killed);
     let ended = convert(&copy, &place.path().join("out.mcap"));
     assert_eq!(ended.status.code(), Some(1), "{ended:?}");
-    let said = String::from_utf8(ended.stderr).unwrap();
+    let message = String::from_utf8(ended.stderr).unwrap();
     for expected in ["killed/live.db3-journal", "PRAGMA quick_check"] {
-        assert!(said.contains(expected), "{said}");
+        assert!(message.contains(expected), "{message}");
     }
     assert!(before == contents(&killed), "the bag was changed");
-    // What the message says helps.
+    // The message contains the remedy.
     let sqlite = rusqlite::Connection::open(&copy).unwrap();
     sqlite
         .query_row("PRAGMA quick_check", [], |row| row.get::<_, String>(0))
@@ -217,12 +217,12 @@ fn an_odd_row_of_the_topics_costs_its_own_messages_alone() {
     let out = place.path().join("out.mcap");
     let ended = convert(&path, &out);
     assert_eq!(ended.status.code(), Some(3), "{ended:?}");
-    let said = String::from_utf8(ended.stderr).unwrap();
+    let message = String::from_utf8(ended.stderr).unwrap();
     for expected in [
         "2 topics left out: id is no integer, or name, type or encoding no text",
         "10 messages left out: of a topic that the bag does not name",
     ] {
-        assert!(said.contains(expected), "{said}");
+        assert!(message.contains(expected), "{message}");
     }
     let found = import(File::open(&out).unwrap(), "bag", &Mapping::default()).unwrap();
     assert_eq!(found.robots[0].row_count, 10);
@@ -257,15 +257,15 @@ fn standard_output_is_written_if_it_is_an_empty_file() {
         let ended = to(out);
         assert_eq!(ended.status.code(), Some(1), "{ended:?}");
         assert!(ended.stdout.is_empty(), "{ended:?}");
-        let said = String::from_utf8(ended.stderr).unwrap();
-        assert!(said.contains("no empty file"), "{said}");
+        let message = String::from_utf8(ended.stderr).unwrap();
+        assert!(message.contains("no empty file"), "{message}");
     }
 }
 
-/// Programs beside each other: `joulebus-lab`, and a reader of bags that writes, says so and does not end.
+/// A folder with `joulebus-lab` and a reader of bags that writes, reports that, and does not end.
 fn slow_reader(place: &Path) -> PathBuf {
-    // Written by another process: a program that any process has open for writing cannot be started, and those that other
-    // tests start inherit what this one has open.
+    // Another process writes the script. A program that any process has open for writing cannot be
+    // started, and processes that other tests start inherit the open files of this one.
     let script = "cp \"$1\" joulebus-lab && cat > joulebus-rosbag && chmod +x joulebus-rosbag";
     let reader = "#!/bin/sh\necho MCAP\ncd \"${0%/*}\"\necho $$ > begun.new\nmv begun.new begun\ncat > /dev/null\n";
     let mut make = Command::new("sh");
@@ -303,7 +303,7 @@ fn an_import_that_is_ended_leaves_no_file_and_no_process() {
             .status();
         assert!(killed.unwrap().success());
         assert_eq!(import.wait().unwrap().code(), None);
-        // Empty once it has ended, also if nobody asks for its exit code.
+        // Empty once the reader has ended, even before its exit code is collected.
         let words = Path::new("/proc").join(reader.trim()).join("cmdline");
         eventually("the reader has ended", || {
             fs::read(&words).unwrap_or_default().is_empty()
@@ -336,9 +336,9 @@ fn a_file_that_was_unpacked_beside_its_compressed_one_counts_once() {
     fs::rename(&path, folder.join("office_1.db3")).unwrap();
     let ended = joulebus(&["import", &text(&folder), "-o", &text(&out)]);
     assert_eq!(ended.status.code(), Some(3), "{ended:?}");
-    let said = String::from_utf8(ended.stdout).unwrap();
-    assert_eq!(said.matches("left out").count(), 1, "{said}");
-    assert!(said.contains("zstd -d office_0.db3.zstd"), "{said}");
+    let message = String::from_utf8(ended.stdout).unwrap();
+    assert_eq!(message.matches("left out").count(), 1, "{message}");
+    assert!(message.contains("zstd -d office_0.db3.zstd"), "{message}");
 }
 
 #[test]
@@ -363,7 +363,7 @@ fn joulebus_imports_files_and_folders() {
     assert_eq!(ended.status.code(), Some(0), "{ended:?}");
     assert_eq!(fs::read_to_string(&out).unwrap().lines().count(), 1 + 25);
 
-    // What is missing is said, and the exit code tells.
+    // Missing parts are listed, and the exit code shows them.
     let listed =
         "  relative_file_paths:\n    - office_0.db3\n    - office_1.db3\n    - office_2.db3\n";
     fs::write(folder.join("metadata.yaml"), listed).unwrap();
@@ -371,19 +371,19 @@ fn joulebus_imports_files_and_folders() {
     fs::remove_file(&out).unwrap();
     let ended = import(&folder);
     assert_eq!(ended.status.code(), Some(3), "{ended:?}");
-    let said = String::from_utf8(ended.stdout).unwrap();
+    let message = String::from_utf8(ended.stdout).unwrap();
     for expected in [
         "office_2.db3: metadata.yaml lists it",
         "zstd -d office_3.db3.zstd",
     ] {
-        assert!(said.contains(expected), "{said}");
+        assert!(message.contains(expected), "{message}");
     }
     let empty = place.path().join("empty");
     fs::create_dir(&empty).unwrap();
     let ended = import(&empty);
     assert_eq!(ended.status.code(), Some(1), "{ended:?}");
-    let said = String::from_utf8(ended.stderr).unwrap();
-    assert!(said.contains("no .db3 or .mcap file"), "{said}");
+    let message = String::from_utf8(ended.stderr).unwrap();
+    assert!(message.contains("no .db3 or .mcap file"), "{message}");
 }
 
 #[test]
@@ -407,6 +407,6 @@ fn a_folder_of_mcap_files_is_one_recording() {
     let out = place.path().join("trials");
     let ended = joulebus(&["import", &text(&folder), "-o", &text(&out)]);
     assert_eq!(ended.status.code(), Some(0), "{ended:?}");
-    let said = String::from_utf8(ended.stdout).unwrap();
-    assert!(said.contains("45 rows of r1"), "{said}");
+    let message = String::from_utf8(ended.stdout).unwrap();
+    assert!(message.contains("45 rows of r1"), "{message}");
 }

@@ -46,7 +46,7 @@ with writer:
         writer.write(text, ns, store.serialize_cdr(T["std_msgs/msg/String"](data="hello"), text.msgtype))
 "#;
 
-/// A Python with the package; none is said aloud.
+/// A Python with the package. `None` is logged.
 fn python() -> Option<String> {
     let named = std::env::var("JOULEBUS_PYTHON").ok();
     let python = named.unwrap_or_else(|| "python3".to_owned());
@@ -84,8 +84,8 @@ fn bags_of_another_writer_are_imported_with_its_values() {
         assert!(written.status.success(), "{how}: {written:?}");
         let ended = joulebus(&["import", &text(&bag), "-o", &text(&out)]);
         assert_eq!(ended.status.code(), Some(0), "{how}: {ended:?}");
-        let said = String::from_utf8(ended.stdout).unwrap();
-        assert!(said.contains("40 rows of r7"), "{how}: {said}");
+        let message = String::from_utf8(ended.stdout).unwrap();
+        assert!(message.contains("40 rows of r7"), "{how}: {message}");
         let table = fs::read_to_string(&out).unwrap();
         let mut lines = table.lines();
         let heads: Vec<&str> = lines.next().unwrap().split(',').collect();
@@ -107,7 +107,7 @@ fn bags_of_another_writer_are_imported_with_its_values() {
         }
         assert_eq!(rows, 40, "{how}");
     }
-    // A file that is compressed as a whole is named, with what to do.
+    // A file that is compressed as a whole is named, with the remedy.
     let bag = place.path().join("file");
     let mut write = Command::new(&python);
     let written = write
@@ -122,6 +122,6 @@ fn bags_of_another_writer_are_imported_with_its_values() {
         &text(&place.path().join("f.csv")),
     ]);
     assert_eq!(ended.status.code(), Some(1), "{ended:?}");
-    let said = String::from_utf8(ended.stderr).unwrap();
-    assert!(said.contains("zstd -d"), "{said}");
+    let message = String::from_utf8(ended.stderr).unwrap();
+    assert!(message.contains("zstd -d"), "{message}");
 }

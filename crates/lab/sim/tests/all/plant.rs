@@ -72,7 +72,8 @@ fn every_command_and_reading_is_within_the_platform_limits() {
         );
         assert!((2.5..12.0).contains(&reading.power_w), "{reading:?}");
         assert!((3.0..4.2).contains(&reading.voltage_v), "{reading:?}");
-        // Half a step of power, and of current at the full voltage, and of voltage at three amperes.
+        // Half a quantisation step of power, of current at full voltage, and of voltage at three
+        // amperes.
         let product_w = reading.voltage_v * reading.current_a;
         let most_w = 0.005 + 4.2 * 0.000_625 + 3.0 * 0.000_625 + 1e-5;
         assert!((product_w - reading.power_w).abs() < most_w, "{reading:?}");
@@ -90,7 +91,7 @@ fn moments(values: &[f64]) -> (f64, f64) {
 
 #[test]
 fn the_robots_of_a_fleet_resemble_the_published_ones() {
-    // Each drives every protocol once.
+    // Each robot drives every protocol once.
     let series = recorded(Plant::new(7, 42), (6.0 * TRIAL_S / DT_S) as usize);
     let powers = |series: &[SimReading]| -> Vec<f64> {
         series
@@ -148,13 +149,14 @@ fn the_robots_of_a_fleet_resemble_the_published_ones() {
 
 #[test]
 fn a_robot_of_the_fleet_drives_one_protocol_after_the_other() {
-    // Robot 5 begins with the steady state, and goes on to structured motion, which begins idle.
+    // Robot 5 begins with the steady state, and continues with structured motion, which begins
+    // idle.
     let steps = (TRIAL_S / DT_S) as usize;
     let series = recorded(Plant::new(3, 6), steps + 800).remove(5);
     let turns = |readings: &[SimReading]| readings.iter().filter(|r| r.omega_radps != 0.0).count();
     assert!(turns(&series[..steps]) > steps / 2, "circles and turns");
     assert_eq!(turns(&series[steps + 2..]), 0, "idle");
-    // A robot of one protocol drives it again.
+    // A robot of one protocol repeats it.
     let alone = recorded(Plant::driving(3, [Protocol::SteadyState]), 2 * steps).remove(0);
     assert!(
         turns(&alone[steps..]) > steps / 2,
@@ -334,7 +336,7 @@ fn the_six_trials_have_the_published_shape_and_stay_within_the_platform_limits()
             notes.gaps.is_empty() && notes.not_advancing.is_empty(),
             "{protocol}"
         );
-        // Ten readings per second; two equal ones in sequence look held.
+        // Ten readings per second. Two equal ones in sequence look held.
         let fresh = SAMPLES - notes.held_readings;
         let polls = (SAMPLES as f64 * STEP_S * 10.0) as usize;
         assert!(
@@ -432,8 +434,8 @@ fn trials_are_written_in_the_published_layout_and_can_be_read() {
     }
 }
 
-/// What a robot that is driven from outside has drawn is what its monitor shows, up to the monitor's noise; a
-/// fault adds to both.
+/// The energy of a robot that is driven from outside agrees with its monitor, up to the monitor's
+/// noise. A fault adds to both.
 #[test]
 fn a_driven_robot_draws_what_its_monitor_shows() {
     let step_ns = 33_333_333;

@@ -8,7 +8,7 @@ use joulebus_train::energy_model;
 
 const PERIOD_S: f32 = 0.1;
 
-/// A robot whose power is a level of its own times that of its commands, with noise.
+/// A robot whose power is its own level times the power of its commands, with noise.
 struct Robot {
     level: f32,
     commands: Vec<(f32, f32)>,
@@ -53,7 +53,7 @@ impl Robot {
             .collect()
     }
 
-    /// Forecast and measured energy of `steps` after `from`, and whether it lies in the interval.
+    /// Forecast and measured energy of `steps` after `from`, and whether the interval contains it.
     fn judge(&self, model: &EnergyModel, from: usize, steps: usize) -> (f64, f64, bool) {
         let mut state = EnergyState::new(0);
         for at in 0..=from {

@@ -362,8 +362,7 @@ fn a_row_pairs_the_command_and_readings_of_a_tick_with_the_next_reading() {
     }
 }
 
-/// The rows of which a network can read everything: at its first samples a robot's reading age is
-/// unknown.
+/// The rows with all inputs of a network. At a robot's first samples the reading age is unknown.
 fn usable(dataset: &Dataset, feature_set: FeatureSet) -> Dataset {
     let known = |rows: &[Row]| -> Vec<Row> {
         let read = |row: &&Row| {
@@ -471,7 +470,7 @@ fn the_shipped_models_beat_persistence_on_held_out_robots() {
     for (name, _) in SHIPPED {
         let (scores, residual) = scored(&shipped(name), &rows);
         println!("{name}: {scores:?} {residual:?}");
-        // 2ρ − 1 is what persistence reaches, ρ² the best forecast that knows the last reading alone (the
+        // Persistence reaches 2ρ − 1. The best forecast from the last reading alone reaches ρ² (the
         // paper's ceiling of such a process).
         let ceiling = ((1.0 + scores.persistence_r2) / 2.0).powi(2);
         assert!(scores.network_r2 > ceiling + 0.001, "{ceiling}: {scores:?}");

@@ -6,7 +6,7 @@ use std::time::Instant;
 use joulebus_dataset::rows::Dataset;
 use joulebus_dataset::split::SplitSummary;
 use joulebus_eval::score::{ROWS_IN_MEMORY, Recording};
-use joulebus_eval::training_data::{MOST_ROWS, Parts, training_data};
+use joulebus_eval::training_data::{MAX_ROWS, Parts, training_data};
 use joulebus_predictor::FeatureSet;
 use joulebus_sim::training_data::{SimulatedData, dataset_from_plant};
 use joulebus_train::{Epoch, Recipe, TrainReport, TrainSettings, Training, settings_for_sim};
@@ -117,7 +117,7 @@ pub(crate) fn train_recordings<'py>(
             true => Parts::Split(&all, recipe.split),
             false => Parts::Given([&all, &validation, &held_out]),
         };
-        let made = training_data(parts, MOST_ROWS.get());
+        let made = training_data(parts, MAX_ROWS.get());
         let (dataset, summary) = made.map_err(|error| PyValueError::new_err(error.to_string()))?;
         Ok((dataset, recipe.training, Some(summary)))
     };

@@ -119,7 +119,8 @@ impl Block for WindowLanes {
 }
 
 impl WindowLanes {
-    /// Stores the forecast for the row that [`Window::next_row`] returned, W, where the mask is set.
+    /// Stores the forecast for the row that [`Window::next_row`] returned, W, where the mask is
+    /// set.
     #[inline(always)]
     pub(crate) fn forecast(&mut self, lane: usize, mask: bool, forecast_w: f32) {
         put(&mut self.closed.closed.forecast_w[lane], mask, forecast_w);

@@ -8,7 +8,7 @@ use joulebus_predictor::INPUTS;
 
 use crate::estimate::energy::{EnergyLanes, EnergySamples};
 use crate::estimate::interval::IntervalLanes;
-use crate::estimate::online::{LessonLanes, Members, OnlineLanes};
+use crate::estimate::online::{Members, OnlineLanes, RlsUpdateLanes};
 use crate::estimate::window::{ClosedLanes, Gap, RequiredInputs, WindowLanes};
 use crate::ingest::last_sample::LastLanes;
 use crate::ingest::pending::{PendingBlock, PendingState};
@@ -39,11 +39,14 @@ pub(crate) fn step_block(
     let (pending, windows) = (&mut columns.pending[block], &mut columns.windows[block]);
     let (lasts, intervals) = (&mut columns.lasts[block], &mut columns.intervals[block]);
     let (first, mask) = (block * LANES, next.mask);
+    // Every lane is computed, and the mask selects those that are stored: a branch for each lane
+    // would keep the loops from being vectorised.
     let (mut elapsed_s, mut forecast_w) = ([0.0; LANES], [0.0; LANES]);
     for lane in 0..LANES {
         elapsed_s[lane] = seconds(next.elapsed_ns[lane]);
         forecast_w[lane] = windows.get(lane).close(Gap::None);
     }
+    // The residual is that of the network's own forecast, whatever was published.
     let mut network_w = forecast_w;
     if let Some(members) = &context.members {
         let online = &mut columns.online[block];
@@ -74,6 +77,7 @@ pub(crate) fn step_block(
         mask,
         &elapsed_s,
     );
+    // Admissions are stored by robot, not by lane, so this loop may branch.
     for lane in (0..LANES).filter(|lane| mask[*lane]) {
         columns.admissions[first + lane].accept(&pending.samples.get(lane));
     }
@@ -91,18 +95,18 @@ fn learn(
 ) {
     // Copies, so that the compiler sees that nothing else writes to them.
     let (members, mut copy) = (*members, *online);
-    let (mut lessons, mut scored) = (LessonLanes::NONE, [false; LANES]);
+    let (mut updates, mut scored) = (RlsUpdateLanes::NONE, [false; LANES]);
     for lane in 0..LANES {
         let (window, mut robot) = (windows.get(lane), copy.get(lane));
         let reading_w = pending.samples.power_w[lane];
-        let lesson = robot.weigh(&members, &window.lags_w(), window.due(), reading_w);
-        lessons.set(lane, &lesson);
+        let update = robot.update_weights(&members, &window.lags_w(), window.due(), reading_w);
+        updates.set(lane, &update);
         scored[lane] = mask[lane] & window.is_scored();
         copy.set(lane, scored[lane], robot);
     }
     for lane in 0..LANES {
         let mut robot = copy.get(lane);
-        robot.follow(&lessons.get(lane));
+        robot.update_rls(&updates.get(lane));
         copy.set(lane, scored[lane], robot);
     }
     for lane in 0..LANES {

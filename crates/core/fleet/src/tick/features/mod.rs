@@ -5,7 +5,7 @@ mod block;
 mod bridge;
 mod step;
 
-use joulebus_predictor::SimdTask;
+use joulebus_predictor::simd::SimdTask;
 
 use crate::ingest::pending::PendingState;
 use crate::layout::lanes::{self, Block as _, LANES, Lanes};
@@ -82,6 +82,7 @@ impl SimdTask for BuildRows<'_, '_> {
                 };
                 step_block(context, self.columns, block, &next, self.batch);
             }
+            // Gaps and missing readings differ between robots, so these are stepped one by one.
             if lanes::any(&waiting.irregular) {
                 self.step_each(context, block, &waiting.irregular);
             }

@@ -26,6 +26,7 @@ pub(crate) fn step(
     let mut window = columns.windows[block].get(lane);
     let mut last = columns.lasts[block].get(lane);
     let elapsed_ns = pending.stamp_ns.saturating_sub(admission.stamp_ns);
+    // After a break the reading's age is unknown. After a gap it includes the missed periods.
     if pending.broken {
         window.reset_reading_age();
     } else if elapsed_ns > context.overdue_after_ns {
@@ -38,6 +39,7 @@ pub(crate) fn step(
         let mut network_w = forecast_w;
         if let Some(members) = &context.members {
             let mut online = columns.online[block].get(lane);
+            // The stored network forecast is one step ahead, so it is not the one over a gap.
             if gap == Gap::None && !forecast_w.is_nan() {
                 network_w = online.network_w;
             }
@@ -105,7 +107,7 @@ pub(crate) fn step(
     }
 }
 
-/// The reading after a gap says nothing of the power during it.
+/// The reading after a gap does not represent the power during it.
 fn energy_sample(pending: &Pending, elapsed_s: f32, on_time: bool) -> EnergySample {
     let (v_mps, omega_radps) = pending.command().unwrap_or((f32::NAN, f32::NAN));
     EnergySample {

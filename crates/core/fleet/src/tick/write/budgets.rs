@@ -1,6 +1,6 @@
 //! Budgets.
 
-use joulebus_predictor::canonical;
+use joulebus_predictor::nan::canonical;
 use joulebus_settings::{Battery, Platform};
 use joulebus_wire::{Budget, ChargeState, budget_flag};
 
@@ -119,7 +119,8 @@ fn remaining(tick: &TickContext, block: &BlockRef<'_>) -> RemainingLanes {
     left
 }
 
-/// A battery as it is now: after the sample of the robot in a lane, and the time for which the next one is overdue.
+/// A battery as it is now: after the sample of the robot in a lane, and the time for which the next
+/// one is overdue.
 #[inline(always)]
 pub(crate) fn estimate(
     block: &BlockRef<'_>,
@@ -130,7 +131,7 @@ pub(crate) fn estimate(
 ) -> Estimate {
     let mut at = At::of(&block.ledgers.get(lane));
     at.unmetered_ns = at.unmetered_ns.saturating_add(overdue_ns);
-    // On a charger the anchor is at the last sample: what is not in it is silence.
+    // On a charger the anchor is at the last sample. The time since then counts as silence.
     let charging = Charging {
         metered: false,
         unmetered: robot.charging,

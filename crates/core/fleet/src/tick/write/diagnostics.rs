@@ -1,9 +1,9 @@
 //! Diagnostics.
 
-// Lanes are counted: that is the loop that the compiler makes vectors of.
+// Index loops: the compiler vectorises them.
 #![allow(clippy::needless_range_loop)]
 
-use joulebus_predictor::canonical;
+use joulebus_predictor::nan::canonical;
 use joulebus_wire::{Alarm, AlarmSet, Diagnostic, Level, diagnostic_flag};
 
 use crate::layout::lanes::{Block as _, LANES, Lanes};
@@ -134,8 +134,8 @@ const STALE: u32 = of_level(Level::Stale);
 const ERROR: u32 = of_level(Level::Error);
 const WARN: u32 = of_level(Level::Warn);
 
-/// The alarms of a battery: those of the last sample, and while the next one is overdue those of what the budget of this
-/// tick says, which falls all the time.
+/// The alarms of a battery: those of the last sample. While the next sample is overdue, those by
+/// this tick's budget, which falls all the time.
 #[inline(always)]
 fn battery_levels(tick: &TickContext, block: &BlockRef<'_>, lane: usize) -> u32 {
     let admission = &block.admissions[lane];

@@ -1,6 +1,6 @@
 //! Forecasts.
 
-use joulebus_predictor::canonical;
+use joulebus_predictor::nan::canonical;
 use joulebus_wire::{Forecast, InvalidReason, Quality, forecast_flag};
 
 use crate::ingest::admission::AdmissionState;
@@ -122,7 +122,7 @@ impl<'a> Forecasts<'a> {
 const FRESH: u16 = Quality::Fresh.encode().0;
 const HELD: u16 = Quality::Held.encode().0;
 
-/// Whether the code is that of a forecast from a reading.
+/// Whether the code belongs to a forecast from a reading.
 #[inline(always)]
 pub(super) const fn is_read(code: u16) -> bool {
     (code == FRESH) | (code == HELD)

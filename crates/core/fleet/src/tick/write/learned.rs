@@ -1,6 +1,6 @@
-//! What the robots of a block have learned: in the diagnostics and in the plan states.
+//! Writes what the robots of a block have learned into the diagnostics and the plan states.
 
-// Lanes are counted: that is the loop that the compiler makes vectors of.
+// Index loops: the compiler vectorises them.
 #![allow(clippy::needless_range_loop)]
 
 use crate::estimate::online::Learned;
@@ -49,7 +49,8 @@ impl LearnedLanes {
         learned
     }
 
-    /// Whether the robot in a lane learns, and what it has learned; [`Learned::NONE`] if it does not.
+    /// Whether the robot in a lane learns, and what it has learned. [`Learned::NONE`] if it does
+    /// not.
     #[inline(always)]
     pub(crate) fn get(&self, block: &BlockRef<'_>, lane: usize) -> (bool, Learned) {
         let [last, network, stack] = &self.weights;

@@ -1,4 +1,4 @@
-//! What plans start from.
+//! Writes the starts of plans.
 
 use joulebus_wire::{PlanState, Quality, plan_state_flag};
 

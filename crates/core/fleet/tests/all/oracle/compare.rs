@@ -108,7 +108,7 @@ fn compare_forecast(
     now_ns: u64,
 ) -> Result<(), TestCaseError> {
     let found = world::forecast(fleet, id);
-    let silent_ns = now_ns - member.heard_ns;
+    let silent_ns = now_ns - member.received_ns;
     let (mut quality, mut power_w) = member
         .robot
         .shown(&oracle.models[member.context], silent_ns);
@@ -122,9 +122,9 @@ fn compare_forecast(
         "robot {id} at {now_ns}: {} W, expected {power_w:?}",
         found.power_w
     );
-    prop_assert_eq!(found.power_w().is_some(), power_w.is_some());
+    prop_assert_eq!(found.expected_w().is_some(), power_w.is_some());
     if power_w.is_some() {
-        // Also open loop, and whatever the residuals were.
+        // Also in open loop, and for any residuals.
         let inside = found.lo_w <= found.power_w && found.power_w <= found.hi_w;
         prop_assert!(inside, "robot {}: {:?}", id, found);
     }
@@ -182,7 +182,7 @@ fn compare_learned(
 fn compare_energy(fleet: &Fleet, id: u32, member: &Member) -> Result<(), TestCaseError> {
     let robot = &member.robot;
     // Now and then, as it is recomputed.
-    if !robot.told.len().is_multiple_of(4) {
+    if !robot.observed.len().is_multiple_of(4) {
         return Ok(());
     }
     let model = fleet.energy_model(member.context).expect("a platform");
@@ -203,7 +203,7 @@ fn compare_energy(fleet: &Fleet, id: u32, member: &Member) -> Result<(), TestCas
     Ok(())
 }
 
-/// Window, command and reading age are the oracle's; quality and what was learned are those of the
+/// Window, command and reading age are the oracle's. Quality and what was learned come from the
 /// other outputs.
 fn compare_plan_state(
     fleet: &Fleet,
@@ -247,10 +247,10 @@ fn compare_plan_state(
     prop_assert_eq!(found.command_trust.to_bits(), trust.to_bits());
     let factors = energy.learned.error_factor.map(f32::to_bits);
     prop_assert_eq!(found.error_factor.map(f32::to_bits), factors);
-    let silent_ns = now_ns - member.heard_ns;
+    let silent_ns = now_ns - member.received_ns;
     let model = &oracle.models[member.context];
     let start = member.robot.plan_start(model, silent_ns);
-    let start = start.filter(|_| forecast.power_w().is_some());
+    let start = start.filter(|_| forecast.expected_w().is_some());
     let Some(run) = start else {
         return Ok(());
     };

@@ -1,11 +1,11 @@
-//! What a forecast that learns online must come to, recomputed from all readings since the robot joined.
+//! Reference of forecasts that learn online, recomputed from all readings since the robot joined.
 
 use joulebus_predictor::{FeatureSet, Features, Model};
 use joulebus_settings::Platform;
 
-/// A reading, what came before it, and what was forecast for it.
+/// A reading, its predecessors, and its forecasts.
 #[derive(Debug, Clone, Copy)]
-struct Lesson {
+struct Reading {
     /// The lags and the network's forecast, if the forecast is scored.
     scored: Option<([f32; 5], f32)>,
     last_w: Option<f32>,
@@ -16,12 +16,12 @@ struct Lesson {
 /// The forecasters of one robot during one stay in the fleet.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Experts {
-    lessons: Vec<Lesson>,
+    readings: Vec<Reading>,
 }
 
-/// What was forecast: for the robot, and by the network.
+/// The forecasts for the robot and by the network.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Said {
+pub(crate) struct Forecasts {
     pub forecast_w: f32,
     pub network_w: f32,
     lag_w: [f32; 5],
@@ -37,57 +37,57 @@ struct Knowledge {
     mean_w: f32,
     change_w: f32,
     seen: u8,
-    /// Mean powers that are like those of the training.
+    /// Mean powers like those of the training.
     like_w: std::ops::RangeInclusive<f32>,
-    /// Where a measurement is due, and where none is.
+    /// Weights with a measurement due, and without.
     weights: [Weights; 2],
 }
 
-/// Losses of last reading, network and stack above that of the stack, and what averaging has cost; `None`
-/// before the first.
+/// Losses of last reading, network and stack relative to the stack's, and the cost of averaging.
+/// `None` before the first.
 #[derive(Clone, Copy)]
 struct Weights {
     learned: Option<([f32; 3], f32)>,
     experts: f32,
 }
 
-/// Nothing else can be published, but for a network that is published as it is.
+/// Nothing else can be published, except a network's forecast that is published unchanged.
 pub(crate) fn possible(platform: &Platform, forecast_w: f32) -> f32 {
     forecast_w.clamp(platform.power_min_w, platform.power_max_w)
 }
 
 impl Experts {
-    /// `said` is given where the forecast is scored.
+    /// `forecasts` is given if the forecast is scored.
     pub(crate) fn learn(
         &mut self,
-        said: Option<&Said>,
+        forecasts: Option<&Forecasts>,
         last_w: Option<f32>,
         due: bool,
         reading_w: f32,
     ) {
-        self.lessons.push(Lesson {
-            scored: said.map(|said| (said.lag_w, said.network_w)),
+        self.readings.push(Reading {
+            scored: forecasts.map(|forecasts| (forecasts.lag_w, forecasts.network_w)),
             last_w,
             due,
             reading_w,
         });
     }
 
-    pub(crate) fn say(
+    pub(crate) fn forecast(
         &self,
         platform: &Platform,
         model: &Model,
         row: &Features,
         network_w: f32,
         due: bool,
-    ) -> Said {
+    ) -> Forecasts {
         let lag_w = [row[6], row[7], row[8], row[9], row[10]];
-        let known = Knowledge::of(platform, model, &self.lessons);
+        let known = Knowledge::of(platform, model, &self.readings);
         let forecast_w = known.map_or(network_w, |known| {
             let (members_w, _) = known.members(model, &lag_w, network_w, due);
             possible(platform, dot(known.shares(due), members_w))
         });
-        Said {
+        Forecasts {
             forecast_w,
             network_w,
             lag_w,
@@ -96,9 +96,9 @@ impl Experts {
 }
 
 impl Experts {
-    /// What the diagnostics say from `mean_w` to `level_w`; `None` where nothing is learned.
+    /// The diagnostics' values from `mean_w` to `level_w`. `None` if nothing is learned.
     pub(crate) fn learned(&self, platform: &Platform, model: &Model) -> Option<[f32; 11]> {
-        let known = Knowledge::of(platform, model, &self.lessons)?;
+        let known = Knowledge::of(platform, model, &self.readings)?;
         let ([last, network, stack], [held, _, held_stack]) =
             (known.shares(true), known.shares(false));
         let [p, n, m, level] = known.theta;
@@ -111,8 +111,8 @@ impl Experts {
 }
 
 impl Knowledge {
-    /// `None` where nothing is learned.
-    fn of(platform: &Platform, model: &Model, lessons: &[Lesson]) -> Option<Self> {
+    /// `None` if nothing is learned.
+    fn of(platform: &Platform, model: &Model, readings: &[Reading]) -> Option<Self> {
         if !platform.online || !matches!(model, Model::Network(_)) {
             return None;
         }
@@ -142,9 +142,9 @@ impl Knowledge {
                 },
             ],
         };
-        for lesson in lessons {
-            known.learn(model, lesson);
-            known.read(resolution_w, lesson);
+        for reading in readings {
+            known.learn(model, reading);
+            known.read(resolution_w, reading);
         }
         Some(known)
     }
@@ -183,16 +183,16 @@ impl Knowledge {
         ([lag_w[0] + early_w, network_w, stack_w], u)
     }
 
-    fn learn(&mut self, model: &Model, lesson: &Lesson) {
-        let Some((lag_w, network_w)) = lesson.scored else {
+    fn learn(&mut self, model: &Model, reading: &Reading) {
+        let Some((lag_w, network_w)) = reading.scored else {
             return;
         };
-        let (members_w, u) = self.members(model, &lag_w, network_w, lesson.due);
+        let (members_w, u) = self.members(model, &lag_w, network_w, reading.due);
         let square = self.change_w * self.change_w;
-        let shares = self.shares(lesson.due);
-        let (before, cost) = self.losses(lesson.due);
-        let experts = self.weights[usize::from(!lesson.due)].experts;
-        let error = members_w.map(|watts| (watts - lesson.reading_w).clamp(-1e6, 1e6));
+        let shares = self.shares(reading.due);
+        let (before, cost) = self.losses(reading.due);
+        let experts = self.weights[usize::from(!reading.due)].experts;
+        let error = members_w.map(|watts| (watts - reading.reading_w).clamp(-1e6, 1e6));
         let loss = error.map(|error| error * error);
         let rate = log(experts) / cost;
         let least = |losses: [f32; 3]| losses.into_iter().fold(f32::INFINITY, f32::min);
@@ -207,12 +207,12 @@ impl Knowledge {
         let mix_loss = 0.997 * (lowest - shrunk * (cost * (1.0 / log(experts))));
         let mixed = dot(shares, error);
         let cost = (0.997 * cost + (mixed * mixed - mix_loss).max(0.0)).max(2.0 * square);
-        let (old, _) = self.losses(lesson.due);
+        let (old, _) = self.losses(reading.due);
         let above = [0, 1, 2].map(|i| 0.997 * old[i] + (loss[i] - loss[2]));
-        self.weights[usize::from(!lesson.due)].learned = Some((above, cost));
-        if lesson.due {
+        self.weights[usize::from(!reading.due)].learned = Some((above, cost));
+        if reading.due {
             let most_w = 2.5 * self.change_w;
-            let innovation_w = (lesson.reading_w - members_w[2]).clamp(-most_w, most_w);
+            let innovation_w = (reading.reading_w - members_w[2]).clamp(-most_w, most_w);
             self.follow(u, innovation_w, square);
         }
     }
@@ -237,18 +237,18 @@ impl Knowledge {
         }
     }
 
-    fn read(&mut self, resolution_w: f32, lesson: &Lesson) {
+    fn read(&mut self, resolution_w: f32, reading: &Reading) {
         let seen = f32::from(self.seen);
-        self.mean_w += (lesson.reading_w - self.mean_w) / (1.0 + seen);
-        if let (Some(last_w), true) = (lesson.last_w, lesson.due) {
-            let size_w = (lesson.reading_w - last_w).abs();
+        self.mean_w += (reading.reading_w - self.mean_w) / (1.0 + seen);
+        if let (Some(last_w), true) = (reading.last_w, reading.due) {
+            let size_w = (reading.reading_w - last_w).abs();
             let change_w = self.change_w + (size_w - self.change_w) / (1.0 + 8.0 + seen);
             self.change_w = change_w.max(resolution_w);
         }
         self.seen = self.seen.saturating_add(1);
     }
 
-    /// Losses above that of the stack, and what averaging has cost.
+    /// Losses relative to the stack's, and the cost of averaging.
     fn losses(&self, due: bool) -> ([f32; 3], f32) {
         let square = self.change_w * self.change_w;
         let start = match (self.like_w.contains(&self.mean_w), due) {

@@ -1,4 +1,4 @@
-//! Sources with random faults on the way to the fleet.
+//! Sources with random faults on the path to the fleet.
 
 use std::collections::VecDeque;
 
@@ -8,7 +8,7 @@ use joulebus_wire::{Sample, SampleHeader, sample_flag};
 
 use super::robot::rarely;
 
-/// Fault rates: one event in so many.
+/// Fault rates: one event in that many.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Rates {
     pub sample: u64,
@@ -112,7 +112,7 @@ impl Sender {
         }
         let mut samples = std::mem::take(&mut self.overtaken);
         for at in 0..self.robots.len() {
-            self.speak(
+            self.publish(
                 at,
                 now_ns - self.clock_offset_ns,
                 rates,
@@ -173,7 +173,7 @@ impl Sender {
         self.last_sent = None;
     }
 
-    fn speak(
+    fn publish(
         &mut self,
         at: usize,
         stamp_ns: u64,
@@ -237,12 +237,12 @@ fn spoil(mut sample: Sample, noise: &mut Noise) -> Sample {
         8 => sample.flags |= sample_flag::CHARGING,
         9 => sample.flags |= sample_flag::DISCONTINUITY,
         10 => sample.flags |= 1 << (8 + noise.next_u64() % 24),
-        // What a battery says: sensible, absurd, and contradicting.
+        // A battery's values: sensible, absurd, and contradictory.
         15 => match noise.next_u64() % 4 {
-            0 => sample = sample.soc((noise.next_u64() % 101) as f32 / 100.0),
+            0 => sample = sample.state_of_charge((noise.next_u64() % 101) as f32 / 100.0),
             1 => sample = sample.return_energy((noise.next_u64() % 9_000) as f32),
             2 => sample = sample.with(sample_flag::CHARGING | sample_flag::FULL),
-            _ => sample = sample.soc(absurd).return_energy(-absurd),
+            _ => sample = sample.state_of_charge(absurd).return_energy(-absurd),
         },
         11 => sample.stamp_ns = noise.next_u64() >> (noise.next_u64() % 64),
         12 => sample.measured_ns = sample.stamp_ns + 1,

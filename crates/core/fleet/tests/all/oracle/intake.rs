@@ -1,5 +1,5 @@
-//! Reference of ingest: which samples are taken, and which refused for what reason: membership,
-//! ownership, order, values.
+//! Reference of ingest: which samples are taken, and which are refused for which reason:
+//! membership, ownership, order, values.
 
 use std::collections::{BTreeMap, VecDeque};
 
@@ -18,7 +18,7 @@ pub(crate) struct Member {
     epoch: u64,
     seqs: Vec<u64>,
     fresh_run: bool,
-    pub heard_ns: u64,
+    pub received_ns: u64,
     /// The lowest free slot when it joined: robots that leave together do so in this order.
     slot: usize,
     taken: u16,
@@ -30,9 +30,9 @@ pub(crate) struct Member {
 #[derive(Debug, Clone, Copy)]
 struct Known {
     id: u64,
-    speaks: (u64, u64),
+    run: (u64, u64),
     other: Option<(u64, u64)>,
-    heard_ns: u64,
+    received_ns: u64,
 }
 
 pub(crate) struct Oracle {
@@ -99,31 +99,32 @@ impl Oracle {
         let mut known = self.sources[at];
         let platforms = self.settings.platforms.iter();
         let stale_after_ns = platforms.map(|platform| platform.stale_after_ns).max();
-        let silent = now_ns - known.heard_ns > stale_after_ns.expect("there are platforms");
+        let silent = now_ns - known.received_ns > stale_after_ns.expect("there are platforms");
         let next = header.samples_before.saturating_add(count);
-        if epoch < known.speaks.0 && !silent {
+        if epoch < known.run.0 && !silent {
             return Err(DropReason::OldEpoch);
         }
-        if epoch != known.speaks.0 {
-            let newer = epoch > known.speaks.0;
+        if epoch != known.run.0 {
+            let newer = epoch > known.run.0;
             let before = known.other.filter(|(other, _)| newer && *other == epoch);
-            let unheard = if newer { 0 } else { header.samples_before };
-            known.other = Some(known.speaks);
-            known.speaks = before.unwrap_or((epoch, unheard));
+            let unaccounted = if newer { 0 } else { header.samples_before };
+            known.other = Some(known.run);
+            known.run = before.unwrap_or((epoch, unaccounted));
         }
         self.sources[at] = known;
-        let accounted = known.speaks.1;
+        let accounted = known.run.1;
         if header.samples_before < accounted && !silent {
             return Err(DropReason::Duplicate);
         }
         self.lose(header.samples_before, accounted);
-        known.speaks.1 = next;
-        known.heard_ns = now_ns;
+        known.run.1 = next;
+        known.received_ns = now_ns;
         self.sources[at] = known;
         Ok(())
     }
 
-    /// The source's place; a new one gets a free one, or that of the source that was silent longest.
+    /// The source's slot. A new source gets a free one, or that of the source that was silent
+    /// longest.
     fn place(&mut self, header: &SampleHeader, now_ns: u64) -> Result<usize, DropReason> {
         let (id, epoch) = (header.source_id, header.source_epoch);
         if let Some(at) = self.sources.iter().position(|known| known.id == id) {
@@ -132,22 +133,22 @@ impl Oracle {
         let free = self.has_free_place();
         let new = Known {
             id,
-            // Who comes back, or was refused before, is not counted twice.
-            speaks: (epoch, if free { 0 } else { header.samples_before }),
+            // A source that returns, or was refused before, is not counted twice.
+            run: (epoch, if free { 0 } else { header.samples_before }),
             other: None,
-            heard_ns: now_ns,
+            received_ns: now_ns,
         };
         let intake = self.settings.intake;
         if free {
             self.sources.push(new);
             return Ok(self.sources.len() - 1);
         }
-        let longest = self.sources.iter().map(|known| known.heard_ns).min();
+        let longest = self.sources.iter().map(|known| known.received_ns).min();
         let longest = longest.expect("there are places");
         if now_ns - longest <= intake.leave_after_ns {
             return Err(DropReason::TooManySources);
         }
-        let silent = |known: &Known| known.heard_ns == longest;
+        let silent = |known: &Known| known.received_ns == longest;
         let at = self.sources.iter().position(silent).expect("just found");
         self.sources[at] = new;
         self.recycled += 1;
@@ -180,7 +181,7 @@ impl Oracle {
         }
         let kept = self.departed.iter().position(|(kept, _)| *kept == id);
         let account = kept.map_or_else(Account::default, |place| {
-            // The oldest moves to where it lay.
+            // The oldest moves to the freed slot.
             self.departed.swap(0, place);
             self.departed.pop_front().expect("it was just found").1
         });
@@ -194,7 +195,7 @@ impl Oracle {
             epoch: header.source_epoch,
             seqs: Vec::new(),
             fresh_run: false,
-            heard_ns: now_ns,
+            received_ns: now_ns,
             slot,
             taken: 0,
             refused: 0,
@@ -249,7 +250,7 @@ impl Oracle {
         }
         member.fresh_run = false;
         member.taken += 1;
-        (member.heard_ns, member.invalid) = (now_ns, None);
+        (member.received_ns, member.invalid) = (now_ns, None);
         member.robot.accept(&sample, &self.models[member.context]);
         Ok(())
     }
@@ -276,13 +277,13 @@ impl Oracle {
         let mut gone: Vec<u32> = self
             .members
             .iter()
-            .filter(|(_, member)| now_ns - member.heard_ns > leave_after_ns)
+            .filter(|(_, member)| now_ns - member.received_ns > leave_after_ns)
             .map(|(id, _)| *id)
             .collect();
         gone.sort_by_key(|id| self.members[id].slot);
         for id in gone {
             let member = self.members.remove(&id).expect("it was just found");
-            // Of a robot of which nothing was ever accepted there is none; at most as many are kept as the
+            // A robot without any accepted sample has no account. At most as many are kept as the
             // capacity.
             if member.robot.account.last.is_none() {
                 continue;

@@ -152,7 +152,7 @@ fn simulate(
             fleet.take(&frame.header, &frame.samples, taken_ns);
             oracle.take(&frame.header, &frame.samples, taken_ns);
             sent += frame.samples.len() as u64;
-            // Of a source too many no account is kept, nor of what it sent before it got a place.
+            // A source too many has no account, nor do its samples from before it got a slot.
             if counted && oracle.keeps_account_of(source_id) {
                 sent += frame.lost;
             }
@@ -160,7 +160,7 @@ fn simulate(
         fleet.tick(now_ns, false);
         oracle.tick(now_ns);
         compare(&fleet, &oracle, now_ns)?;
-        // Of a source that comes back after it made room it is not known what was counted before.
+        // If a source returns after it made room, its earlier count is unknown.
         if oracle.recycled == 0 {
             prop_assert_eq!(sent, fleet.accepted() + fleet.drops().total());
         }

@@ -7,7 +7,7 @@ use joulebus_settings::Platform;
 use joulebus_testkit_fleets::random::Noise;
 use joulebus_wire::{Freshness, InvalidReason, Quality, Sample, sample_flag};
 
-use super::experts::{Experts, Said, possible};
+use super::experts::{Experts, Forecasts, possible};
 
 /// Every sample period of a membership: whether a measurement was made, and whether by a sample or
 /// only by the schedule.
@@ -79,7 +79,7 @@ pub(crate) struct Run {
     pub powers_w: Vec<f32>,
     pub forecast_w: Option<f32>,
     /// The forecasts, if a sample led to them.
-    pub said: Option<Said>,
+    pub forecasts: Option<Forecasts>,
     pub command: Option<(f32, f32)>,
     /// Steps at the end without a reading.
     pub unread: u64,
@@ -101,9 +101,9 @@ impl Run {
         self.powers_w.push(forecast_w);
         self.unread += 1;
         self.history.pass();
-        let said = self.predict(by, self.command, 0.0, 0.0);
-        let forecast_w = said.map(|said| possible(by.platform, said.forecast_w));
-        (self.forecast_w, self.said) = (forecast_w, None);
+        let forecasts = self.predict(by, self.command, 0.0, 0.0);
+        let forecast_w = forecasts.map(|forecasts| possible(by.platform, forecasts.forecast_w));
+        (self.forecast_w, self.forecasts) = (forecast_w, None);
         self.forecast_w.is_some()
     }
 
@@ -127,12 +127,15 @@ impl Run {
         command: Option<(f32, f32)>,
         dv: f32,
         domega: f32,
-    ) -> Option<Said> {
+    ) -> Option<Forecasts> {
         let row = self.row(command, dv, domega);
         let network_w = predict(by.model, &row)?;
         // If unknown, one is due.
         let due = row[12] != 0.0;
-        Some(by.experts.say(by.platform, by.model, &row, network_w, due))
+        Some(
+            by.experts
+                .forecast(by.platform, by.model, &row, network_w, due),
+        )
     }
 
     fn row(&self, command: Option<(f32, f32)>, dv: f32, domega: f32) -> Features {
@@ -244,8 +247,8 @@ pub(crate) struct Robot {
     pub run: Run,
     pub account: Account,
     pub scored: Vec<Scored>,
-    /// What the energy state has been told.
-    pub told: Vec<EnergySample>,
+    /// Samples that the energy state has received.
+    pub observed: Vec<EnergySample>,
     pub last: Option<Sample>,
     pub residual_w: Option<f32>,
     pub quality: Quality,
@@ -259,7 +262,7 @@ impl Robot {
             run: Run::default(),
             account,
             scored: Vec::new(),
-            told: Vec::new(),
+            observed: Vec::new(),
             last: None,
             residual_w: None,
             quality: Quality::Warmup { have: 0 },
@@ -290,10 +293,10 @@ impl Robot {
         }
         self.account
             .meter(sample.stamp_ns, reading_w, scorable_w, period_ns);
-        let network_w = self.run.said.map(|said| said.network_w);
+        let network_w = self.run.forecasts.map(|forecasts| forecasts.network_w);
         let judged_w = forecast_w.map(|forecast_w| network_w.unwrap_or(forecast_w));
         self.residual_w = reading_w.zip(judged_w).map(|(y, f)| y - f);
-        // Where nobody knows, one is due.
+        // If it is unknown, a measurement counts as due.
         let due = self.run.history.features()[1] != 0.0;
         let last_w = self
             .run
@@ -309,17 +312,18 @@ impl Robot {
             });
         }
         if let Some(reading_w) = reading_w {
-            let said = self.run.said.filter(|_| scorable_w.is_some());
-            self.experts.learn(said.as_ref(), last_w, due, reading_w);
+            let forecasts = self.run.forecasts.filter(|_| scorable_w.is_some());
+            self.experts
+                .learn(forecasts.as_ref(), last_w, due, reading_w);
         }
         self.read(sample);
         self.forecast(sample, model);
-        self.tell(sample);
+        self.observe(sample);
         self.last = Some(*sample);
     }
 
-    /// A reading says something of the power since the last sample if that is no gap.
-    fn tell(&mut self, sample: &Sample) {
+    /// A reading represents the power since the last sample unless that was a gap.
+    fn observe(&mut self, sample: &Sample) {
         let last_ns = self.last.map_or(0, |last| last.stamp_ns);
         let elapsed_ns = sample.stamp_ns.saturating_sub(last_ns);
         let counted =
@@ -330,7 +334,7 @@ impl Robot {
             false => (f32::NAN, f32::NAN),
         };
         let broken = sample.has(sample_flag::DISCONTINUITY);
-        self.told.push(EnergySample {
+        self.observed.push(EnergySample {
             power_w: if counted { sample.power_w } else { f32::NAN },
             elapsed_s: if broken {
                 0.0
@@ -345,7 +349,7 @@ impl Robot {
     /// The energy state, from the beginning.
     pub(crate) fn energy(&self, id: u32, model: &EnergyModel) -> EnergyState {
         let mut state = EnergyState::new(id);
-        for sample in &self.told {
+        for sample in &self.observed {
             match self.platform.energy_online {
                 true => state.observe(model, sample),
                 false => state.metered.advance(model, sample),
@@ -412,13 +416,13 @@ impl Robot {
             (dv, domega) = ((now.0 - before.0) / dt_s, (now.1 - before.1) / dt_s);
         }
         self.run.command = command;
-        (self.run.forecast_w, self.run.said) = (None, None);
+        (self.run.forecast_w, self.run.forecasts) = (None, None);
         let full = self.run.is_full();
         let fresh = self.run.history.interval().is_some() || !model.needs_freshness();
         let runs = full && fresh && (known || !model.needs_command());
         if runs {
-            self.run.said = self.run.predict(self.by(model), command, dv, domega);
-            self.run.forecast_w = self.run.said.map(|said| said.forecast_w);
+            self.run.forecasts = self.run.predict(self.by(model), command, dv, domega);
+            self.run.forecast_w = self.run.forecasts.map(|forecasts| forecasts.forecast_w);
         }
         self.quality = match sample.freshness() {
             Freshness::Missing if !full => Quality::Invalid(InvalidReason::NoReading),
@@ -436,8 +440,8 @@ impl Robot {
         };
     }
 
-    /// What a plan starts from after `silent_ns` without a sample by the worker's clock, where
-    /// there is a forecast.
+    /// The start of a plan after `silent_ns` without a sample by the worker's clock, if there is a
+    /// forecast.
     pub(crate) fn plan_start(&self, model: &Model, silent_ns: u64) -> Option<Run> {
         self.shown(model, silent_ns).1?;
         let steps = missing(silent_ns, self.platform.period_ns)

@@ -1,4 +1,5 @@
-//! A state that is moved to another clock is that of a fleet whose samples had been stamped by that clock.
+//! A state moved to another clock equals that of a fleet whose samples had been stamped by that
+//! clock.
 
 use joulebus_fleet::{Fleet, FleetState};
 use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, Source, healthy};
@@ -9,7 +10,8 @@ use super::faults::Delivery;
 use super::state::{encoded, same, take, traffic};
 use super::{CAPACITY, START_NS};
 
-/// The frames with their instants of another clock. Stamps far from all others, which cannot be moved, are left out.
+/// The frames with their instants of another clock. Stamps far from all others, which cannot be
+/// moved, are left out.
 fn moved(frames: &[Delivery], offset_ns: i64) -> Vec<Delivery> {
     let by = |stamp_ns: u64| match stamp_ns {
         0 => 0,
@@ -136,7 +138,7 @@ fn frames_that_a_state_contains_are_known_and_no_others() {
     let mut older = Source::new(1, 4);
     let frames: Vec<_> = (1..7).map(|step| frame(&mut source, step)).collect();
     for (header, samples, now_ns) in &frames[..4] {
-        // The third is lost on the way.
+        // The third is lost in transit.
         if header.frame_seq != 2 {
             fleet.take(header, samples, *now_ns);
         }

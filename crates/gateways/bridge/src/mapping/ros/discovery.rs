@@ -1,11 +1,12 @@
-//! What other participants announce: topics of robots that the mapping does not name, or of another type.
+//! Announcements of other participants: topics of robots that the mapping does not have, or of
+//! another type.
 
 use crate::mapping::account::{Account, Reason};
 use crate::mapping::robots::Robots;
 use crate::mapping::ros::incoming::RosRoute;
 use crate::mapping::ros::names::{dds_type, ros_topic};
 
-/// Counts a writer that was announced, if no message of it is read.
+/// Counts an announced writer, if none of its messages are read.
 pub(crate) fn announced(
     routes: &[RosRoute],
     robots: &Robots,

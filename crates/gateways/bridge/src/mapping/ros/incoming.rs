@@ -1,4 +1,5 @@
-//! What a robot's messages say. The bytes come from anywhere: what does not fit its type is counted and changes nothing.
+//! Decodes a robot's ROS 2 messages. The bytes are untrusted: a message that does not fit its type
+//! is counted and changes nothing.
 
 use joulebus_ros_messages::{BatteryState, Message, RosError, RosType, Twist};
 
@@ -8,8 +9,8 @@ use crate::mapping::observation::{Observation, PowerOf};
 use crate::mapping::topic::{Pattern, Template};
 use crate::mapping::units::Unit;
 
-/// Longest message that is read, bytes with the encapsulation header: an odometry has 720 and a name.
-pub(crate) const MOST_BYTES: usize = 65_536;
+/// Maximum size of a message with its encapsulation header, bytes. An odometry has 720 and a name.
+pub(crate) const MAX_BYTES: usize = 65_536;
 
 /// `power_supply_status` of `sensor_msgs/BatteryState`.
 pub(crate) const CHARGING: u8 = 1;
@@ -17,45 +18,45 @@ pub(crate) const DISCHARGING: u8 = 2;
 const NOT_CHARGING: u8 = 3;
 pub(crate) const FULL: u8 = 4;
 
-/// Topics of one kind, one of each robot.
+/// A pattern of topics, one for each robot.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct RosRoute {
     /// The pattern as written in the config.
     pub(crate) name: String,
-    /// The topic of a robot.
+    /// The template of a robot's topic.
     pub(crate) topic: Template,
-    /// Finds the robot of a topic.
+    /// The pattern that finds the robot of a topic.
     pub(crate) pattern: Pattern,
     pub(crate) kind: RosType,
     pub(crate) battery: BatteryFields,
 }
 
-/// How a publisher fills `sensor_msgs/BatteryState`.
+/// How a publisher fills in `sensor_msgs/BatteryState`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct BatteryFields {
-    /// The current is positive while discharging, against the message's definition.
+    /// The current is positive while discharging, contrary to the message's definition.
     pub(crate) discharge_is_positive: bool,
-    /// What `percentage` counts.
+    /// The unit of `percentage`.
     pub(crate) percentage: Unit,
-    /// What voltage times current is the power of; `None`: of nothing.
+    /// What voltage times current is the power of. `None`: not a power.
     pub(crate) power_of: Option<PowerOf>,
 }
 
-/// A message as it came: its bytes, the encapsulation header first.
+/// A received message.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Received {
-    /// Length, bytes.
+    /// Its length, bytes.
     pub(crate) length: usize,
-    /// Empty if there were more than [`MOST_BYTES`].
+    /// Its bytes with the encapsulation header. Empty if there are more than [`MAX_BYTES`].
     pub(crate) bytes: Vec<u8>,
 }
 
 impl Received {
-    /// Of the encapsulation's code and what follows the header.
+    /// Creates a message from the encapsulation's code and the body.
     pub(crate) fn new(encapsulation: [u8; 2], body: &[u8]) -> Self {
         let length = 4 + body.len();
         let mut bytes = Vec::new();
-        if length <= MOST_BYTES {
+        if length <= MAX_BYTES {
             bytes.reserve_exact(length);
             bytes.extend_from_slice(&[encapsulation[0], encapsulation[1], 0, 0]);
             bytes.extend_from_slice(body);
@@ -65,7 +66,7 @@ impl Received {
 }
 
 impl RosRoute {
-    /// What a message of `robot` says; `None`, and counted, if that is nothing.
+    /// The observation in a message of `robot`. `None` if there is none, which is counted.
     pub(crate) fn read(
         &self,
         robot: &str,
@@ -73,7 +74,7 @@ impl RosRoute {
         account: &mut Account,
     ) -> Option<Observation> {
         let mut count = |reason, name: &str| account.count(&self.name, reason, name);
-        if received.length > MOST_BYTES {
+        if received.length > MAX_BYTES {
             count(Reason::TooLong, robot);
             return None;
         }
@@ -109,7 +110,7 @@ impl RosRoute {
 }
 
 impl BatteryFields {
-    /// NaN means "not measured", as the message's definition says.
+    /// Reads a battery state. NaN means "not measured", by the message's definition.
     fn read(&self, state: &BatteryState, refused: &mut impl FnMut(Reason, &str)) -> Observation {
         if !state.present {
             return Observation::default();
@@ -162,7 +163,7 @@ impl BatteryFields {
     }
 }
 
-/// Forward and turning velocity; across, what counts is the speed.
+/// Forward and angular velocity. With a velocity across, the speed counts.
 fn motion(twist: &Twist, refused: &mut impl FnMut(Reason, &str)) -> Observation {
     let mut finite = |value: f64, name| {
         let value = value as f32;
@@ -427,10 +428,10 @@ mod tests {
             ([0, 3], &battery, "wrong_encoding"),
             ([0, 7], &battery, "wrong_encoding"),
             ([0xff, 0xff], &battery, "wrong_encoding"),
-            ([0, 1], &vec![0; MOST_BYTES], "too_long"),
+            ([0, 1], &vec![0; MAX_BYTES], "too_long"),
         ] {
             let received = Received::new(encapsulation, bytes);
-            assert!(received.bytes.len() <= MOST_BYTES);
+            assert!(received.bytes.len() <= MAX_BYTES);
             let (seen, refused) = read(&route(RosType::BatteryState), &received);
             assert_eq!(seen, None, "{encapsulation:?}");
             assert_eq!(refused, [(reason, "r1".to_owned())], "{encapsulation:?}");

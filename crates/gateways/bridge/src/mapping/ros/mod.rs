@@ -1,4 +1,4 @@
-//! ROS 2 messages: what they say of robots, and what robots' values are as messages.
+//! The mapping between ROS 2 messages and the values of robots.
 
 pub(crate) mod discovery;
 pub(crate) mod incoming;

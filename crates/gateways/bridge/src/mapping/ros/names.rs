@@ -1,11 +1,11 @@
-//! Names of topics and types, in ROS 2 and in the DDS below it.
+//! Names of topics and types in ROS 2 and in DDS.
 
 use joulebus_ros_messages::RosType;
 
-/// Longest topic, bytes: DDS allows 256 with its prefix.
-const LONGEST: usize = 250;
+/// Maximum length of a topic, bytes. DDS allows 256 with its prefix.
+const MAX_BYTES: usize = 250;
 
-/// Types that are read: in ROS 2, and in DDS.
+/// The types that are read: their names in ROS 2 and in DDS.
 const TYPES: [(RosType, &str, &str); 4] = [
     (
         RosType::BatteryState,
@@ -33,7 +33,7 @@ const TYPES: [(RosType, &str, &str); 4] = [
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum NameError {
     #[error(
-        "is, of a robot, {found:?}, and no topic of ROS 2: it begins with a slash, has at most {LONGEST} bytes, and its \
+        "is, of a robot, {found:?}, and no topic of ROS 2: it begins with a slash, has at most {MAX_BYTES} bytes, and its \
          parts are letters, digits and single underscores that do not begin with a digit"
     )]
     Topic { found: String },
@@ -70,13 +70,13 @@ pub(crate) fn dds_topic(topic: &str) -> String {
     format!("rt{topic}")
 }
 
-/// The topic of ROS 2 that is called `dds` there; `None` for services, actions and what is not of ROS.
+/// The ROS 2 topic with the DDS name `dds`. `None` for services, actions and other DDS topics.
 pub(crate) fn ros_topic(dds: &str) -> Option<&str> {
     dds.strip_prefix("rt")
         .filter(|topic| topic.starts_with('/'))
 }
 
-/// Refuses what is no absolute topic.
+/// Refuses a text that is no absolute topic.
 pub(crate) fn check_topic(topic: &str) -> Result<(), NameError> {
     let is_part = |part: &str| {
         let is_letter = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'_';
@@ -85,7 +85,7 @@ pub(crate) fn check_topic(topic: &str) -> Result<(), NameError> {
             && !part.starts_with(|letter: char| letter.is_ascii_digit())
             && !part.contains("__")
     };
-    let parts = topic.strip_prefix('/').filter(|_| topic.len() <= LONGEST);
+    let parts = topic.strip_prefix('/').filter(|_| topic.len() <= MAX_BYTES);
     let is_topic = parts.is_some_and(|parts| parts.split('/').all(is_part));
     is_topic.then_some(()).ok_or_else(|| NameError::Topic {
         found: topic.to_owned(),

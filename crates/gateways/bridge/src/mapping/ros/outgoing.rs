@@ -1,7 +1,8 @@
-//! What is told of robots as ROS 2 messages.
+//! Values of robots as ROS 2 messages.
 //!
-//! `sensor_msgs/BatteryState` as its definition says: the current is negative while discharging, NaN is not known. Powers have no
-//! field there: they are values of `std_msgs/Float64`, and among the diagnostics with their unit in the key.
+//! `sensor_msgs/BatteryState` follows its definition: the current is negative while discharging,
+//! and NaN means unknown. It has no fields for powers. These are published as `std_msgs/Float64`
+//! and among the diagnostics, with their unit in the key.
 
 use joulebus_ros_messages::{
     BatteryState, DiagnosticArray, DiagnosticStatus, Float64, Header, KeyValue, RosError, Time,
@@ -9,15 +10,15 @@ use joulebus_ros_messages::{
 };
 use serde_json::Value;
 
-use crate::mapping::outgoing::{Object, Told, value_names};
+use crate::mapping::outgoing::{Object, OutgoingValue, value_names};
 use crate::mapping::ros::incoming::{CHARGING, DISCHARGING};
 
-/// `diagnostic_msgs/DiagnosticStatus`: nobody measures.
+/// `diagnostic_msgs/DiagnosticStatus`: not measured.
 const STALE: u8 = 3;
-/// Robots of one `diagnostic_msgs/DiagnosticArray`: some 40 kB.
-const MOST_STATUSES: usize = 32;
-/// Values of a robot that are not diagnosed: what a state says in fields of its own, times of the values, and how long a
-/// ledger has counted.
+/// Maximum number of robots in a `diagnostic_msgs/DiagnosticArray`, some 40 kB.
+const MAX_STATUSES: usize = 32;
+/// Values of a robot that are not among the diagnostics: fields of the status itself, times of
+/// values, and how long a ledger has counted.
 const NOT_DIAGNOSED: [&str; 8] = [
     "robot",
     "name",
@@ -29,18 +30,18 @@ const NOT_DIAGNOSED: [&str; 8] = [
     "unmetered_s",
 ];
 
-/// Values of a robot that are diagnosed, beside its alarms.
+/// The values of a robot among the diagnostics, beside its alarms.
 fn diagnosed() -> impl Iterator<Item = &'static str> {
     value_names().filter(|name| !NOT_DIAGNOSED.contains(name))
 }
 
-/// What a topic of ROS 2 is told.
+/// The contents of a ROS 2 topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum RosWhat {
-    /// The next reading of a robot, as a battery's voltage and current.
+    /// The forecast of a robot's next reading, as a battery's voltage and current.
     Forecast,
-    /// What a robot's battery has left.
+    /// The state of charge of a robot's battery.
     Budget,
     /// One value of a robot.
     Value,
@@ -73,7 +74,7 @@ impl RosWhat {
     }
 }
 
-/// The forecast of a robot's next reading. `voltage_v`: what its battery was measured to have.
+/// The forecast of a robot's next reading. `voltage_v` is the measured voltage of its battery.
 pub(crate) fn forecast(name: &str, values: &Object, voltage_v: Option<f32>) -> BatteryState {
     let power_w = number(values, "power_w");
     let current_a = voltage_v
@@ -85,7 +86,7 @@ pub(crate) fn forecast(name: &str, values: &Object, voltage_v: Option<f32>) -> B
     }
 }
 
-/// What a robot's battery has left.
+/// The energy left in a robot's battery.
 pub(crate) fn budget(name: &str, values: &Object, voltage_v: Option<f32>) -> BatteryState {
     let usable_ah = voltage_v
         .filter(|voltage_v| *voltage_v > 0.0)
@@ -100,12 +101,12 @@ pub(crate) fn budget(name: &str, values: &Object, voltage_v: Option<f32>) -> Bat
 }
 
 /// One value of a robot; NaN if it is not known.
-pub(crate) fn value(told: &Told, values: &Object) -> Float64 {
-    let data = told.number(values).unwrap_or(f64::NAN);
+pub(crate) fn value(field: &OutgoingValue, values: &Object) -> Float64 {
+    let data = field.number(values).unwrap_or(f64::NAN);
     Float64 { data }
 }
 
-/// The state of a robot with its alarms, forecast and budget.
+/// The status of a robot with its alarms, forecast and budget.
 pub(crate) fn robot_status(name: &str, values: &Object) -> DiagnosticStatus {
     let text = |value: &str| values.get(value).and_then(Value::as_str);
     let level = match text("level") {
@@ -143,7 +144,7 @@ pub(crate) fn robot_status(name: &str, values: &Object) -> DiagnosticStatus {
     }
 }
 
-/// The state of a robot while there is no worker: nothing is known.
+/// The status of a robot without a worker: everything is unknown.
 pub(crate) fn unknown_status(name: &str, worker: &str) -> DiagnosticStatus {
     DiagnosticStatus {
         level: STALE,
@@ -154,7 +155,7 @@ pub(crate) fn unknown_status(name: &str, worker: &str) -> DiagnosticStatus {
     }
 }
 
-/// The state of the worker and of this bridge.
+/// The status of the worker and of this bridge.
 pub(crate) fn worker_status(
     (fleet, bridge): (&str, &str),
     (level, worker): (u8, &str),
@@ -173,12 +174,12 @@ pub(crate) fn worker_status(
     }
 }
 
-/// Arrays of these states, in CDR.
+/// The statuses in CDR arrays.
 pub(crate) fn diagnostics(
     now_unix_ns: u64,
     statuses: &[DiagnosticStatus],
 ) -> impl Iterator<Item = Result<Vec<u8>, RosError>> {
-    statuses.chunks(MOST_STATUSES).map(move |statuses| {
+    statuses.chunks(MAX_STATUSES).map(move |statuses| {
         encode(&DiagnosticArray {
             header: header(now_unix_ns, ""),
             status: statuses.to_vec(),
@@ -186,7 +187,7 @@ pub(crate) fn diagnostics(
     })
 }
 
-/// A battery of which only the voltage is known, and whether it is charged.
+/// A battery whose voltage is known, and whether it is charged.
 fn battery(name: &str, stamp: &str, values: &Object, voltage_v: Option<f32>) -> BatteryState {
     let stamp_ns = values.get(stamp).and_then(Value::as_u64);
     let charging = values.get("charging").and_then(Value::as_bool);
@@ -253,19 +254,19 @@ mod tests {
 
     #[test]
     fn a_forecast_is_a_current_that_is_negative_while_discharging() {
-        let told = forecast("r1", &values(), Some(24.0));
-        assert_eq!((told.voltage, told.current), (24.0, -2.0));
-        assert_eq!(told.power_supply_status, DISCHARGING);
+        let message = forecast("r1", &values(), Some(24.0));
+        assert_eq!((message.voltage, message.current), (24.0, -2.0));
+        assert_eq!(message.power_supply_status, DISCHARGING);
         assert_eq!(
-            (told.header.stamp.sec, told.header.stamp.nanosec),
+            (message.header.stamp.sec, message.header.stamp.nanosec),
             (1_700_000_000, 500_000_000)
         );
-        assert_eq!(told.header.frame_id, "r1");
+        assert_eq!(message.header.frame_id, "r1");
         for unknown in [
-            told.percentage,
-            told.charge,
-            told.temperature,
-            told.capacity,
+            message.percentage,
+            message.charge,
+            message.temperature,
+            message.capacity,
         ] {
             assert!(unknown.is_nan());
         }
@@ -278,31 +279,34 @@ mod tests {
 
     #[test]
     fn a_budget_is_a_charge_and_a_percentage() {
-        let told = budget("r1", &values(), Some(24.0));
-        assert_eq!((told.percentage, told.charge), (0.5, 1.0));
-        assert!(told.current.is_nan());
-        assert_eq!(told.header.stamp.nanosec, 1);
-        let told = budget("r1", &values(), None);
-        assert!(told.percentage == 0.5 && told.charge.is_nan() && told.voltage.is_nan());
+        let message = budget("r1", &values(), Some(24.0));
+        assert_eq!((message.percentage, message.charge), (0.5, 1.0));
+        assert!(message.current.is_nan());
+        assert_eq!(message.header.stamp.nanosec, 1);
+        let message = budget("r1", &values(), None);
+        assert!(message.percentage == 0.5 && message.charge.is_nan() && message.voltage.is_nan());
         let bytes: Vec<u8> = [0, 1, 0, 0]
             .into_iter()
-            .chain(encode(&told).unwrap())
+            .chain(encode(&message).unwrap())
             .collect();
         let Message::BatteryState(again) = RosType::BatteryState.decode(&bytes).unwrap() else {
             panic!("another type");
         };
-        assert_eq!((again.percentage, again.header), (0.5, told.header));
+        assert_eq!((again.percentage, again.header), (0.5, message.header));
     }
 
     #[test]
     fn values_have_units_and_unknown_ones_are_nan() {
-        let told = Told {
+        let field = OutgoingValue {
             negate: true,
-            ..Told::plain("power_w")
+            ..OutgoingValue::plain("power_w")
         };
-        assert_eq!(value(&told, &values()).data, -48.0);
-        assert!(value(&told, &Object::new()).data.is_nan());
-        assert_eq!(value(&Told::plain("charging"), &values()).data, 0.0);
+        assert_eq!(value(&field, &values()).data, -48.0);
+        assert!(value(&field, &Object::new()).data.is_nan());
+        assert_eq!(
+            value(&OutgoingValue::plain("charging"), &values()).data,
+            0.0
+        );
     }
 
     #[test]
@@ -319,9 +323,13 @@ mod tests {
         assert_eq!(unknown_status("r1", "gone").message, "worker gone");
         for (robots, arrays) in [(0, 0), (1, 1), (32, 1), (33, 2), (100, 4)] {
             let statuses = vec![status.clone(); robots];
-            let told: Vec<_> = diagnostics(1, &statuses).collect();
-            assert_eq!(told.len(), arrays);
-            assert!(told.iter().all(|it| it.as_ref().unwrap().len() < 60_000));
+            let messages: Vec<_> = diagnostics(1, &statuses).collect();
+            assert_eq!(messages.len(), arrays);
+            assert!(
+                messages
+                    .iter()
+                    .all(|it| it.as_ref().unwrap().len() < 60_000)
+            );
         }
     }
 }

@@ -11,7 +11,8 @@ use joulebus_testkit::{Child, eventually, free_port};
 use rumqttc::{Client, Event, MqttOptions, Packet, QoS};
 use serde_json::Value;
 
-/// The broker's program, as `tools/mosquitto.sh` prints it; `None` where it is missing, which is said aloud.
+/// The broker's program, as `tools/mosquitto.sh` prints it. `None` if it is missing, which is
+/// logged.
 pub(crate) fn mosquitto() -> Option<PathBuf> {
     let named = std::env::var_os("JOULEBUS_MOSQUITTO").filter(|named| !named.is_empty());
     let usual = || {
@@ -41,7 +42,7 @@ pub(crate) struct Broker {
 }
 
 impl Broker {
-    /// Starts one on a free port; `more` are lines of its config.
+    /// Starts a broker on a free port. `more` has further lines of its config.
     pub(crate) fn start(program: &Path, more: &str) -> Self {
         let port = free_port();
         let folder = tempfile::tempdir().unwrap();
@@ -66,24 +67,24 @@ impl Broker {
         self.folder.path().join(name)
     }
 
-    /// Kills it: what it kept is gone.
+    /// Kills the broker, which loses the retained messages.
     pub(crate) fn kill(&mut self) {
         self.child.kill();
     }
 
-    /// Starts it again at the same port.
+    /// Starts it again on the same port.
     pub(crate) fn restart(&mut self) {
         self.child = spawn(&self.program, self.folder.path(), self.port);
     }
 
-    /// A client that hears the topics of `filter`.
+    /// A client that subscribes to `filter`.
     pub(crate) fn client(&self, name: &str, filter: &str) -> Listener {
         let mut options = MqttOptions::new(name, "127.0.0.1", self.port);
         options.set_keep_alive(Duration::from_secs(5));
         options.set_max_packet_size(64 << 20, 64 << 20);
         let (client, mut connection) = Client::new(options, 10_000);
-        let heard = Arc::<Mutex<Vec<Heard>>>::default();
-        let (into, again, filter) = (Arc::clone(&heard), client.clone(), filter.to_owned());
+        let messages = Arc::<Mutex<Vec<Message>>>::default();
+        let (into, again, filter) = (Arc::clone(&messages), client.clone(), filter.to_owned());
         let ready = Arc::<Mutex<bool>>::default();
         let is_ready = Arc::clone(&ready);
         std::thread::spawn(move || {
@@ -94,7 +95,7 @@ impl Broker {
                     }
                     Ok(Event::Incoming(Packet::SubAck(_))) => *is_ready.lock().unwrap() = true,
                     Ok(Event::Incoming(Packet::Publish(publish))) => {
-                        into.lock().unwrap().push(Heard {
+                        into.lock().unwrap().push(Message {
                             topic: publish.topic,
                             payload: publish.payload.to_vec(),
                             retained: publish.retain,
@@ -107,7 +108,7 @@ impl Broker {
             }
         });
         eventually("a subscription", || *ready.lock().unwrap());
-        Listener { client, heard }
+        Listener { client, messages }
     }
 }
 
@@ -121,15 +122,15 @@ fn spawn(program: &Path, folder: &Path, port: u16) -> Child {
     child
 }
 
-/// A message that was heard.
+/// A received message.
 #[derive(Debug, Clone)]
-pub(crate) struct Heard {
+pub(crate) struct Message {
     pub(crate) topic: String,
     pub(crate) payload: Vec<u8>,
     pub(crate) retained: bool,
 }
 
-impl Heard {
+impl Message {
     pub(crate) fn json(&self) -> Value {
         serde_json::from_slice(&self.payload).unwrap_or(Value::Null)
     }
@@ -137,7 +138,7 @@ impl Heard {
 
 pub(crate) struct Listener {
     pub(crate) client: Client,
-    heard: Arc<Mutex<Vec<Heard>>>,
+    messages: Arc<Mutex<Vec<Message>>>,
 }
 
 impl Listener {
@@ -147,23 +148,23 @@ impl Listener {
             .unwrap();
     }
 
-    pub(crate) fn heard(&self) -> Vec<Heard> {
-        self.heard.lock().unwrap().clone()
+    pub(crate) fn messages(&self) -> Vec<Message> {
+        self.messages.lock().unwrap().clone()
     }
 
     pub(crate) fn forget(&self) {
-        self.heard.lock().unwrap().clear();
+        self.messages.lock().unwrap().clear();
     }
 
-    /// Waits for a message of a topic that `is_it`.
-    pub(crate) fn wait_for(&self, topic: &str, mut is_it: impl FnMut(&Value) -> bool) -> Heard {
+    /// Waits for a message of the topic for which `is_it` is true.
+    pub(crate) fn wait_for(&self, topic: &str, mut is_it: impl FnMut(&Value) -> bool) -> Message {
         let mut found = None;
         eventually(topic, || {
-            let heard = self.heard();
-            found = heard
+            let messages = self.messages();
+            found = messages
                 .into_iter()
                 .rev()
-                .find(|heard| heard.topic == topic && is_it(&heard.json()));
+                .find(|message| message.topic == topic && is_it(&message.json()));
             found.is_some()
         });
         found.unwrap()

@@ -1,5 +1,5 @@
-//! A bridge to a real Mosquitto, with a real worker. Without a broker the tests are skipped aloud; with CI=true
-//! that is a failure.
+//! A bridge to a real Mosquitto with a real worker. Without a broker the tests log that they skip,
+//! and with CI=true they fail.
 
 pub(crate) mod broker;
 
@@ -18,7 +18,7 @@ use joulebus_testkit::{Child, eventually};
 use rumqttc::{Client, QoS};
 use serde_json::{Value, json};
 
-/// Power in mW and its commands, of robots 1 to 3; everything out.
+/// A bridge's file that reads powers in mW and commands of robots 1 to 3, and writes all topics.
 fn file(broker: &Broker) -> String {
     let address = broker.address();
     format!(
@@ -103,8 +103,8 @@ impl Drop for Robots {
     }
 }
 
-fn is_forecast(told: &Value) -> bool {
-    told["power_w"].is_number() && told["lo_w"].is_number()
+fn is_forecast(document: &Value) -> bool {
+    document["power_w"].is_number() && document["lo_w"].is_number()
 }
 
 #[test]
@@ -119,64 +119,64 @@ fn readings_as_json_are_forecast_and_forecasts_budgets_and_alarms_are_told() {
     let listener = broker.client("listener", "jb/#");
     let robots = Robots::start(broker.client("robots", "nothing").client);
     for robot in 1..=3 {
-        let told = listener
+        let document = listener
             .wait_for(&format!("jb/lab/r{robot}/forecast"), is_forecast)
             .json();
-        let reading_w = told["reading_w"].as_f64().unwrap();
-        assert!((4.0..4.4).contains(&reading_w), "{told}");
+        let reading_w = document["reading_w"].as_f64().unwrap();
+        assert!((4.0..4.4).contains(&reading_w), "{document}");
         assert_eq!(
-            (&told["robot"], &told["name"]),
+            (&document["robot"], &document["name"]),
             (&json!(robot), &json!(format!("r{robot}")))
         );
     }
-    let budget = |told: &Value| {
-        told["left"]["percent"]
+    let budget = |document: &Value| {
+        document["left"]["percent"]
             .as_f64()
             .is_some_and(|percent| percent < 99.0)
-            && told["drawn_wh"].is_number()
+            && document["drawn_wh"].is_number()
     };
     listener.wait_for("jb/lab/r2/budget", budget);
     listener.wait_for("jb/lab/r3/budget", |_| true);
-    // Who subscribes later gets what is kept, and then what is sent.
+    // A late subscriber gets the retained messages, and then new ones.
     let later = broker.client("later", "jb/#");
     eventually("what is kept", || {
-        let heard = later.heard();
-        let mut budgets = heard.iter().filter(|it| it.topic == "jb/lab/r3/budget");
+        let messages = later.messages();
+        let mut budgets = messages.iter().filter(|it| it.topic == "jb/lab/r3/budget");
         budgets.any(|budget| budget.retained)
     });
     assert!(
         later
-            .wait_for("jb/lab/bridge", |told| told["state"] == "online")
+            .wait_for("jb/lab/bridge", |document| document["state"] == "online")
             .json()["worker"]
             .is_string()
     );
     listener.forget();
     drop(robots);
-    let raised = |told: &Value| {
-        told["alarm"] == "NoData" && told["change"] == "raised" && told["name"] == "r1"
+    let raised = |document: &Value| {
+        document["alarm"] == "NoData" && document["change"] == "raised" && document["name"] == "r1"
     };
     let change = listener.wait_for("jb/lab/alarms", raised);
     assert!(
         !change.retained && change.json()["robot"] == 1,
         "{change:?}"
     );
-    listener.wait_for("jb/lab/r1/alarms", |told| {
-        told["alarms"] == json!(["NoData"]) && told["level"] == "stale"
+    listener.wait_for("jb/lab/r1/alarms", |document| {
+        document["alarms"] == json!(["NoData"]) && document["level"] == "stale"
     });
-    // Robots that leave the fleet leave the broker.
+    // The documents of robots that leave the fleet are deleted from the broker.
     eventually("no budget is kept", || {
-        let heard = listener.heard();
-        heard
+        let messages = listener.messages();
+        messages
             .iter()
-            .any(|heard| heard.topic == "jb/lab/r1/budget" && heard.payload.is_empty())
+            .any(|message| message.topic == "jb/lab/r1/budget" && message.payload.is_empty())
     });
     worker.kill();
-    listener.wait_for("jb/lab/alarms", |told| {
-        told["alarm"] == "WorkerGone" && told["robot"].is_null()
+    listener.wait_for("jb/lab/alarms", |document| {
+        document["alarm"] == "WorkerGone" && document["robot"].is_null()
     });
-    listener.wait_for("jb/lab/bridge", |told| told["worker"] == "gone");
+    listener.wait_for("jb/lab/bridge", |document| document["worker"] == "gone");
     let report = bridge.stop().json();
-    listener.wait_for("jb/lab/bridge", |told| told["state"] == "offline");
+    listener.wait_for("jb/lab/bridge", |document| document["state"] == "offline");
     assert_eq!(
         (&report["unmapped"], &report["not_written"]),
         (&json!([]), &json!(0)),
@@ -202,7 +202,9 @@ fn a_broker_that_is_killed_and_started_again_is_joined_again() {
     let listener = broker.client("listener", "jb/#");
     let robots = Robots::start(broker.client("robots", "nothing").client);
     listener.wait_for("jb/lab/r1/forecast", is_forecast);
-    listener.wait_for("jb/lab/r1/alarms", |told| told["alarms"] == json!([]));
+    listener.wait_for("jb/lab/r1/alarms", |document| {
+        document["alarms"] == json!([])
+    });
     for _ in 0..2 {
         broker.kill();
         bridge.wait_for_line("not connected to ");
@@ -210,25 +212,25 @@ fn a_broker_that_is_killed_and_started_again_is_joined_again() {
         bridge.wait_for_line("connected to ");
         listener.forget();
         // Readings arrive again, so the bridge has subscribed again.
-        listener.wait_for("jb/lab/r1/forecast", |told| {
-            is_forecast(told) && told["quality"] != "OpenLoop"
+        listener.wait_for("jb/lab/r1/forecast", |document| {
+            is_forecast(document) && document["quality"] != "OpenLoop"
         });
-        // What the broker kept, it has again.
+        // The broker retains the documents again.
         let later = broker.client("later", "jb/#");
         for topic in ["jb/lab/r2/budget", "jb/lab/r2/alarms", "jb/lab/bridge"] {
             later.wait_for(topic, |_| true);
         }
     }
     drop(robots);
-    // A bridge that is killed is reported by the broker.
+    // The broker reports a killed bridge.
     bridge.kill();
-    listener.wait_for("jb/lab/bridge", |told| {
-        told["state"] == "offline" && told["bridge"] == "bridge"
+    listener.wait_for("jb/lab/bridge", |document| {
+        document["state"] == "offline" && document["bridge"] == "bridge"
     });
     worker.stop();
 }
 
-/// Count of what was not mapped for a reason.
+/// The number of unmapped messages with a reason.
 fn count(report: &Value, reason: &str) -> u64 {
     let lines = report["unmapped"].as_array().map_or(&[][..], Vec::as_slice);
     let counts = lines
@@ -238,7 +240,7 @@ fn count(report: &Value, reason: &str) -> u64 {
     counts.sum()
 }
 
-/// Sends what no robot should.
+/// Sends messages that no robot should send.
 fn attack(client: &Listener) {
     let deep = "[".repeat(60_000);
     let bad: [(&str, Vec<u8>); 11] = [
@@ -269,7 +271,7 @@ fn attack(client: &Listener) {
     for number in 0..2_000 {
         client.send(&format!("fleet/flood-{number}/power"), "{}");
     }
-    // Values of the right type that no robot has: the worker refuses them.
+    // Values of the right type that are impossible for a robot. The worker refuses them.
     for _ in 0..20 {
         client.send(
             "fleet/r2/power",
@@ -301,7 +303,7 @@ fn hostile_messages_are_counted_and_named_and_harm_nobody() {
     let robots = Robots::start(broker.client("robots", "nothing").client);
     listener.wait_for("jb/lab/r3/forecast", is_forecast);
     attack(&broker.client("intruder", "nothing"));
-    let flooded = |told: &Value| count(told, "unknown_robot") >= 2_003;
+    let flooded = |document: &Value| count(document, "unknown_robot") >= 2_003;
     listener.wait_for("jb/lab/bridge", flooded);
     listener.forget();
     let calm = listener.wait_for("jb/lab/r3/forecast", is_forecast).json();
@@ -309,8 +311,8 @@ fn hostile_messages_are_counted_and_named_and_harm_nobody() {
         (4.2..4.4).contains(&calm["reading_w"].as_f64().unwrap()),
         "{calm}"
     );
-    listener.wait_for("jb/lab/r2/forecast", |told| {
-        is_forecast(told) && told["reading_w"].as_f64().unwrap() < 5.0
+    listener.wait_for("jb/lab/r2/forecast", |document| {
+        is_forecast(document) && document["reading_w"].as_f64().unwrap() < 5.0
     });
     assert!(worker.is_running() && bridge.is_running());
     drop(robots);
@@ -378,36 +380,36 @@ fn vehicles_of_vda_5050_tell_their_battery_and_velocity() {
         "batteryState": {"batteryCharge": 63.0, "batteryVoltage": 24.0, "charging": true},
         "errors": [], "safetyState": {"eStop": "NONE", "fieldViolation": false},
     });
-    let soc = |told: &Value| {
-        told["soc"]
+    let soc = |document: &Value| {
+        document["soc"]
             .as_f64()
             .is_some_and(|soc| (soc - 0.63).abs() < 0.1)
     };
-    // A state is not kept: one that comes before the bridge's subscription is heard by nobody.
+    // A state is not retained. One sent before the bridge subscribes is lost.
     let mut sent = 0;
-    let mut tell = |state: &Value, is_charging: bool| {
-        eventually("the state is told", || {
+    let mut send = |state: &Value, is_charging: bool| {
+        eventually("the state is published", || {
             sent += 1;
             listener.send("uagv/v2/KIT/0001/state", state.to_string());
             std::thread::sleep(Duration::from_millis(100));
-            let heard = listener.heard();
-            let budgets = heard.iter().filter(|it| it.topic == "jb/0001/budget");
-            budgets
-                .map(broker::Heard::json)
-                .any(|told| told["charging"] == is_charging && soc(&told) && told["robot"] == 4)
+            let messages = listener.messages();
+            let budgets = messages.iter().filter(|it| it.topic == "jb/0001/budget");
+            budgets.map(broker::Message::json).any(|document| {
+                document["charging"] == is_charging && soc(&document) && document["robot"] == 4
+            })
         });
     };
-    tell(&state, true);
+    send(&state, true);
     state["batteryState"]["charging"] = json!(false);
-    tell(&state, false);
+    send(&state, false);
     let report = bridge.stop().json();
-    // Each that it heard, once: exactly two where none was sent again.
+    // Every received state was counted once: exactly two if no state was sent again.
     let observations = report["observations"].as_u64().unwrap();
     assert!((2..=sent).contains(&observations), "{sent}: {report}");
     worker.stop();
 }
 
-/// Whether something was not mapped for a reason, of a robot.
+/// Whether a message of the robot was not mapped for a reason.
 fn has(report: &Value, reason: &str, robot: &str) -> bool {
     let lines = report["unmapped"].as_array().map_or(&[][..], Vec::as_slice);
     let mut lines = lines.iter().filter(|line| line["reason"] == reason);
@@ -417,16 +419,23 @@ fn has(report: &Value, reason: &str, robot: &str) -> bool {
     })
 }
 
-/// Answers as a node of a vizier does, until it is told to end. Its first status has not been read; one that came too late
-/// for the bridge is followed by another such, as the bridge tells.
-fn node(client: &Listener, told: &Listener, stop: &AtomicBool) -> Vec<Value> {
+/// Answers requests like a vizier's node until `stop`. Its first status has no reading. If that
+/// answer was too late, as the bridge's status shows, another such answer follows.
+fn node(client: &Listener, bridge_status: &Listener, stop: &AtomicBool) -> Vec<Value> {
     let (mut asked, mut unread, mut answers) = (0, 0, 0);
     while !stop.load(Ordering::Relaxed) {
-        let requests: Vec<Value> = client.heard().iter().map(broker::Heard::json).collect();
-        let state = told.heard().last().map_or(Value::Null, broker::Heard::json);
+        let requests: Vec<Value> = client
+            .messages()
+            .iter()
+            .map(broker::Message::json)
+            .collect();
+        let state = bridge_status
+            .messages()
+            .last()
+            .map_or(Value::Null, broker::Message::json);
         let taken = count(&state, "nothing_mapped");
         let is_known = taken + count(&state, "not_asked") >= unread;
-        // The newest alone: an answer to one before would be too late.
+        // Only the newest request: an answer to an earlier one would be too late.
         if let Some(request) = requests[asked..].last().filter(|_| is_known) {
             let power = 3_000 + 10 * (answers % 50);
             let status = if taken == 0 {
@@ -445,7 +454,11 @@ fn node(client: &Listener, told: &Listener, stop: &AtomicBool) -> Vec<Value> {
         }
         std::thread::sleep(Duration::from_millis(5));
     }
-    client.heard().iter().map(broker::Heard::json).collect()
+    client
+        .messages()
+        .iter()
+        .map(broker::Message::json)
+        .collect()
 }
 
 #[test]
@@ -485,15 +498,15 @@ fn robots_of_a_vizier_are_asked_and_sent_nothing_else() {
         listener.send("matlab_api/5", r#"{"v": 0.1, "w": 0.5}"#);
         std::thread::sleep(Duration::from_millis(20));
         listener
-            .heard()
+            .messages()
             .iter()
-            .any(|heard| is_forecast(&heard.json()))
+            .any(|message| is_forecast(&message.json()))
     });
-    let told = listener.wait_for("jb/5/forecast", is_forecast).json();
-    listener.wait_for("jb/bridge", |told| has(told, "no_answer", "6"));
+    let document = listener.wait_for("jb/5/forecast", is_forecast).json();
+    listener.wait_for("jb/bridge", |document| has(document, "no_answer", "6"));
     assert!(
-        (3.0..3.9).contains(&told["reading_w"].as_f64().unwrap()),
-        "{told}"
+        (3.0..3.9).contains(&document["reading_w"].as_f64().unwrap()),
+        "{document}"
     );
     let ended = bridge.end();
     let report = ended.json();
@@ -518,8 +531,8 @@ fn robots_of_a_vizier_are_asked_and_sent_nothing_else() {
             || topic.starts_with("5/responses/")
             || topic.starts_with("jb/")
     };
-    for heard in everything.heard() {
-        assert!(allowed(&heard.topic), "{heard:?}");
+    for message in everything.messages() {
+        assert!(allowed(&message.topic), "{message:?}");
     }
     worker.stop();
 }

@@ -1,5 +1,5 @@
-//! A bridge to ROS 2 beside a real worker, with another vendor's DDS as talker and listener. Without it the tests are skipped
-//! aloud; with CI=true that is a failure.
+//! A bridge to ROS 2 beside a real worker, with another vendor's DDS as publisher and subscriber.
+//! Without it the tests log that they skip, and with CI=true they fail.
 
 pub(crate) mod peer;
 
@@ -12,7 +12,7 @@ use peer::{Peer, RosDomain, cyclonedds};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 
-/// Robots 1 to 3 in this domain, and the topics of `topics`.
+/// A bridge's file for robots 1 to 3 in this domain, with these topics.
 fn file_of(domain: &RosDomain, topics: &str) -> String {
     let id = domain.id;
     format!(
@@ -27,7 +27,7 @@ fn file_of(domain: &RosDomain, topics: &str) -> String {
     )
 }
 
-/// All that is read and written.
+/// A bridge's file with all kinds of topics.
 fn file(domain: &RosDomain) -> String {
     let topics = r#"
         [[ros2.read]]
@@ -58,7 +58,7 @@ fn file(domain: &RosDomain) -> String {
     file_of(domain, topics)
 }
 
-/// 4.4 W out of a battery of 4 V.
+/// A battery of 4 V that is discharged with 4.4 W.
 fn discharging() -> Value {
     json!({"voltage": 4.0, "current": -1.1, "percentage": 0.8, "power_supply_status": 2})
 }
@@ -73,14 +73,14 @@ fn is_near(value: &Value, expected: f64) -> bool {
         .is_some_and(|value| (value - expected).abs() < 1e-3 * expected.abs())
 }
 
-/// The state of a robot in an array of diagnostics.
+/// The status of a robot in an array of diagnostics.
 fn status<'d>(diagnostics: &'d Value, name: &str) -> &'d Value {
     let all = diagnostics["status"].as_array().unwrap();
     let found = all.iter().find(|status| status["name"] == name);
     found.unwrap_or(&Value::Null)
 }
 
-/// The value of a key of a state.
+/// The value of a key of a status.
 fn text<'d>(status: &'d Value, key: &str) -> &'d str {
     let values = status["values"].as_array().map_or(&[][..], Vec::as_slice);
     let found = values.iter().find(|value| value["key"] == key);
@@ -108,24 +108,26 @@ fn battery_states_and_twists_are_forecast_and_forecasts_budgets_and_diagnostics_
         ("/r1/joulebus/power_w", "Float64"),
         ("/diagnostics", "DiagnosticArray"),
     ] {
-        peer.hear(topic, kind);
+        peer.subscribe(topic, kind);
     }
-    peer.say("/fleet/r1/battery_state", "BatteryState", &discharging());
-    peer.say("/fleet/r1/cmd_vel", "Twist", &twist());
-    peer.say(
+    peer.publish("/fleet/r1/battery_state", "BatteryState", &discharging());
+    peer.publish("/fleet/r1/cmd_vel", "Twist", &twist());
+    peer.publish(
         "/fleet/stranger/battery_state",
         "BatteryState",
         &discharging(),
     );
 
-    peer.wait_for("/r1/joulebus/reading_w", 0, |told| {
-        is_near(&told["data"], 4_400.0)
+    peer.wait_for("/r1/joulebus/reading_w", 0, |document| {
+        is_near(&document["data"], 4_400.0)
     });
-    let power = peer.wait_for("/r1/joulebus/power_w", 0, |told| told["data"].is_number());
+    let power = peer.wait_for("/r1/joulebus/power_w", 0, |document| {
+        document["data"].is_number()
+    });
     let power_w = power["data"].as_f64().unwrap();
     assert!((0.0..20.0).contains(&power_w), "{power}");
-    let forecast = peer.wait_for("/r1/joulebus/forecast", 0, |told| {
-        told["current"].is_number()
+    let forecast = peer.wait_for("/r1/joulebus/forecast", 0, |document| {
+        document["current"].is_number()
     });
     assert!(
         forecast["current"].as_f64().unwrap() < 0.0,
@@ -141,26 +143,26 @@ fn battery_states_and_twists_are_forecast_and_forecasts_budgets_and_diagnostics_
     assert_eq!(forecast["power_supply_status"], 2);
     let stamp_s = forecast["header"]["stamp"]["sec"].as_i64().unwrap();
     assert!(stamp_s > 1_600_000_000, "the wall clock's time: {forecast}");
-    let budget = peer.wait_for("/r1/joulebus/budget", 0, |told| {
-        told["percentage"]
+    let budget = peer.wait_for("/r1/joulebus/budget", 0, |document| {
+        document["percentage"]
             .as_f64()
             .is_some_and(|share| share < 0.99)
-            && told["charge"].is_number()
+            && document["charge"].is_number()
     });
     assert_eq!(budget["current"], Value::Null, "{budget}");
     // A worker is live while its newest frame is younger than two periods.
-    let told = peer.wait_for("/diagnostics", 0, |told| {
-        let robot = status(told, "joulebus: r1");
-        let of_worker = status(told, "joulebus: worker of lab");
+    let document = peer.wait_for("/diagnostics", 0, |document| {
+        let robot = status(document, "joulebus: r1");
+        let of_worker = status(document, "joulebus: worker of lab");
         let is_live = of_worker["level"] == 0 && of_worker["message"] == "worker live";
         is_live && text(robot, "power_w").parse::<f64>().is_ok()
     });
-    let robot = status(&told, "joulebus: r1");
+    let robot = status(&document, "joulebus: r1");
     assert_eq!(robot["hardware_id"], "r1");
     assert!(text(robot, "usable_j").parse::<f64>().is_ok(), "{robot}");
     assert!(text(robot, "quality_detail") != "NoCommand", "{robot}");
-    let silent = status(&told, "joulebus: r3");
-    assert_eq!(silent["level"], 3, "nothing was heard of it: {silent}");
+    let silent = status(&document, "joulebus: r3");
+    assert_eq!(silent["level"], 3, "nothing has come of it: {silent}");
 
     let report = bridge.end().json();
     let unknown = lines_of(&report, "unknown_robot");
@@ -213,12 +215,12 @@ fn odometry_and_stamped_twists_are_read_from_publishers_of_either_reliability() 
         "#;
     let mut bridge = fleet.bridge(&file_of(&domain, topics), "in ROS domain");
     let mut peer = Peer::start(&python, &domain);
-    peer.hear("/r1/joulebus/reading_w", "Float64");
-    peer.hear("/r2/joulebus/reading_w", "Float64");
-    peer.hear("/diagnostics", "DiagnosticArray");
+    peer.subscribe("/r1/joulebus/reading_w", "Float64");
+    peer.subscribe("/r2/joulebus/reading_w", "Float64");
+    peer.subscribe("/diagnostics", "DiagnosticArray");
     let battery =
         json!({"voltage": 4.0, "current": 1.0, "percentage": 80.0, "power_supply_status": 0});
-    peer.say(
+    peer.publish(
         "/r1/odom",
         "Odometry",
         &json!({"twist": {"twist": twist()}}),
@@ -227,12 +229,12 @@ fn odometry_and_stamped_twists_are_read_from_publishers_of_either_reliability() 
         "say": "/r2/cmd_vel", "type": "TwistStamped", "fields": {"twist": twist()}, "best_effort": true,
     }));
     for robot in 1..=2 {
-        peer.say(&format!("/r{robot}/battery"), "BatteryState", &battery);
+        peer.publish(&format!("/r{robot}/battery"), "BatteryState", &battery);
         let topic = format!("/r{robot}/joulebus/reading_w");
-        peer.wait_for(&topic, 0, |told| is_near(&told["data"], 4.0));
-        peer.wait_for("/diagnostics", 0, |told| {
-            let robot = status(told, &format!("joulebus: r{robot}"));
-            robot["level"] != 3 && told_text(robot, "power_w").parse::<f64>().is_ok()
+        peer.wait_for(&topic, 0, |document| is_near(&document["data"], 4.0));
+        peer.wait_for("/diagnostics", 0, |document| {
+            let robot = status(document, &format!("joulebus: r{robot}"));
+            robot["level"] != 3 && text_of(robot, "power_w").parse::<f64>().is_ok()
         });
     }
     let report = bridge.stop().json();
@@ -240,8 +242,8 @@ fn odometry_and_stamped_twists_are_read_from_publishers_of_either_reliability() 
     worker.stop();
 }
 
-/// As [`text`]; a variable has its name there.
-fn told_text<'d>(status: &'d Value, key: &str) -> &'d str {
+/// Same as [`text`], for a scope with a variable of that name.
+fn text_of<'d>(status: &'d Value, key: &str) -> &'d str {
     text(status, key)
 }
 
@@ -255,31 +257,31 @@ fn hostile_messages_are_counted_by_reason_and_disturb_no_other_robot() {
     // No other participant has the same topic with another type.
     let mut hostile = Peer::start(&python, &domain);
     let mut huge = Peer::start(&python, &domain);
-    peer.hear("/r1/joulebus/reading_w", "Float64");
-    hostile.say("/fleet/r2/battery_state", "Truncated", &json!({}));
-    huge.say("/fleet/r3/battery_state", "Huge", &json!({}));
+    peer.subscribe("/r1/joulebus/reading_w", "Float64");
+    hostile.publish("/fleet/r2/battery_state", "Truncated", &json!({}));
+    huge.publish("/fleet/r3/battery_state", "Huge", &json!({}));
     let (nan, inf) = (
         json!({"linear": {"x": "nan"}}),
         json!({"angular": {"z": "inf"}}),
     );
-    peer.say("/fleet/r2/cmd_vel", "Twist", &nan);
-    peer.say("/fleet/r3/cmd_vel", "Twist", &inf);
+    peer.publish("/fleet/r2/cmd_vel", "Twist", &nan);
+    peer.publish("/fleet/r3/cmd_vel", "Twist", &inf);
     let cells = vec![4.0; 20_000];
     let long = json!({"voltage": 4.0, "cell_voltage": cells});
     peer.order(
         &json!({"say": "/fleet/r2/battery_state", "type": "BatteryState", "fields": long, "hz": 5}),
     );
-    peer.say("/fleet/r1/battery_state", "BatteryState", &discharging());
-    for says in [
+    peer.publish("/fleet/r1/battery_state", "BatteryState", &discharging());
+    for expected in [
         "not_cdr: r2",
         "not_cdr: r3",
         "not_finite: linear.x of r2",
         "too_long: r2",
     ] {
-        let seen = |bridge: &Child| bridge.errors().contains(says);
-        joulebus_testkit::eventually(says, || seen(&bridge));
+        let seen = |bridge: &Child| bridge.errors().contains(expected);
+        joulebus_testkit::eventually(expected, || seen(&bridge));
     }
-    // What is no DDS at all, on the ports of the bridge.
+    // Bytes that are no DDS at all, sent to the ports of the bridge.
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     for turn in 0..2_000_u32 {
         let mut bytes: Vec<u8> = (0..turn % 600)
@@ -291,9 +293,9 @@ fn hostile_messages_are_counted_by_reason_and_disturb_no_other_robot() {
         let port = domain.first_port() + (turn % 2) as u16;
         let _ = socket.send_to(&bytes, ("127.0.0.1", port));
     }
-    let from = peer.heard();
-    peer.wait_for("/r1/joulebus/reading_w", from, |told| {
-        is_near(&told["data"], 4_400.0)
+    let from = peer.received();
+    peer.wait_for("/r1/joulebus/reading_w", from, |document| {
+        is_near(&document["data"], 4_400.0)
     });
     let ended = bridge.end();
     assert_eq!(ended.exit_code(), 3, "{ended:?}");
@@ -307,35 +309,35 @@ fn a_worker_and_a_talker_that_are_killed_are_found_again() {
     let mut worker = fleet.worker();
     let mut bridge = fleet.bridge(&file(&domain), "in ROS domain");
     let mut listener = Peer::start(&python, &domain);
-    listener.hear("/r1/joulebus/reading_w", "Float64");
-    listener.hear("/diagnostics", "DiagnosticArray");
+    listener.subscribe("/r1/joulebus/reading_w", "Float64");
+    listener.subscribe("/diagnostics", "DiagnosticArray");
     let mut talker = Peer::start(&python, &domain);
-    talker.say("/fleet/r1/battery_state", "BatteryState", &discharging());
-    let is_read = |told: &Value| is_near(&told["data"], 4_400.0);
+    talker.publish("/fleet/r1/battery_state", "BatteryState", &discharging());
+    let is_read = |document: &Value| is_near(&document["data"], 4_400.0);
     listener.wait_for("/r1/joulebus/reading_w", 0, is_read);
-    // Nobody commands it: a command of the other tests is what their forecasts are of.
-    listener.wait_for("/diagnostics", 0, |told| {
-        let robot = status(told, "joulebus: r1");
+    // The robot has no commands, on which the other tests' forecasts depend.
+    listener.wait_for("/diagnostics", 0, |document| {
+        let robot = status(document, "joulebus: r1");
         text(robot, "quality_detail") == "NoCommand" && text(robot, "power_w") == "unknown"
     });
 
     worker.kill();
-    let told = listener.wait_for("/diagnostics", 0, |told| {
-        status(told, "joulebus: worker of lab")["level"] == 2
+    let document = listener.wait_for("/diagnostics", 0, |document| {
+        status(document, "joulebus: worker of lab")["level"] == 2
     });
-    let robot = status(&told, "joulebus: r1");
+    let robot = status(&document, "joulebus: r1");
     assert_eq!(
         (&robot["level"], &robot["message"]),
         (&json!(3), &json!("worker gone"))
     );
-    let from = listener.heard();
+    let from = listener.received();
     let mut worker = fleet.worker();
     listener.wait_for("/r1/joulebus/reading_w", from, is_read);
 
     talker.kill();
-    let from = listener.heard();
-    listener.wait_for("/diagnostics", from, |told| {
-        let robot = status(told, "joulebus: r1");
+    let from = listener.received();
+    listener.wait_for("/diagnostics", from, |document| {
+        let robot = status(document, "joulebus: r1");
         robot["level"] == 3
             && robot["message"]
                 .as_str()
@@ -344,9 +346,9 @@ fn a_worker_and_a_talker_that_are_killed_are_found_again() {
     let mut talker = Peer::start(&python, &domain);
     let other =
         json!({"voltage": 4.0, "current": -1.2, "percentage": 0.8, "power_supply_status": 2});
-    talker.say("/fleet/r1/battery_state", "BatteryState", &other);
-    listener.wait_for("/r1/joulebus/reading_w", 0, |told| {
-        is_near(&told["data"], 4_800.0)
+    talker.publish("/fleet/r1/battery_state", "BatteryState", &other);
+    listener.wait_for("/r1/joulebus/reading_w", 0, |document| {
+        is_near(&document["data"], 4_800.0)
     });
     let report = bridge.stop().json();
     assert_eq!(report["unmapped"], json!([]), "{report}");
@@ -361,23 +363,23 @@ fn a_robot_on_its_charger_charges_and_its_batterys_power_is_no_load() {
     let mut worker = fleet.worker();
     let mut bridge = fleet.bridge(&file(&domain), "in ROS domain");
     let mut peer = Peer::start(&python, &domain);
-    peer.hear("/r1/joulebus/budget", "BatteryState");
-    peer.hear("/r1/joulebus/reading_w", "Float64");
+    peer.subscribe("/r1/joulebus/budget", "BatteryState");
+    peer.subscribe("/r1/joulebus/reading_w", "Float64");
     let charging =
         json!({"voltage": 4.0, "current": 2.0, "percentage": 0.5, "power_supply_status": 1});
-    peer.say("/fleet/r1/battery_state", "BatteryState", &charging);
-    let budget = peer.wait_for("/r1/joulebus/budget", 0, |told| {
-        told["power_supply_status"] == 1
+    peer.publish("/fleet/r1/battery_state", "BatteryState", &charging);
+    let budget = peer.wait_for("/r1/joulebus/budget", 0, |document| {
+        document["power_supply_status"] == 1
     });
     assert_eq!(budget["header"]["frame_id"], "r1");
-    peer.say("/fleet/r1/battery_state", "BatteryState", &discharging());
-    peer.wait_for("/r1/joulebus/budget", 0, |told| {
-        told["power_supply_status"] == 2
+    peer.publish("/fleet/r1/battery_state", "BatteryState", &discharging());
+    peer.wait_for("/r1/joulebus/budget", 0, |document| {
+        document["power_supply_status"] == 2
     });
     let mut readings = Vec::new();
-    peer.wait_for("/r1/joulebus/reading_w", 0, |told| {
-        readings.push(told["data"].clone());
-        is_near(&told["data"], 4_400.0)
+    peer.wait_for("/r1/joulebus/reading_w", 0, |document| {
+        readings.push(document["data"].clone());
+        is_near(&document["data"], 4_400.0)
     });
     let is_load = |reading: &Value| reading.is_null() || is_near(reading, 4_400.0);
     assert!(readings.iter().all(is_load), "{readings:?}");
@@ -392,16 +394,16 @@ fn a_reader_that_stops_reading_does_not_hold_up_the_others() {
     let mut worker = fleet.worker();
     let mut bridge = fleet.bridge(&file(&domain), "in ROS domain");
     let mut stopped = Peer::start(&python, &domain);
-    stopped.hear("/r1/joulebus/reading_w", "Float64");
-    stopped.hear("/diagnostics", "DiagnosticArray");
+    stopped.subscribe("/r1/joulebus/reading_w", "Float64");
+    stopped.subscribe("/diagnostics", "DiagnosticArray");
     let mut peer = Peer::start(&python, &domain);
-    peer.hear("/r1/joulebus/reading_w", "Float64");
-    peer.say("/fleet/r1/battery_state", "BatteryState", &discharging());
-    let is_read = |told: &Value| is_near(&told["data"], 4_400.0);
+    peer.subscribe("/r1/joulebus/reading_w", "Float64");
+    peer.publish("/fleet/r1/battery_state", "BatteryState", &discharging());
+    let is_read = |document: &Value| is_near(&document["data"], 4_400.0);
     stopped.wait_for("/r1/joulebus/reading_w", 0, is_read);
     stopped.signal(Signal::STOP);
     // Longer than its lease, at ten messages a second.
-    let from = peer.heard();
+    let from = peer.received();
     let mut count = 0;
     peer.wait_for("/r1/joulebus/reading_w", from, |_| {
         count += 1;

@@ -1,4 +1,4 @@
-//! A participant of another vendor's DDS: Eclipse Cyclone DDS, by its package of PyPI.
+//! A participant of another vendor's DDS: Eclipse Cyclone DDS from PyPI.
 
 use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
@@ -8,13 +8,13 @@ use joulebus_testkit::{Child, PATIENCE, eventually};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 
-/// Messages on this host alone, found without multicast.
+/// Messages stay on this host, and discovery uses no multicast.
 const CYCLONE: &str = r#"<CycloneDDS><Domain id="any">
     <General><Interfaces><NetworkInterface name="lo" multicast="false"/></Interfaces><AllowMulticast>false</AllowMulticast></General>
     <Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>20</MaxAutoParticipantIndex>
     <LeaseDuration>5s</LeaseDuration><Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"#;
 
-/// The Python that `tools/cyclonedds.sh` prints; `None` where it is missing, which is said aloud.
+/// The Python that `tools/cyclonedds.sh` prints. `None` if it is missing, which is logged.
 pub(crate) fn cyclonedds() -> Option<PathBuf> {
     let named = std::env::var_os("JOULEBUS_CYCLONEDDS").filter(|named| !named.is_empty());
     let program = named.map_or_else(|| PathBuf::from("python3"), PathBuf::from);
@@ -32,8 +32,8 @@ pub(crate) fn cyclonedds() -> Option<PathBuf> {
     is_there.then_some(program)
 }
 
-/// A domain of ROS 2 that no other test on this host has: one of its ports is held, which DDS does not use for so few
-/// participants.
+/// A ROS 2 domain that no other test on this host uses. The test holds one of its ports, which DDS
+/// does not use for so few participants.
 pub(crate) struct RosDomain {
     pub(crate) id: u16,
     _held: UdpSocket,
@@ -41,7 +41,7 @@ pub(crate) struct RosDomain {
 
 impl RosDomain {
     pub(crate) fn take() -> Self {
-        // Below the ports that the kernel gives to others.
+        // Below the ephemeral ports of the kernel.
         let free = (1..=100).find_map(|id: u16| {
             let socket = UdpSocket::bind(("127.0.0.1", 7_400 + 250 * id + 249)).ok()?;
             Some(Self { id, _held: socket })
@@ -49,7 +49,7 @@ impl RosDomain {
         free.expect("a domain that no other test has")
     }
 
-    /// The port on which the first participant is found.
+    /// The port on which discovery finds the first participant.
     pub(crate) fn first_port(&self) -> u16 {
         7_400 + 250 * self.id + 10
     }
@@ -60,7 +60,7 @@ pub(crate) struct Peer {
 }
 
 impl Peer {
-    /// Starts one.
+    /// Starts a participant in the domain.
     pub(crate) fn start(python: &Path, domain: &RosDomain) -> Self {
         let mut command = Command::new(python);
         command
@@ -77,26 +77,26 @@ impl Peer {
         Self { child }
     }
 
-    /// Says a message 30 times a second, until it is told otherwise.
-    pub(crate) fn say(&mut self, topic: &str, kind: &str, fields: &Value) {
+    /// Publishes a message 30 times a second, until another one of the topic.
+    pub(crate) fn publish(&mut self, topic: &str, kind: &str, fields: &Value) {
         self.order(&json!({"say": topic, "type": kind, "fields": fields}));
     }
 
-    pub(crate) fn hear(&mut self, topic: &str, kind: &str) {
+    pub(crate) fn subscribe(&mut self, topic: &str, kind: &str) {
         self.order(&json!({"hear": topic, "type": kind}));
     }
 
-    /// An order as `peer.py` takes it.
+    /// Sends an order to `peer.py`.
     pub(crate) fn order(&mut self, order: &Value) {
         self.child.send_line(&order.to_string());
     }
 
-    /// How much it has heard so far: where to wait from.
-    pub(crate) fn heard(&self) -> usize {
+    /// The number of messages received so far, to wait from there.
+    pub(crate) fn received(&self) -> usize {
         self.child.lines(0, PATIENCE).len()
     }
 
-    /// Waits for a message of a topic that `is_it`, after the first `from` that were heard.
+    /// Waits for a message of the topic for which `is_it` is true, after the first `from` messages.
     pub(crate) fn wait_for(
         &self,
         topic: &str,
@@ -108,9 +108,9 @@ impl Peer {
             let lines = self.child.lines(at, std::time::Duration::from_millis(50));
             at += lines.len();
             for line in lines {
-                let heard: Value = serde_json::from_str(&line).unwrap();
-                if heard["topic"] == topic {
-                    last.clone_from(&heard["message"]);
+                let message: Value = serde_json::from_str(&line).unwrap();
+                if message["topic"] == topic {
+                    last.clone_from(&message["message"]);
                     if is_it(&last) {
                         found = Some(last.clone());
                     }

@@ -37,7 +37,7 @@ pub(crate) fn dial(address: &str) -> TcpStream {
     stream
 }
 
-/// As another client: from another address of this host.
+/// Connects as another client, from another address of this host.
 pub(crate) fn dial_from(from: Ipv4Addr, address: &str) -> TcpStream {
     let socket = socket(AddressFamily::INET, SocketType::STREAM, None).unwrap();
     bind(&socket, &SocketAddrV4::new(from, 0)).unwrap();
@@ -81,7 +81,8 @@ pub(crate) fn has_alarm(address: &str, robot: u32, alarm: &str) -> bool {
             .is_some_and(|alarms| alarms.iter().any(|raised| raised == alarm))
 }
 
-/// The answer to a question about a plan. A server asks to be asked again where no frame of the worker is fresh in time.
+/// The answer to a question about a plan. Asks again if the server finds no fresh frame of the
+/// worker in time.
 pub(crate) fn what_if(address: &str, question: &str) -> Response {
     let head = format!(
         "POST /api/v1/what_if HTTP/1.1\r\nHost: {address}\r\nContent-Type: application/json"

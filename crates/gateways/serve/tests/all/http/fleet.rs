@@ -63,7 +63,7 @@ impl Fleet {
         worker
     }
 
-    /// Starts a server at a free port; returns it and its address.
+    /// Starts a server on a free port. Returns it with its address.
     pub(crate) fn serve(&self, more: &[&str]) -> (Child, String) {
         let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus-serve"));
         if !more.contains(&"--http") {

@@ -25,7 +25,7 @@ fn assert_live(address: &str) {
     eventually("the worker ticks", || tick() > before);
 }
 
-/// Requests that are not as they should be; `number` chooses one.
+/// Malformed requests, chosen by `number`.
 fn malformed(number: usize) -> Vec<u8> {
     let host = "Host: localhost\r\n";
     let bytes: Vec<u8> = match number % 12 {
@@ -54,16 +54,16 @@ fn malformed(number: usize) -> Vec<u8> {
     bytes
 }
 
-/// Sends and hangs up; returns the status, if there was one.
+/// Sends and hangs up. Returns the status, if there was one.
 fn status_of(address: &str, bytes: &[u8]) -> Option<u16> {
     let mut stream = dial(address);
     // The server may have closed the connection before it has read all.
     let _ = stream.write_all(bytes);
     let _ = stream.shutdown(std::net::Shutdown::Write);
-    let mut said = Vec::new();
-    let _ = stream.read_to_end(&mut said);
-    let said = String::from_utf8_lossy(&said);
-    said.split(' ').nth(1)?.parse().ok()
+    let mut response = Vec::new();
+    let _ = stream.read_to_end(&mut response);
+    let response = String::from_utf8_lossy(&response);
+    response.split(' ').nth(1)?.parse().ok()
 }
 
 #[test]
@@ -77,7 +77,7 @@ fn ten_thousand_malformed_requests_leave_worker_and_server_live() {
         let status = status_of(&address, &malformed(number));
         *statuses.entry(status).or_insert(0) += 1;
     }
-    // A defect is a 5xx; a flipped bit may leave a request as it should be.
+    // A 5xx is a defect. A flipped bit may leave a request well-formed.
     let defects = statuses
         .iter()
         .filter(|(status, _)| status.is_some_and(|status| status >= 500));
@@ -162,7 +162,7 @@ fn a_stream_that_is_not_read_is_closed_and_its_place_given_back() {
     eventually("robots", || {
         get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 20
     });
-    // Those that are sent little are not full for a long time.
+    // Slow streams take a long time to fill up.
     let seldom = |from: [u8; 4]| {
         let stream = dial_from(from.into(), &address);
         Events::read(stream, &address, "hz=0.2&count=1")
@@ -179,7 +179,7 @@ fn a_stream_that_is_not_read_is_closed_and_its_place_given_back() {
     let mut deaf: Vec<Events> = (0..64).map(|_| seldom(one)).collect();
     assert_eq!(status(one), "503", "one client has them all");
     deaf.extend((0..63).map(|_| seldom(other)));
-    // The last place is for one that is sent much. Once the system keeps no more for it, it is closed.
+    // The last slot is for a fast stream. It is closed once the system buffers no more for it.
     let last = dial_from(other.into(), &address);
     deaf.push(Events::read(last, &address, "hz=10&count=200&robot=3"));
     assert_live(&address);
@@ -229,7 +229,7 @@ fn clients_that_ask_and_hang_up_leave_nothing_to_be_computed() {
                 stream
             })
             .collect();
-        // For the first of them to be computed; if it is not yet, the server has less to do.
+        // Time for the first of them to be computed. If it is not yet, the server has less to do.
         std::thread::sleep(Duration::from_millis(200));
         drop(asking);
     }

@@ -10,7 +10,7 @@ use serde_json::Value;
 use super::client::{get, get_json, has_alarm};
 use super::fleet::Fleet;
 
-/// A Python with the package `prometheus_client`; skips aloud without one.
+/// A Python with the package `prometheus_client`. Without one it logs that the test is skipped.
 fn python() -> Option<String> {
     let named = std::env::var("JOULEBUS_PYTHON").ok();
     let usual = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/python/bin/python");
@@ -150,7 +150,7 @@ fn an_independent_parser_reads_the_metrics_and_finds_the_values_of_the_api() {
     server.stop();
 }
 
-/// A running Prometheus and its address; skips aloud without one.
+/// A running Prometheus and its address. Without one it logs that the test is skipped.
 fn prometheus(fleet: &Fleet, target: &str) -> Option<(joulebus_testkit::Child, String)> {
     let program = std::env::var("JOULEBUS_PROMETHEUS").unwrap_or_else(|_| "prometheus".to_owned());
     let mut probe = Command::new(&program);
@@ -203,7 +203,8 @@ fn dashboard() -> Vec<(String, String)> {
     queries
 }
 
-/// Panels that may be empty: no robot of this fleet has a battery, no alarm may be raised, and nothing be refused.
+/// Panels that may be empty: no robot of this fleet has a battery, no alarm may be raised, and
+/// nothing may be refused.
 const MAY_BE_EMPTY: [&str; 6] = [
     "Alarms raised",
     "Empty soonest",

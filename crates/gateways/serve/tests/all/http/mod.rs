@@ -29,7 +29,8 @@ fn a_stopped_workers_values_equal_those_of_watch() {
     eventually("six robots", || {
         get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 6
     });
-    // A worker stopped between two of a tick's frames may be seen by one and not by the other: then once more.
+    // A worker stopped between two frames of a tick may appear to one program and not to the other.
+    // Try again then.
     let mut lines = 0;
     eventually("the same tick with the same values", || {
         worker.signal(Signal::CONT);
@@ -102,7 +103,7 @@ fn a_stream_follows_a_worker_that_is_killed_and_comes_back() {
         view["robots"]["total"] == 4 && view["robot"]["power_w"].is_number()
     });
     assert_eq!(events.view["robot"]["robot"], 2);
-    // Not while the newest frame is older than two periods.
+    // Not ready while the newest frame is older than two periods.
     eventually("it is ready", || get(&address, "/readyz").status == 200);
     let first = events.view["fleet"]["worker"]["pid"].clone();
     assert_eq!(first, worker.pid());
@@ -110,7 +111,7 @@ fn a_stream_follows_a_worker_that_is_killed_and_comes_back() {
     events.until("the worker gone", |view| {
         view["fleet"]["worker"]["state"] == "gone"
     });
-    // What was known is still shown.
+    // The last known robots are still shown.
     assert_eq!(events.view["robots"]["total"], 4);
     assert_eq!(
         (
@@ -167,7 +168,7 @@ fn an_alarm_appears_with_its_time_and_a_stream_adds_up_to_what_is_asked() {
     let points = history["reading_w"].as_array().unwrap();
     assert!(points.iter().any(Value::is_number), "{history}");
     assert_eq!(history["power_w"].as_array().unwrap().len(), points.len());
-    // With the worker stopped, all deltas together are what a new client gets.
+    // With the worker stopped, the sum of all deltas is what a new client gets.
     source.end();
     worker.stop();
     events.until("the worker's end", |view| {
@@ -215,7 +216,7 @@ fn the_server_sorts_filters_and_cuts() {
         powers.len() > 3
     });
     assert!(powers.is_sorted_by(|a, b| a >= b), "{powers:?}");
-    for (query, told) in [
+    for (query, expected) in [
         ("sort=age", "urgency"),
         ("descending=yes", "0 or 1"),
         ("count=0", "1 to 200"),
@@ -227,7 +228,7 @@ fn the_server_sorts_filters_and_cuts() {
         let refused = get(&address, &format!("/api/v1/robots?{query}"));
         assert_eq!(refused.status, 400, "{query}");
         let error = refused.json()["error"].as_str().unwrap().to_owned();
-        assert!(error.contains(told), "{query}: {error}");
+        assert!(error.contains(expected), "{query}: {error}");
     }
     assert_eq!(get(&address, "/api/v1/robots/77").status, 404);
     assert_eq!(get(&address, "/api/v1/robots/x").status, 400);
@@ -253,7 +254,7 @@ fn a_question_is_answered_as_by_ask() {
     assert_eq!(answered.status, 200, "{}", answered.text());
     let answered = answered.json();
     let mut printed = Value::Null;
-    // It gives up where no frame is fresh in time.
+    // `ask` gives up if no frame is fresh in time.
     eventually("an answer of `ask`", || {
         let asked = fleet
             .joulebus("ask --robot 1 --idle 20 --coverage 0.8 --format json")

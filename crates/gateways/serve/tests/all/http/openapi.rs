@@ -6,7 +6,7 @@ use serde_json::Value;
 use super::client::{Events, answered, get, get_json, has_alarm, what_if};
 use super::fleet::Fleet;
 
-/// What of `value` is not as `schema` says.
+/// The differences between `value` and `schema`.
 fn differences(
     document: &Value,
     schema: &Value,
@@ -74,7 +74,7 @@ fn every_answer_is_as_the_document_says() {
     let mut worker = fleet.worker();
     let mut source = fleet.joulebus("publish sim --robots 4 --fault 2=stuck");
     let (mut server, address) = fleet.serve(&[]);
-    // By then there are points of its history, too.
+    // By then the robot's history has points, too.
     eventually("an alarm of the robot", || {
         has_alarm(&address, 2, "StuckSensor")
     });

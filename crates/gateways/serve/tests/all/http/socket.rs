@@ -1,4 +1,4 @@
-//! A Unix socket: who is in its group can plan, and can neither read shared memory nor publish.
+//! A Unix socket whose group may ask about plans, but can neither read shared memory nor publish.
 
 use std::fs;
 use std::io::{self, Read as _, Write as _};
@@ -14,7 +14,7 @@ use serde_json::Value;
 
 use super::fleet::Fleet;
 
-/// A group that nobody else has, and two users that are not this one.
+/// A group without other members, and two users other than this one.
 const READERS: u32 = 61_177;
 const OF_THE_GROUP: u32 = 61_178;
 const OTHER: u32 = 61_179;
@@ -59,7 +59,7 @@ fn as_user<T: Send>(user: u32, group: u32, work: impl FnOnce() -> T + Send) -> T
     })
 }
 
-/// Whether this process can become another user; false is said aloud.
+/// Whether this process can become another user. If not, that is logged.
 fn can_become_another() -> bool {
     if geteuid().is_root() {
         return true;
@@ -103,7 +103,7 @@ fn a_group_that_may_read_can_plan_and_neither_publish_nor_open_shared_memory() {
     let fleet = Fleet::new();
     let mut worker = fleet.worker();
     let mut source = fleet.joulebus("publish sim --robots 4");
-    // As systemd makes a RuntimeDirectory= of mode 0750; files in it get its group.
+    // Same as systemd's RuntimeDirectory= of mode 0750: files in it get its group.
     let place = tempfile::tempdir().unwrap();
     fs::set_permissions(place.path(), fs::Permissions::from_mode(0o755)).unwrap();
     let folder = place.path().join("run");
@@ -119,7 +119,7 @@ fn a_group_that_may_read_can_plan_and_neither_publish_nor_open_shared_memory() {
         fleet["totals"]["robots"] == 4
     });
 
-    // One that they may read.
+    // A config that the group may read.
     let config = place.path().join("fleet.toml");
     fs::copy(fleet.path(), &config).unwrap();
     fs::set_permissions(&config, fs::Permissions::from_mode(0o644)).unwrap();
@@ -136,7 +136,7 @@ fn a_group_that_may_read_can_plan_and_neither_publish_nor_open_shared_memory() {
             assert!([200, 503].contains(&status), "{status}: {body}");
             status == 200
         });
-        // Nothing that is served writes samples, and shared memory is closed to it.
+        // The server writes no samples, and shared memory is closed to the group.
         let (status, _) = get(&socket, "/api/v1/samples").unwrap();
         assert_eq!(status, 404);
         let refused = Publisher::connect(&config, "group").map(drop);

@@ -1,4 +1,4 @@
-//! Alarms told to a web address: a server of the test takes them.
+//! Alarms posted to a web server of the test.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -22,12 +22,13 @@ struct Receiver {
 }
 
 impl Receiver {
-    /// `answers`: the first answers, empty for a closed connection; then 204.
+    /// Starts a receiver. `answers` are its first answers, empty for a closed connection. Then it
+    /// answers 204.
     fn start(answers: &'static [&'static str]) -> Self {
         Self::with(answers, "http", |stream| stream)
     }
 
-    /// One that speaks TLS with a certificate for 127.0.0.1.
+    /// Starts a receiver with TLS and a certificate for 127.0.0.1.
     fn start_tls(authority: &Authority) -> Self {
         let config = authority.server();
         Self::with(&[], "https", move |stream| {
@@ -88,7 +89,8 @@ impl Receiver {
     }
 }
 
-/// The body of a request; none if no request comes, as when the client refuses a certificate.
+/// The body of a request. `None` if no request comes, for instance because the client refuses a
+/// certificate.
 fn request(reader: &mut impl BufRead) -> Option<Value> {
     let (mut head, mut length) = (Vec::new(), 0);
     loop {
@@ -115,7 +117,7 @@ struct Authority {
 }
 
 impl Authority {
-    /// None without openssl, which is said aloud.
+    /// Makes an authority. `None` without openssl, which is logged.
     fn new() -> Option<Self> {
         let folder = tempfile::tempdir().unwrap();
         let authority = Self { folder };
@@ -199,9 +201,9 @@ fn serve_with(fleet: &Fleet, words: &[&str]) -> Child {
     server
 }
 
-/// Ends a server that has told every change. It reads diagnostics while it gets a processor: ticks that it missed without one
-/// are lost, too, and counted.
-fn end_told(server: &mut Child) -> Value {
+/// Ends a server that has delivered every change. It reads diagnostics as it gets a processor:
+/// ticks that it missed are lost, too, and counted.
+fn end_delivered(server: &mut Child) -> Value {
     let ended = server.end();
     let report = ended.json();
     let missed = report["webhook"]["ticks_missed"].as_u64().unwrap();
@@ -244,7 +246,7 @@ fn every_change_is_told_in_order_also_after_failures() {
             .iter()
             .any(|change| change == "null WorkerGone raised")
     });
-    let report = end_told(&mut server);
+    let report = end_delivered(&mut server);
     assert_eq!(
         report["webhook"]["told"],
         receiver.changes().len(),
@@ -296,7 +298,7 @@ fn a_receiver_with_tls_is_told_if_its_certificate_is_of_the_named_authority_and_
         assert_eq!(report["webhook"]["told"], 0, "{report}");
     }
     assert_eq!(receiver.changes(), Vec::<String>::new());
-    // By a name that the certificate has not, the right authority is not enough.
+    // The right authority is not enough for a name that the certificate does not have.
     let name = receiver.address.replace("127.0.0.1", "localhost");
     let words = ["--webhook", &name, "--webhook-ca", &own];
     let [mut refusing, mut server] = [
@@ -314,7 +316,7 @@ fn a_receiver_with_tls_is_told_if_its_certificate_is_of_the_named_authority_and_
                 .contains(&format!("{robot} NoData raised"))
         })
     });
-    end_told(&mut server);
+    end_delivered(&mut server);
     worker.stop();
 }
 
@@ -355,7 +357,7 @@ fn a_receiver_that_never_answers_does_not_hold_up_the_end() {
     let report: Value = serde_json::from_str(&ended.text()).unwrap();
     assert_eq!(report["webhook"]["told"], 0, "{report}");
     assert!(report["webhook"]["lost"].as_u64().unwrap() > 0, "{report}");
-    // Its request has 10 s; had the server waited for it, it would have sent it again.
+    // The request has 10 s. A server that waited for it would have sent it again.
     assert!(requests.try_recv().is_err(), "sent again");
     worker.stop();
 }

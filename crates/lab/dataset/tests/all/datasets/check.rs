@@ -197,14 +197,14 @@ fn each_fault_is_found_with_its_row_and_nothing_else_is() {
                 .filter_map(|place| place.row)
                 .collect();
             assert_eq!(at, rows, "{name}");
-            let said = finding
+            let message = finding
                 .places
                 .iter()
                 .map(ToString::to_string)
                 .collect::<String>();
             assert!(
-                said.contains(words) && said.contains(&name),
-                "{name}: {said}"
+                message.contains(words) && message.contains(&name),
+                "{name}: {message}"
             );
         }
     }
@@ -312,27 +312,27 @@ fn a_description_counts_energy_without_gaps_and_checks_the_units() {
     table[20..].iter_mut().for_each(|row| row[1] += 2.0);
     let files = Files::new();
     let trial = Trial::read(files.write("gap_7.npy", &npy_f8(&table))).unwrap();
-    let told = describe(&trial);
+    let described = describe(&trial);
     // 100 ms for each of 40 rows; the pause of two seconds adds nothing.
     let wanted_j: f64 = table.iter().map(|row| row[10] / 1e3 * 0.1).sum();
     assert!(
-        (told.energy_j - wanted_j).abs() < 1e-6 * wanted_j,
+        (described.energy_j - wanted_j).abs() < 1e-6 * wanted_j,
         "{} {wanted_j}",
-        told.energy_j
+        described.energy_j
     );
-    assert_eq!((told.gaps, told.group.as_str()), (1, "gap"));
-    assert!((told.longest_gap_s.unwrap() - 2.1).abs() < 1e-6);
-    assert!((told.power_check.unwrap().median_ratio - 1.0).abs() < 1e-9);
+    assert_eq!((described.gaps, described.group.as_str()), (1, "gap"));
+    assert!((described.longest_gap_s.unwrap() - 2.1).abs() < 1e-6);
+    assert!((described.power_check.unwrap().median_ratio - 1.0).abs() < 1e-9);
     assert_eq!(
-        told.missing_columns,
+        described.missing_columns,
         ["v_meas_mps", "omega_meas_radps", "soc"]
     );
-    let power = told
+    let power = described
         .columns
         .iter()
         .find(|column| column.name == "power_mW")
         .unwrap();
-    assert_eq!(Some(power.mean), told.mean_power_w);
+    assert_eq!(Some(power.mean), described.mean_power_w);
     assert!(power.least <= power.mean && power.mean <= power.greatest && power.std > 0.0);
 }
 

@@ -28,7 +28,7 @@ fn bits(table: &Table) -> (Option<String>, Vec<u64>, Vec<Option<Vec<u64>>>) {
     )
 }
 
-/// Through every format in turn, each read from the file before.
+/// Converts through every format in turn, each from the previous file.
 fn through_all_forms(directory: &Path, table: &Table) {
     let wanted = bits(table);
     let mut latest = table.clone();

@@ -9,13 +9,13 @@ fn table(rows: &[(f64, f64)]) -> Table {
     Table::read(files.write("a.npy", &npy_f8(&timed(rows)))).unwrap()
 }
 
-/// Empty where gaps leave fewer than two rows.
+/// The resampled rows. Empty if gaps leave fewer than two rows.
 fn resampled(rows: &[(f64, f64)], method: Method, rate_hz: f64) -> Vec<(f64, f64)> {
-    let (made, told) = match table(rows).resampled(Resample { method, rate_hz }) {
+    let (made, counts) = match table(rows).resampled(Resample { method, rate_hz }) {
         Err(ResampleError::TooFewRows { .. }) => return Vec::new(),
         made => made.unwrap(),
     };
-    assert_eq!(told.rows, made.rows());
+    assert_eq!(counts.rows, made.rows());
     let power = made.column(Column::Power).unwrap();
     made.timestamp_s()
         .iter()
@@ -88,7 +88,7 @@ proptest! {
             prop_assert!((mean * period_s - wanted).abs() <= 1e-5 * 5_000.0 * period_s,
                 "{} {wanted} at {time_s}", mean * period_s);
         }
-        // Without gaps, the total energy is that of the rows.
+        // Without gaps, resampling keeps the total energy of the rows.
         let whole = made.windows(2).all(|pair| pair[1].0 - pair[0].0 < 1.5 * period_s);
         if whole && !made.is_empty() {
             let (first_s, last_s) = (made[0].0 - period_s, made[made.len() - 1].0);
@@ -205,10 +205,10 @@ fn rows_that_do_not_advance_are_left_out_and_counted() {
         method: Method::Hold,
         rate_hz: 1.0,
     };
-    let (made, told) = table(&rows).resampled(how).unwrap();
+    let (made, counts) = table(&rows).resampled(how).unwrap();
     assert_eq!(made.column(Column::Power).unwrap(), [1.0, 2.0, 3.0, 4.0]);
     assert_eq!(
-        (told.rows_before, told.not_advancing, told.in_gaps),
+        (counts.rows_before, counts.not_advancing, counts.in_gaps),
         (6, 2, 0)
     );
 }

@@ -629,6 +629,9 @@ fn the_text_in_a_small_compressed_file_is_bounded() {
     let refused = Trial::read(files.write("bomb.csv.gz", &bomb)).unwrap_err();
     assert!(matches!(refused, TrialError::Expands { .. }), "{refused}");
     let (found, allowed) = (bomb.len().to_string(), (16 << 20).to_string());
-    let said = refused.to_string();
-    assert!(said.contains(&found) && said.contains(&allowed), "{said}");
+    let message = refused.to_string();
+    assert!(
+        message.contains(&found) && message.contains(&allowed),
+        "{message}"
+    );
 }

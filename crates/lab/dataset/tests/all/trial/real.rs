@@ -58,7 +58,7 @@ fn every_recording_of_three_platforms_reads_with_every_row_and_its_energy() {
         for trial in &found {
             let context = trial.path().display();
             let samples = trial.to_samples(1, 0);
-            // From the samples: the reading of sample k belongs to the stamp of sample k − 1.
+            // In the samples, the reading of sample k belongs to the stamp of sample k − 1.
             let readings = std::iter::once(0)
                 .chain(samples.iter().map(|sample| sample.stamp_ns))
                 .zip(&samples)

@@ -229,7 +229,7 @@ fn a_mixed_fleet_gives_the_bits_of_each_robot_alone_for_any_frame_length() {
                 let has_residual = diagnostic.flags & diagnostic_flag::RESIDUAL != 0;
                 let interval = live.interval_w();
                 let live_bits = [
-                    live.power_w(),
+                    live.expected_w(),
                     interval.map(|ends| ends.0),
                     interval.map(|ends| ends.1),
                     has_residual.then_some(diagnostic.residual_w),
@@ -465,7 +465,7 @@ fn the_report_states_the_evaluation_in_text_and_json() {
     ] {
         assert!(text.contains(part), "{part:?} not in\n{text}");
     }
-    // The drawn energy is that of the samples, whose last stamp is one period after the last row.
+    // The samples' drawn energy. Their last stamp is one period after the last row.
     let drawn_j = robot.ledger.drawn_uj as f64 / 1e6;
     let metered_s = robot.ledger.metered_ns as f64 / 1e9;
     assert!((metered_s - 39.0 / 30.0).abs() < 1e-6, "{metered_s}");

@@ -34,7 +34,7 @@ fn some(platform: &str, every: usize) -> Option<Vec<Recording>> {
     Some(read.collect())
 }
 
-/// Of a recording in memory.
+/// The contents of a recording in memory.
 fn contents(recording: &Recording) -> &Contents {
     recording.in_memory().unwrap()
 }
@@ -120,7 +120,7 @@ fn run(recordings: &[Recording], models: &[Model], design: &Design, options: &Op
     score(subject, options).unwrap()
 }
 
-/// As [`run`], with the network's forecasts published as they are.
+/// Same as [`run`], with the network's forecasts published unchanged.
 fn run_network(
     recordings: &[Recording],
     models: &[Model],
@@ -472,7 +472,7 @@ fn no_part_of_a_recording_is_the_start_of_a_rollout_more_often_than_another() {
     )
     .report;
     let rows: usize = recordings.iter().map(|one| one.rows()).sum();
-    // Of 33 rows of a run, the first 24 reach the horizon.
+    // The first 24 of a run's 33 rows reach the horizon.
     assert_eq!(rows, 60 * 33);
     let found = report.open_loop.horizons[0].origins as f64;
     let expected = 60.0 * 2.4;
@@ -796,7 +796,7 @@ fn rows_that_a_model_was_trained_on_are_scored_apart_in_every_table() {
     let ahead = &report.open_loop.horizons[0];
     assert_eq!(ahead.origins, report.all.rows);
     assert_eq!(live[0].robots.len(), 2);
-    // What is scored apart changes no other score: those of the others alone, by formula.
+    // Rows scored apart change no other score: it is the others' alone, by formula.
     for (cell, recordings) in [(&report.all, others), (cell, seen)] {
         let rows = || recordings.iter().flat_map(|one| &contents(one).rows.rows);
         let readings: Vec<f64> = rows().map(|row| row.target_w.into()).collect();
@@ -846,7 +846,7 @@ fn parts_of_a_recording_that_were_trained_on_are_scored_apart() {
     let report = run(&recordings, &models, &own, &quick()).report;
     assert_eq!(report.models[0].trained_on.unwrap().rows, 0);
     assert!(report.warnings.is_empty());
-    // All rows: what was held out is the headline, and the live scores are those of the same rows.
+    // The held-out rows are the headline, and the live scores are on the same rows.
     let Scored { report, live, .. } = apart(&recordings, &models);
     assert!(report.all.rows >= dataset.held_out.len() as u64);
     assert!(report.all.rows < dataset.held_out.len() as u64 + 3 * 16);

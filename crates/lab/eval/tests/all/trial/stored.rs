@@ -1,4 +1,4 @@
-//! Recordings that are read whenever they are needed give what recordings in memory give, to the bit.
+//! Recordings that are read when needed give the results of recordings in memory, to the bit.
 
 use std::path::PathBuf;
 

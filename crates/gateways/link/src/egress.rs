@@ -1,4 +1,4 @@
-//! Frames of this host for all who ask for them.
+//! The sending side of this host: frames for every link that requests them.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -9,54 +9,55 @@ use serde::Serialize;
 
 use crate::network::{Event, Inbox, Kind, Network, NetworkError, Outlet};
 use crate::protocol::carried::Carried;
-use crate::protocol::message::{Body, FleetId, Request, Voice, read};
+use crate::protocol::message::{Body, FleetId, LeaderStatus, Request, read};
 use crate::protocol::stream::{LocalFrame, Sent, Stream};
 use crate::refusals::Refusals;
 use crate::wall_clock::WallClock;
 
-/// Links that are sent to at once.
-const MOST_RECEIVERS: usize = 64;
+/// Maximum number of receivers at a time.
+const MAX_RECEIVERS: usize = 64;
 
-/// Receivers that have left which are told one by one; the others together, since anybody who may ask can ask under any name.
-const MOST_PAST: usize = 256;
+/// Maximum number of past receivers with a record of their own. Further ones share one record,
+/// because a client may request under any number of names.
+const MAX_PAST_RECEIVERS: usize = 256;
 const OTHERS: &str = "others";
 
-/// Longest request, bytes.
-const LONGEST_REQUEST: usize = 4 << 10;
+/// Maximum size of a request, bytes.
+const MAX_REQUEST_BYTES: usize = 4 << 10;
 
-/// What was given to one link.
+/// Totals of the frames sent to one link.
 #[derive(Debug, Clone, Serialize)]
-pub(crate) struct GivenRecord {
+pub(crate) struct EgressRecord {
     pub(crate) to: String,
     #[serde(flatten)]
     pub(crate) sent: Sent,
 }
 
-/// The receivers of one kind of frames.
+/// The streams of one kind of frames to all their receivers.
 #[derive(Debug)]
-pub(crate) struct Giving {
+pub(crate) struct Egress {
     network: Arc<Network>,
     kind: Kind,
-    /// Only these links may ask; without it all.
+    /// The links that may request. Without it all links may.
     only: Option<Vec<String>>,
     fleet: FleetId,
     inbox: Inbox,
     streams: BTreeMap<Arc<str>, (Stream, Outlet)>,
-    /// Of receivers that have left.
+    /// Totals of receivers that have left.
     past: BTreeMap<Arc<str>, Sent>,
-    pub(crate) voice: Voice,
+    pub(crate) leader: LeaderStatus,
     clock: WallClock,
     pub(crate) refused: Refusals,
 }
 
-impl Giving {
+impl Egress {
     pub(crate) fn open(
         network: &Arc<Network>,
         kind: Kind,
         only: Option<Vec<String>>,
         fleet: FleetId,
     ) -> Result<Self, NetworkError> {
-        let mut inbox = Inbox::new(LONGEST_REQUEST);
+        let mut inbox = Inbox::new(MAX_REQUEST_BYTES);
         network.take_requests(kind, &mut inbox)?;
         Ok(Self {
             network: Arc::clone(network),
@@ -66,13 +67,13 @@ impl Giving {
             inbox,
             streams: BTreeMap::new(),
             past: BTreeMap::new(),
-            voice: Voice::default(),
+            leader: LeaderStatus::default(),
             clock: network.wall_clock(),
             refused: Refusals::default(),
         })
     }
 
-    /// Takes the requests that have come.
+    /// Processes the requests in the inbox.
     ///
     /// # Errors
     /// [`NetworkError`].
@@ -102,11 +103,11 @@ impl Giving {
         Ok(())
     }
 
-    /// Takes the requests that have come, forgets receivers that are silent, and sends what waited.
+    /// Processes requests, drops silent receivers, and sends frames that waited.
     ///
     /// # Errors
     /// [`NetworkError`].
-    pub(crate) fn turn(&mut self) -> Result<(), NetworkError> {
+    pub(crate) fn poll(&mut self) -> Result<(), NetworkError> {
         self.take()?;
         let now_ns = clock::monotonic_ns();
         let silent = |(name, (stream, _)): (&Arc<str>, &(Stream, Outlet))| {
@@ -116,24 +117,24 @@ impl Giving {
         for name in silent {
             self.forget(&name);
         }
-        let voice = self.voice;
+        let leader = self.leader;
         let realtime_ns = self.clock.read().map(|clock| clock.realtime_ns);
         for (stream, outlet) in self.streams.values_mut() {
-            stream.tells(realtime_ns);
+            stream.set_realtime(realtime_ns);
             let mut out = Vec::new();
-            while stream.due(voice, now_ns, &mut out) {
+            while stream.due(leader, now_ns, &mut out) {
                 outlet.send(std::mem::take(&mut out));
             }
         }
         Ok(())
     }
 
-    /// Ends the stream to a link that is gone.
+    /// Ends the stream to a link that has left.
     fn forget(&mut self, name: &Arc<str>) {
         if let Some((stream, _)) = self.streams.remove(name) {
             tracing::info!("link {name} no longer asks");
-            let is_told = self.past.len() < MOST_PAST || self.past.contains_key(name);
-            let name = if is_told {
+            let is_logged = self.past.len() < MAX_PAST_RECEIVERS || self.past.contains_key(name);
+            let name = if is_logged {
                 Arc::clone(name)
             } else {
                 OTHERS.into()
@@ -154,9 +155,9 @@ impl Giving {
         }
         let only = self.only.as_deref();
         let is_allowed = only.is_none_or(|only| only.iter().any(|name| **name == **from));
-        if !is_allowed || self.streams.len() == MOST_RECEIVERS {
+        if !is_allowed || self.streams.len() == MAX_RECEIVERS {
             let why = if is_allowed {
-                format!("{MOST_RECEIVERS} links ask already")
+                format!("{MAX_RECEIVERS} links ask already")
             } else {
                 "the file of this link names another".to_owned()
             };
@@ -177,51 +178,52 @@ impl Giving {
         }
     }
 
-    /// Whether anybody wants frames of the service.
+    /// Whether any receiver selects the service.
     pub(crate) fn wants(&self, service: Carried) -> bool {
         let mut streams = self.streams.values();
         streams.any(|(stream, _)| stream.request_of().selection.wants(service))
     }
 
-    /// Whether a frame waits until a receiver has acknowledged an earlier one.
+    /// Whether a frame waits for the acknowledgement of an earlier one.
     pub(crate) fn waits(&self) -> bool {
         self.streams.values().any(|(stream, _)| stream.waits())
     }
 
-    /// Sends a frame to all who want it, or keeps it for those that are not ready.
+    /// Sends a frame to every receiver that selects it, or holds it back for receivers with too
+    /// many in flight.
     pub(crate) fn offer(&mut self, frame: LocalFrame<'_>) {
         self.offer_to(|_| true, frame);
     }
 
-    /// As [`Giving::offer`], to the links that are `meant`.
+    /// Same as [`Egress::offer`], for the links that satisfy `meant`.
     pub(crate) fn offer_to(&mut self, meant: impl Fn(&str) -> bool, frame: LocalFrame<'_>) {
-        let (voice, now_ns) = (self.voice, clock::monotonic_ns());
+        let (leader, now_ns) = (self.leader, clock::monotonic_ns());
         let streams = self.streams.iter_mut();
         for (_, (stream, outlet)) in streams.filter(|(name, _)| meant(name)) {
             let mut out = Vec::new();
-            if stream.offer(frame, voice, now_ns, &mut out) {
+            if stream.offer(frame, leader, now_ns, &mut out) {
                 outlet.send(out);
             }
         }
     }
 
-    /// Tells all receivers the state of the worker now.
-    pub(crate) fn tell(&mut self) {
-        let (voice, now_ns) = (self.voice, clock::monotonic_ns());
+    /// Sends the worker's current state to all receivers.
+    pub(crate) fn send_status(&mut self) {
+        let (leader, now_ns) = (self.leader, clock::monotonic_ns());
         for (stream, outlet) in self.streams.values_mut() {
             let mut out = Vec::new();
-            stream.tell(voice, now_ns, &mut out);
+            stream.write_status(leader, now_ns, &mut out);
             outlet.send(out);
         }
     }
 
-    /// What was given, by link.
-    pub(crate) fn records(&self) -> Vec<GivenRecord> {
+    /// The totals sent, by link.
+    pub(crate) fn records(&self) -> Vec<EgressRecord> {
         let mut all = self.past.clone();
         for (name, (stream, _)) in &self.streams {
             add(all.entry(Arc::clone(name)).or_default(), stream.sent());
         }
-        let record = |(name, sent): (Arc<str>, Sent)| GivenRecord {
+        let record = |(name, sent): (Arc<str>, Sent)| EgressRecord {
             to: name.to_string(),
             sent,
         };

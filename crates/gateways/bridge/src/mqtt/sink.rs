@@ -1,4 +1,4 @@
-//! What a broker is told: documents of robots, what it keeps of them, and each change of an alarm.
+//! The sink of a broker: documents of robots, some retained, and every alarm change.
 
 use std::collections::{BTreeSet, HashMap, VecDeque};
 use std::sync::Arc;
@@ -15,33 +15,34 @@ use crate::config::Write;
 use crate::mapping::outgoing::{Object, What, document, values};
 use crate::mapping::robots::Robots;
 use crate::mqtt::outlet::Outlet;
+use crate::outbound::{Sink, Times, next_due_ns};
 use crate::shared::Shared;
-use crate::telling::{Tell, Times, next_due_ns};
 
-/// Changes of alarms that wait for a connection; further ones are lost.
-pub(crate) const MOST_WAITING: usize = 10_000;
+/// Maximum number of alarm changes that wait for a connection. Beyond it the oldest are lost.
+pub(crate) const MAX_WAITING: usize = 10_000;
 
-/// What is told by which topic.
+/// A topic with the state of its robots.
 struct Topic {
     write: Write,
     due_ns: u64,
-    /// The newest document of each robot, where only changes are told.
-    told: HashMap<u32, Value>,
-    /// Robots with a document that the broker keeps.
+    /// The last document of each robot, for topics that publish only changes.
+    published: HashMap<u32, Value>,
+    /// Robots whose document the broker retains.
     kept: BTreeSet<u32>,
 }
 
-/// Tells a broker.
-pub(crate) struct MqttTelling {
+/// Publishes to the topics of a broker.
+pub(crate) struct MqttSink {
     fleet: String,
     name: String,
     robots: Robots,
     topics: Vec<Topic>,
     changes: Receiver<FleetAlarm>,
     waiting: VecDeque<AlarmRecord>,
-    /// Topics that the first of those was told to.
-    told_to: usize,
-    /// Handed to the connection lately, and when, monotonic ns: if it breaks, they may not have arrived.
+    /// Number of topics to which the first waiting change was published.
+    published_to: usize,
+    /// Changes handed to the connection lately, with the monotonic time, ns. If the connection
+    /// breaks, they may not have arrived.
     handed: VecDeque<(u64, AlarmRecord)>,
     arrives_within_ns: u64,
     outlet: Arc<Outlet>,
@@ -50,7 +51,7 @@ pub(crate) struct MqttTelling {
     lost: Arc<AtomicU64>,
 }
 
-/// What a [`MqttTelling`] starts with.
+/// The arguments of [`MqttSink::new`].
 pub(crate) struct Start {
     pub(crate) fleet: String,
     pub(crate) name: String,
@@ -60,15 +61,15 @@ pub(crate) struct Start {
     pub(crate) changes: Receiver<FleetAlarm>,
     pub(crate) shared: Arc<Shared>,
     pub(crate) lost: Arc<AtomicU64>,
-    /// After which a message has arrived, or the connection is known to be broken, ns.
+    /// Time after which a message has arrived or the connection is known to be broken, ns.
     pub(crate) arrives_within_ns: u64,
 }
 
-impl Tell for MqttTelling {
-    fn tell(&mut self, board: &Board, times: Times) {
+impl Sink for MqttSink {
+    fn publish(&mut self, board: &Board, times: Times) {
         self.take_changes(times);
         if self.outlet.is_connected() {
-            self.tell_due(board, times);
+            self.publish_due(board, times);
         }
     }
 
@@ -78,12 +79,12 @@ impl Tell for MqttTelling {
     }
 }
 
-impl MqttTelling {
+impl MqttSink {
     pub(crate) fn new(start: Start) -> Self {
         let topic = |write: Write| Topic {
             due_ns: 0,
-            told: HashMap::new(),
-            // The broker may keep documents of an earlier run.
+            published: HashMap::new(),
+            // The broker may retain documents of an earlier run.
             kept: start
                 .robots
                 .iter()
@@ -100,7 +101,7 @@ impl MqttTelling {
             topics,
             changes: start.changes,
             waiting: VecDeque::new(),
-            told_to: 0,
+            published_to: 0,
             handed: VecDeque::new(),
             arrives_within_ns: start.arrives_within_ns,
             connections: 0,
@@ -112,9 +113,9 @@ impl MqttTelling {
 
     fn take_changes(&mut self, times: Times) {
         for change in self.changes.try_iter() {
-            if self.waiting.len() >= MOST_WAITING {
+            if self.waiting.len() >= MAX_WAITING {
                 self.waiting.pop_front();
-                self.told_to = 0;
+                self.published_to = 0;
                 self.lost.fetch_add(1, Ordering::Relaxed);
             }
             let record = AlarmRecord::new(&self.fleet, &change, times.unix_ns(change.at_ns));
@@ -122,36 +123,37 @@ impl MqttTelling {
         }
     }
 
-    fn tell_due(&mut self, board: &Board, times: Times) {
+    fn publish_due(&mut self, board: &Board, times: Times) {
         let connections = self.outlet.connections();
         if connections != self.connections {
-            // Another broker, or one that has forgotten: everything is news.
+            // This is another broker, or one that has lost its retained documents: publish
+            // everything again.
             self.connections = connections;
             for topic in &mut self.topics {
                 topic.due_ns = 0;
-                topic.told.clear();
+                topic.published.clear();
                 if topic.write.retain {
-                    // So may the end of what it kept be.
+                    // The broker may also have missed the end of a retained document.
                     topic.kept = self.robots.iter().map(|(robot, _)| robot).collect();
                 }
             }
             while let Some((_, record)) = self.handed.pop_back() {
                 self.waiting.push_front(record);
             }
-            self.told_to = 0;
+            self.published_to = 0;
         }
         for place in 0..self.topics.len() {
             match self.topics[place].write.what {
                 What::AlarmChanges => {}
                 _ if times.now_ns < self.topics[place].due_ns => {}
-                What::Status => self.tell_status(place, board, times),
-                _ => self.tell_robots(place, board, times),
+                What::Status => self.publish_status(place, board, times),
+                _ => self.publish_robots(place, board, times),
             }
         }
-        self.tell_changes(times.now_ns);
+        self.publish_changes(times.now_ns);
     }
 
-    fn tell_changes(&mut self, now_ns: u64) {
+    fn publish_changes(&mut self, now_ns: u64) {
         let since_ns = now_ns.saturating_sub(self.arrives_within_ns);
         while self
             .handed
@@ -170,22 +172,22 @@ impl MqttTelling {
             let mut document = json!(record);
             document["name"] = json!(name);
             let payload = document.to_string().into_bytes();
-            for topic in &topics[self.told_to.min(topics.len())..] {
+            for topic in &topics[self.published_to.min(topics.len())..] {
                 let (to, retain) = (topic.write.topic.of(""), topic.write.retain);
                 let payload = payload.clone();
-                // Told later, and only to the others.
+                // Retried later, from this topic on.
                 if !self.outlet.write(to, payload, QoS::AtLeastOnce, retain) {
                     return;
                 }
-                self.told_to += 1;
+                self.published_to += 1;
             }
-            self.told_to = 0;
+            self.published_to = 0;
             let record = self.waiting.pop_front();
             self.handed.extend(record.map(|record| (now_ns, record)));
         }
     }
 
-    fn tell_status(&mut self, place: usize, board: &Board, times: Times) {
+    fn publish_status(&mut self, place: usize, board: &Board, times: Times) {
         let topic = &mut self.topics[place];
         let unmapped = self.shared.account().records();
         let implausible = self.shared.intake().judgement().records();
@@ -210,10 +212,10 @@ impl MqttTelling {
         }
     }
 
-    fn tell_robots(&mut self, place: usize, board: &Board, times: Times) {
+    fn publish_robots(&mut self, place: usize, board: &Board, times: Times) {
         let topic = &mut self.topics[place];
         topic.due_ns = next_due_ns(topic.due_ns, topic.write.every_ns, times.now_ns);
-        // Without a worker nothing is known; its status says so.
+        // Without a worker there are no values. The status topic reports that.
         if board.link != Link::Live {
             return;
         }
@@ -224,27 +226,27 @@ impl MqttTelling {
             };
             left.remove(robot);
             let values = values(*robot, name, &row.newest(), |at_ns| times.unix_ns(at_ns));
-            topic.tell(*robot, name, &values, &self.outlet);
+            topic.publish(*robot, name, &values, &self.outlet);
         }
         for robot in left {
-            // An empty message ends what a broker keeps.
+            // An empty message deletes a retained document.
             let to = topic
                 .write
                 .topic
                 .of(self.robots.name(robot).unwrap_or_default());
             if self.outlet.write(to, Vec::new(), QoS::AtLeastOnce, true) {
                 topic.kept.remove(&robot);
-                topic.told.remove(&robot);
+                topic.published.remove(&robot);
             }
         }
     }
 }
 
 impl Topic {
-    fn tell(&mut self, robot: u32, name: &str, values: &Object, outlet: &Outlet) {
+    fn publish(&mut self, robot: u32, name: &str, values: &Object, outlet: &Outlet) {
         let document = document(&self.write.fields, values);
         let only_changes = self.write.what == What::Alarms;
-        if only_changes && self.told.get(&robot) == Some(&document) {
+        if only_changes && self.published.get(&robot) == Some(&document) {
             return;
         }
         let qos = if self.write.what == What::Forecast {
@@ -255,12 +257,12 @@ impl Topic {
         let payload = document.to_string().into_bytes();
         let is_handed = outlet.write(self.write.topic.of(name), payload, qos, self.write.retain);
         if !is_handed && !only_changes && outlet.is_connected() {
-            // The next one will be another.
+            // The next document replaces this one, so it is not retried.
             outlet.count_lost();
         }
         if is_handed {
             if only_changes {
-                self.told.insert(robot, document);
+                self.published.insert(robot, document);
             }
             if self.write.retain {
                 self.kept.insert(robot);
@@ -269,7 +271,7 @@ impl Topic {
     }
 }
 
-/// Hands every change of an alarm over until the bridge stops.
+/// Passes every alarm change to the sink until the bridge stops.
 ///
 /// # Errors
 /// The fleet cannot be joined or read.
@@ -323,11 +325,11 @@ mod tests {
 
     #[test]
     fn a_full_queue_loses_no_change_of_an_alarm_and_tells_none_twice() {
-        // Nobody takes from this queue.
+        // Nothing takes messages from this queue.
         let (client, _events) = AsyncClient::new(MqttOptions::new("jb", "127.0.0.1", 1), 3);
         let outlet = Arc::new(Outlet::new(client));
         outlet.connected();
-        let (changes, changed) = sync_channel(MOST_WAITING);
+        let (changes, changed) = sync_channel(MAX_WAITING);
         for at_ns in 0..2 {
             let change = FleetAlarm {
                 robot: Some(1),
@@ -339,7 +341,7 @@ mod tests {
             };
             changes.send(change).unwrap();
         }
-        let mut telling = MqttTelling::new(Start {
+        let mut sink = MqttSink::new(Start {
             fleet: "lab".to_owned(),
             name: "bridge".to_owned(),
             robots: Robots::default(),
@@ -354,19 +356,23 @@ mod tests {
             lost: Arc::default(),
             arrives_within_ns: 1_000_000_000,
         });
-        // The status is due later: three places for four messages.
-        telling.topics[2].due_ns = 2;
-        telling.connections = outlet.connections();
+        // The status is due later. The queue has three entries for four messages.
+        sink.topics[2].due_ns = 2;
+        sink.connections = outlet.connections();
         for turn in 0..5 {
             let times = Times {
                 now_ns: 1,
                 now_unix_ns: turn,
             };
-            telling.tell(&Board::new(0), times);
+            sink.publish(&Board::new(0), times);
         }
         assert_eq!((outlet.sent(), outlet.lost()), (3, 0));
-        assert_eq!((telling.waiting.len(), telling.told_to), (1, 1));
-        telling.finish();
-        assert_eq!(telling.lost.load(Ordering::Relaxed), 1, "never told to all");
+        assert_eq!((sink.waiting.len(), sink.published_to), (1, 1));
+        sink.finish();
+        assert_eq!(
+            sink.lost.load(Ordering::Relaxed),
+            1,
+            "never published to all"
+        );
     }
 }

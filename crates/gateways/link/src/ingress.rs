@@ -1,4 +1,4 @@
-//! Frames of another host: what came, and the requests for more.
+//! The receiving side of this host: frames from one link, and the requests for them.
 
 use std::sync::Arc;
 
@@ -12,52 +12,53 @@ use crate::protocol::selection::Selection;
 use crate::refusals::Refusals;
 use crate::wall_clock::WallClock;
 
-/// After this time without a sign of another link it is said that there was none.
-pub(crate) const ABSENT_AFTER_NS: u64 = 5_000_000_000;
+/// Time without any message after which a link is reported as absent.
+pub(crate) const ABSENCE_TIMEOUT_NS: u64 = 5_000_000_000;
 
-/// What was taken from one link.
+/// Totals of the frames received from one link.
 #[derive(Debug, Clone, Serialize)]
-pub(crate) struct TakenRecord {
+pub(crate) struct IngressRecord {
     pub(crate) from: String,
     #[serde(flatten)]
     pub(crate) received: Received,
-    /// Frames that came before the clocks were compared.
+    /// Frames that arrived before the clock offset was known.
     pub(crate) before_clock: u64,
-    /// Frames of a worker whose turn another has taken.
+    /// Frames of an earlier leader, dropped after another has led.
     pub(crate) fenced: u64,
-    /// The most by which stamps may look older than they are, s; null before the clocks were compared.
+    /// Upper bound of how much older stamps may look than they are, s. Null before the clock offset
+    /// is known.
     pub(crate) clock_uncertainty_s: Option<f64>,
-    /// Times that stamps were moved by another offset than before.
+    /// Number of changes of the clock offset in use.
     pub(crate) clock_refits: u64,
-    /// Steps of a clock.
+    /// Number of clock steps.
     pub(crate) clock_steps: u64,
-    /// Whether realtime clocks narrow the uncertainty.
+    /// Whether realtime clocks narrow the uncertainty now.
     pub(crate) clock_realtime: bool,
-    /// Times that realtime clocks said what round trips rule out.
+    /// Number of times that round trips ruled out what realtime clocks said.
     pub(crate) clock_contradictions: u64,
     pub(crate) refused: Refusals,
 }
 
 /// The stream from one link.
 #[derive(Debug)]
-pub(crate) struct Taking {
+pub(crate) struct Ingress {
     from: String,
     fleet: FleetId,
-    /// Elements that a frame may have.
+    /// Maximum number of elements of a frame.
     most: usize,
     receiver: Receiver,
     clock: WallClock,
     outlet: Outlet,
     opened_ns: u64,
-    /// Something has come from the link, or it was said that nothing has.
+    /// The link has sent something, or its absence was logged.
     is_known: bool,
     before_clock: u64,
     pub(crate) fenced: u64,
     pub(crate) refused: Refusals,
 }
 
-impl Taking {
-    /// Takes frames of the link `from` into the inbox.
+impl Ingress {
+    /// Subscribes the inbox to frames of the link `from`.
     pub(crate) fn open(
         network: &Arc<Network>,
         (kind, from): (Kind, &str),
@@ -82,12 +83,13 @@ impl Taking {
         })
     }
 
-    /// The link that it takes from.
+    /// Name of the sending link.
     pub(crate) fn from(&self) -> &str {
         &self.from
     }
 
-    /// Takes a message, and has `each` pass its frame on, if it has one. `each` returns why it does not.
+    /// Takes a message and passes its frame, if it has one, to `each`. An error of `each` is
+    /// counted as a refusal.
     pub(crate) fn message(
         &mut self,
         bytes: &Bytes,
@@ -104,13 +106,13 @@ impl Taking {
         };
         let (number, before) = (message.number, self.receiver.received());
         let contradictions = self.receiver.offset().contradictions;
-        self.receiver.reads(self.clock.read());
+        self.receiver.set_clock(self.clock.read());
         let taken = self.receiver.take(&message, bytes.len(), arrived_ns);
         let after = self.receiver.received();
         if before.contested == 0 && after.contested > 0 {
             tracing::warn!(
-                "another link than the one that is heard sends as {from}, and is not heard: the files of two hosts have this name, or \
-                 a stranger does; give each link a name of its own",
+                "a second link sends as {from}, and is ignored: the files of two hosts have this name, or a \
+                 stranger uses it; give each link a name of its own",
                 from = self.from
             );
         }
@@ -136,23 +138,23 @@ impl Taking {
         }
     }
 
-    /// Asks if it is due.
-    pub(crate) fn ask(&mut self) {
+    /// Sends a request if one is due, and logs once that the link is absent.
+    pub(crate) fn request_if_due(&mut self) {
         let now_ns = clock::monotonic_ns();
-        if let Some(request) = self.receiver.ask(now_ns) {
+        if let Some(request) = self.receiver.request_if_due(now_ns) {
             self.outlet.send(request);
         }
         if !self.is_known {
-            let is_heard = self.receiver.is_heard();
-            let is_absent = now_ns.saturating_sub(self.opened_ns) > ABSENT_AFTER_NS;
-            if is_absent && !is_heard {
+            let is_sending = self.receiver.is_sending();
+            let is_absent = now_ns.saturating_sub(self.opened_ns) > ABSENCE_TIMEOUT_NS;
+            if is_absent && !is_sending {
                 tracing::warn!(
                     "nothing has come from {from} so far: does its link run, can the two hosts reach each other, is {from} the name in \
                      its file and, with TLS, in its certificate, and does one of the files name the other's address?",
                     from = self.from
                 );
             }
-            self.is_known = is_heard || is_absent;
+            self.is_known = is_sending || is_absent;
         }
     }
 
@@ -160,11 +162,11 @@ impl Taking {
         &mut self.receiver
     }
 
-    pub(crate) fn record(&self) -> TakenRecord {
+    pub(crate) fn record(&self) -> IngressRecord {
         let offset = self.receiver.offset();
         let now_ns = clock::monotonic_ns();
         let uncertainty_ns = offset.uncertainty_ns(now_ns);
-        TakenRecord {
+        IngressRecord {
             from: self.from.clone(),
             received: self.receiver.received(),
             before_clock: self.before_clock,
@@ -172,7 +174,7 @@ impl Taking {
             clock_uncertainty_s: uncertainty_ns.map(|ns| ns as f64 * 1e-9),
             clock_refits: offset.refits,
             clock_steps: offset.steps,
-            clock_realtime: offset.is_kept(now_ns),
+            clock_realtime: offset.uses_realtime(now_ns),
             clock_contradictions: offset.contradictions,
             refused: self.refused.clone(),
         }

@@ -1,4 +1,4 @@
-//! What ROS 2 is told: forecasts, budgets and values of each robot, and the diagnostics of all.
+//! The sink of ROS 2: forecasts, budgets and values of each robot, and the diagnostics of all.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -14,22 +14,22 @@ use crate::mapping::robots::Robots;
 use crate::mapping::ros::outgoing::{
     RosWhat, budget, diagnostics, forecast, robot_status, unknown_status, value, worker_status,
 };
+use crate::outbound::{Sink, Times, next_due_ns};
 use crate::ros2::raw::Raw;
 use crate::shared::Shared;
-use crate::telling::{Tell, Times, next_due_ns};
 
 /// A writer of encoded messages.
 pub(super) type Writer = DataWriter<Vec<u8>, Raw>;
 
-/// What is told on which topics.
+/// A topic with its writers.
 pub(super) struct Topic {
     pub(super) write: RosWrite,
-    /// By robot; of the fleet: one, under 0.
+    /// Writers by robot. A topic of the fleet has one, under 0.
     pub(super) writers: BTreeMap<u32, Writer>,
     pub(super) due_ns: u64,
 }
 
-/// Messages that were told, and that did not fit.
+/// Numbers of published and of rejected messages.
 #[derive(Debug, Default)]
 pub(crate) struct Counts {
     sent: AtomicU64,
@@ -37,12 +37,12 @@ pub(crate) struct Counts {
 }
 
 impl Counts {
-    /// Messages handed to DDS.
+    /// Number of messages handed to DDS.
     pub(crate) fn sent(&self) -> u64 {
         self.sent.load(Ordering::Relaxed)
     }
 
-    /// Messages that did not fit because a reader does not acknowledge.
+    /// Number of messages without room, because a reader does not acknowledge.
     pub(crate) fn lost(&self) -> u64 {
         self.lost.load(Ordering::Relaxed)
     }
@@ -54,8 +54,8 @@ impl Counts {
     }
 }
 
-/// Tells ROS 2.
-pub(crate) struct RosTelling {
+/// Publishes to ROS 2.
+pub(crate) struct RosSink {
     pub(super) fleet: String,
     pub(super) name: String,
     pub(super) robots: Robots,
@@ -64,8 +64,8 @@ pub(crate) struct RosTelling {
     pub(super) shared: Arc<Shared>,
 }
 
-impl Tell for RosTelling {
-    fn tell(&mut self, board: &Board, times: Times) {
+impl Sink for RosSink {
+    fn publish(&mut self, board: &Board, times: Times) {
         for place in 0..self.topics.len() {
             let topic = &mut self.topics[place];
             if times.now_ns < topic.due_ns {
@@ -75,7 +75,7 @@ impl Tell for RosTelling {
             let topic = &self.topics[place];
             match topic.write.what {
                 RosWhat::Diagnostics => self.diagnose(topic, board, times),
-                _ => self.tell_robots(topic, board, times),
+                _ => self.publish_robots(topic, board, times),
             }
         }
     }
@@ -83,14 +83,14 @@ impl Tell for RosTelling {
     fn finish(&mut self) {}
 }
 
-impl RosTelling {
-    /// Whether there is anything to tell.
-    pub(crate) fn tells(&self) -> bool {
+impl RosSink {
+    /// Whether there is any topic to publish to.
+    pub(crate) fn has_topics(&self) -> bool {
         !self.topics.is_empty()
     }
 
-    fn tell_robots(&self, topic: &Topic, board: &Board, times: Times) {
-        // Without a worker nothing is known; the diagnostics say so.
+    fn publish_robots(&self, topic: &Topic, board: &Board, times: Times) {
+        // Without a worker there are no values. The diagnostics report that.
         if board.link != Link::Live {
             return;
         }
@@ -103,7 +103,7 @@ impl RosTelling {
             let voltage_v = self.shared.intake().voltage_v(*robot, times.now_ns);
             let message = match (topic.write.what, &topic.write.value) {
                 (RosWhat::Budget, _) => encode(&budget(name, &values, voltage_v)),
-                (RosWhat::Value, Some(told)) => encode(&value(told, &values)),
+                (RosWhat::Value, Some(field)) => encode(&value(field, &values)),
                 _ => encode(&forecast(name, &values, voltage_v)),
             };
             self.counts.write(writer, message);

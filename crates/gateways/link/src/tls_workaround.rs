@@ -1,25 +1,25 @@
-//! One thread that reads and writes connections.
+//! Workaround: one zenoh thread for TLS connections.
 //!
-//! Those of TLS are read and written by two threads without a lock between them otherwise (zenoh 1.10, its issue 2557):
-//! connections end although all works, and memory may be misread.
+//! By default two threads read and write a TLS connection without a lock between them (zenoh 1.10,
+//! issue 2557). Sound connections then break, and memory may be read wrongly.
 
 use std::env;
 use std::os::unix::process::CommandExt as _;
 use std::process::Command;
 
-/// Where zenoh looks for the number of its threads, and nowhere else.
+/// The environment variable from which alone zenoh takes its number of threads.
 const VARIABLE: &str = "ZENOH_RUNTIME";
 const ONE: &str = "(tx: (handover: rx), rx: (worker_threads: 1))";
 
-/// Begins this program anew, as the same process, unless the environment says already how many threads there are. Nothing
-/// may have been opened before.
+/// Executes this program again in the same process, with one thread, unless the environment already
+/// sets a number. Call it before anything is opened.
 pub(crate) fn begin() {
     if env::var_os(VARIABLE).is_some() {
         return;
     }
     let mut arguments = env::args_os();
     let name = arguments.next().unwrap_or_default();
-    // Returns only what failed.
+    // `exec` returns only if it failed.
     let failed = env::current_exe().map_or_else(
         |error| error,
         |own| {

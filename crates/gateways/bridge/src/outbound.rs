@@ -1,31 +1,32 @@
-//! The thread that reads the fleet as a planner, and has each side tell what it knows.
+//! The thread that reads the fleet as a planner, and publishes it to all sinks.
 
 use std::cell::RefCell;
 use std::sync::Arc;
 use std::time::Duration;
 
-use joulebus_board::{Board, OpenError, Reading};
+use joulebus_board::{Board, Reading};
 use joulebus_bus::clock;
 use joulebus_config::Config;
+use joulebus_consumer::ConnectError;
 
 use crate::shared::Shared;
 
-/// A topic may be written this part of its interval late.
+/// A topic may be written late by this part of its interval.
 const LATE_PART: u32 = 10;
-/// Longest time between two looks at the fleet.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+/// Maximum interval between two readings of the fleet.
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
-/// A side that tells: a broker's topics, or those of ROS 2.
-pub(crate) trait Tell: Send {
-    /// Tells what is due. Never waits; called at least every 100 ms.
-    fn tell(&mut self, board: &Board, times: Times);
+/// A destination of the fleet's values: the topics of a broker, or those of ROS 2.
+pub(crate) trait Sink: Send {
+    /// Publishes whatever is due. Never blocks. Called at least every 100 ms.
+    fn publish(&mut self, board: &Board, times: Times);
 
-    /// Counts what it could not tell until the end.
+    /// Counts what could not be published by the end.
     fn finish(&mut self);
 }
 
-/// When what was due at `due_ns` and is written every `every_ns` is due again: on a grid, so that what is late now does
-/// not make the next ones late.
+/// The next due time after `due_ns` for an interval of `every_ns`. It stays on a grid, so that a
+/// late message does not delay the later ones.
 pub(crate) const fn next_due_ns(due_ns: u64, every_ns: u64, now_ns: u64) -> u64 {
     let next_ns = due_ns + every_ns;
     if next_ns <= now_ns {
@@ -34,18 +35,18 @@ pub(crate) const fn next_due_ns(due_ns: u64, every_ns: u64, now_ns: u64) -> u64 
     next_ns
 }
 
-/// Joins the fleet for topics of which the most frequent is written `every` so often. Where that is much rarer than
-/// ticks, these do not wake the bridge: that would cost the worker time.
-fn open(config: &Config, name: &str, every: Duration) -> Result<Reading, OpenError> {
-    let look_every = (every / LATE_PART).min(LOOK_EVERY);
+/// Joins the fleet to write the most frequent topic every `every`. If that is much rarer than
+/// ticks, ticks do not wake the bridge, because a wake-up costs the worker time.
+fn open(config: &Config, name: &str, every: Duration) -> Result<Reading, ConnectError> {
+    let look_every = (every / LATE_PART).min(POLL_INTERVAL);
     if look_every.as_nanos() < u128::from(config.tick_period_ns()) {
         return Reading::open(config, name, false);
     }
     Reading::polling(config, name, look_every)
 }
 
-/// Reads and has everything told until the bridge stops; the most frequent topic is due `every` so often. Tells `ready`
-/// when the fleet is joined.
+/// Reads the fleet and publishes it until the bridge stops. The most frequent topic is due every
+/// `every`. Calls `ready` when the fleet is joined.
 ///
 /// # Errors
 /// The fleet cannot be joined, or reading fails permanently.
@@ -53,7 +54,7 @@ pub(crate) fn run(
     config: &Config,
     (name, every): (&str, Duration),
     shared: &Arc<Shared>,
-    sides: &mut [Box<dyn Tell>],
+    sides: &mut [Box<dyn Sink>],
     ready: impl FnOnce(),
 ) -> anyhow::Result<()> {
     let mut reading = open(config, name, every)?;
@@ -63,7 +64,7 @@ pub(crate) fn run(
         reading.turn(|| board.borrow_mut())?;
         let (board, times) = (board.borrow(), Times::now());
         for side in &mut *sides {
-            side.tell(&board, times);
+            side.publish(&board, times);
         }
     }
     for side in sides {
@@ -72,7 +73,7 @@ pub(crate) fn run(
     Ok(())
 }
 
-/// This moment on both clocks.
+/// The present on both clocks.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Times {
     pub(crate) now_ns: u64,
@@ -87,7 +88,7 @@ impl Times {
         }
     }
 
-    /// Unix time of a monotonic one, which may lie ahead.
+    /// Converts a monotonic time, which may lie ahead, to Unix time.
     pub(crate) const fn unix_ns(self, at_ns: u64) -> u64 {
         let ago_ns = self.now_ns as i128 - at_ns as i128;
         (self.now_unix_ns as i128 - ago_ns) as u64

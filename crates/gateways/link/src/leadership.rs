@@ -1,0 +1,113 @@
+//! The leadership of this host's worker: shared by the threads of a link, and written to the
+//! worker's permit.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use joulebus_bus::clock;
+use joulebus_standby::{Permit, PermitError, Places};
+
+/// Whether this host's worker leads its shard, and in which term. Shared by the threads.
+#[derive(Debug)]
+pub(crate) struct Leadership {
+    places: Places,
+    /// Term in which this host leads; 0 if another or no candidate does.
+    term: AtomicU64,
+    /// As [`Permit::until_ns`].
+    until_ns: AtomicU64,
+    /// Highest term in which any candidate is known to have led, this one included.
+    highest_term: AtomicU64,
+    /// When this host's worker last sent as leader, monotonic ns.
+    active_ns: AtomicU64,
+}
+
+impl Leadership {
+    /// Continues with the permit of the previous link on this host, if it still holds.
+    ///
+    /// # Errors
+    /// [`PermitError`].
+    pub(crate) fn resume(places: Places) -> Result<(Self, Option<Permit>), PermitError> {
+        let now_ns = clock::monotonic_ns();
+        let boot_ns = clock::boot_ns();
+        let permit = Permit::read(&places.permit)?.filter(|permit| permit.holds(boot_ns));
+        let leadership = Self {
+            places,
+            term: AtomicU64::new(0),
+            until_ns: AtomicU64::new(0),
+            highest_term: AtomicU64::new(0),
+            active_ns: AtomicU64::new(now_ns),
+        };
+        if let Some(permit) = &permit {
+            leadership.begin(permit);
+        }
+        Ok((leadership, permit))
+    }
+
+    pub(crate) const fn places(&self) -> &Places {
+        &self.places
+    }
+
+    /// Term in which this host's worker leads now; 0 if it does not.
+    pub(crate) fn term(&self) -> u64 {
+        // `begin` stores the term last. A term that is read here therefore comes with its own end
+        // or a later one.
+        let term = self.term.load(Ordering::Acquire);
+        let until_ns = self.until_ns.load(Ordering::Acquire);
+        if until_ns == u64::MAX || clock::boot_ns() < until_ns {
+            term
+        } else {
+            0
+        }
+    }
+
+    /// Permits the worker of this host to lead, or to go on.
+    ///
+    /// # Errors
+    /// [`PermitError`]: the permit could not be written.
+    pub(crate) fn grant(&self, permit: &Permit) -> Result<(), PermitError> {
+        permit.write(&self.places.permit)?;
+        self.begin(permit);
+        Ok(())
+    }
+
+    fn begin(&self, permit: &Permit) {
+        self.observe_term(permit.term);
+        if self.term.load(Ordering::Acquire) != permit.term {
+            self.term.store(0, Ordering::Release);
+            // Give a new leader time to restore a state.
+            self.worker_active();
+        }
+        let until_ns = permit.until_ns.unwrap_or(u64::MAX);
+        self.until_ns.store(until_ns, Ordering::Release);
+        self.term.store(permit.term, Ordering::Release);
+    }
+
+    /// Withdraws the worker's permit.
+    ///
+    /// # Errors
+    /// [`PermitError`]: the permit stays until its time is over.
+    pub(crate) fn withdraw(&self) -> Result<(), PermitError> {
+        self.term.store(0, Ordering::Release);
+        Permit::withdraw(&self.places.permit)
+    }
+
+    /// Notes that this host's worker has sent, or has just been permitted to.
+    pub(crate) fn worker_active(&self) {
+        self.active_ns
+            .store(clock::monotonic_ns(), Ordering::Release);
+    }
+
+    /// Time since this host's worker last sent, ns.
+    pub(crate) fn idle_ns(&self) -> u64 {
+        let active_ns = self.active_ns.load(Ordering::Acquire);
+        clock::monotonic_ns().saturating_sub(active_ns)
+    }
+
+    /// Notes a term in which a candidate leads or has led.
+    pub(crate) fn observe_term(&self, term: u64) {
+        self.highest_term.fetch_max(term, Ordering::AcqRel);
+    }
+
+    pub(crate) fn highest_term(&self) -> u64 {
+        self.highest_term.load(Ordering::Acquire)
+    }
+}
