@@ -11,14 +11,18 @@ use std::time::{Duration, Instant};
 
 use joulebus_bus::{Bus, Domain, SampleWriter, WorkerLock, Writer as BusWriter, clock};
 use joulebus_capture_format::{
-    Attachments, CaptureSettings, Clock, Entry, Frame, Message, ReadError, Reader, Times, Writer,
+    Attachments, CaptureSettings, Clock, Entry, Frame, Message, MessageKind, ReadError, Reader,
+    Times, Writer,
 };
-use joulebus_capture_recorder::{Options, Recorder, Snapshot, Summary, Target, attach, host_clock};
+use joulebus_capture_recorder::replay::{Moment, PlayedChannel, Rebase, ReplayPorts, now};
+use joulebus_capture_recorder::{
+    Options, RecordedChannel, Recorder, Snapshot, Summary, Target, attach, host_clock,
+};
 use joulebus_config::Config;
 use joulebus_wire::{
-    Budget, BudgetHeader, Budgets, Diagnostic, DiagnosticHeader, Diagnostics, Forecast,
-    ForecastHeader, Forecasts, PlanState, PlanStateHeader, PlanStates, SCHEMA_VERSION, Sample,
-    SampleHeader, Samples, TakenFrame, TickHeader, Ticks,
+    Budget, BudgetHeader, Budgets, Channel, Diagnostic, DiagnosticHeader, Diagnostics, Flow,
+    Forecast, ForecastHeader, Forecasts, FrameRows, PlanState, PlanStateHeader, PlanStates,
+    SCHEMA_VERSION, Sample, SampleHeader, Samples, Service, TakenFrame, TickHeader, Ticks,
 };
 
 const ROBOTS: usize = 10;
@@ -35,7 +39,7 @@ struct Stage {
     budgets: BusWriter<Budgets>,
     plan_states: BusWriter<PlanStates>,
     ticks: BusWriter<Ticks>,
-    _bus: Bus,
+    bus: Bus,
     _lock: WorkerLock,
     source_epoch: u64,
     worker_epoch: u64,
@@ -74,7 +78,7 @@ impl Stage {
             budgets: bus.writer(&limits).unwrap(),
             plan_states: bus.writer(&limits).unwrap(),
             ticks: bus.writer(&limits).unwrap(),
-            _bus: bus,
+            bus,
             _lock: lock,
             source_epoch: clock::monotonic_ns(),
             worker_epoch: clock::monotonic_ns(),
@@ -710,4 +714,86 @@ fn no_files_are_left_in_shared_memory() {
     });
     assert_eq!(ours.count(), 0);
     assert!(!domain.root().exists());
+}
+
+/// A channel that is declared elsewhere, of what joulebus has.
+#[derive(Debug, Clone, Copy)]
+struct Spares;
+
+impl Channel for Spares {
+    const SERVICE: Service = Service::named("spares");
+    const MESSAGE: &'static str = "Spares";
+    const FLOW: Flow = Flow::Planners {
+        kept: 0,
+        history: 0,
+    };
+    const ROWS: FrameRows = FrameRows::Robots;
+    type Header = BudgetHeader;
+    type Row = Budget;
+}
+
+#[test]
+fn a_channel_that_is_declared_elsewhere_is_recorded_and_played() {
+    let stage = Stage::new();
+    let (path, limits) = (stage.path("spares.mcap"), stage.config.limits());
+    let mut writer = stage.bus.writer::<Spares>(&limits).unwrap();
+    let mut options = Options::default();
+    options.channels.push(RecordedChannel::of::<Spares>(false));
+    let recorder = stage.record(Target::File(path.clone()), &options);
+    let begun_ns = clock::monotonic_ns();
+    // One is missing.
+    for tick in [1, 2, 4] {
+        let header = BudgetHeader {
+            schema: SCHEMA_VERSION,
+            worker_epoch: stage.worker_epoch,
+            tick,
+            sent_ns: clock::monotonic_ns(),
+            ..BudgetHeader::default()
+        };
+        let spare = |robot| Budget {
+            robot: robot as u32,
+            stamp_ns: begun_ns + tick,
+            left_j: tick as f32,
+            ..Budget::default()
+        };
+        writer.send(header, ROBOTS, spare).unwrap();
+    }
+    let summary = recorder.finish();
+    assert_eq!(lost(&summary, "joulebus/rec/spares"), 1, "{summary:?}");
+    let kind = MessageKind::of::<Spares>();
+    let reader = Reader::open(&path).unwrap().with_kinds([kind]);
+    let found: Vec<Entry> = reader.collect::<Result<_, _>>().unwrap();
+    assert_eq!(found.len(), 3);
+
+    let again = config("again", stage.config.root());
+    let domain = again.domain().unwrap();
+    let bus = Bus::join(&domain, "watch").unwrap();
+    let mut played = bus.reader::<Spares>(&limits).unwrap();
+    let channels = [PlayedChannel::of::<Spares>()];
+    let mut ports = ReplayPorts::open(&domain, &limits, &channels, &[kind]).unwrap();
+    let recorded = Moment {
+        monotonic_ns: begun_ns,
+        unix_ns: 0,
+    };
+    let mut rebase = Rebase::new(recorded, now());
+    for entry in found {
+        let recorded = entry.message.clone();
+        let mut message = entry.message;
+        ports.send(&mut message, &mut rebase, 1.0).unwrap();
+        let sent = message.frame::<Spares>().unwrap();
+        let received = played.take_next().unwrap().unwrap();
+        assert_eq!(
+            (received.header(), received.payload()),
+            (&sent.header, &sent.rows[..])
+        );
+        let Frame { header, rows } = recorded.frame::<Spares>().unwrap();
+        assert_eq!(header.tick, sent.header.tick);
+        let moved_ns = sent.rows[3].stamp_ns - rows[3].stamp_ns;
+        let restored = sent.rows.iter().map(|row| Budget {
+            stamp_ns: row.stamp_ns - moved_ns,
+            ..*row
+        });
+        assert_eq!(&restored.collect::<Vec<Budget>>(), rows);
+    }
+    ports.end();
 }
