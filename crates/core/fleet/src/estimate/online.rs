@@ -32,7 +32,8 @@
 // Index loops: the compiler vectorises them.
 #![allow(clippy::needless_range_loop)]
 
-use joulebus_predictor::{FeatureSet, LAGS, Linear, Model, canonical};
+use joulebus_predictor::nan::canonical;
+use joulebus_predictor::{FeatureSet, LAGS, Linear, Model};
 use serde::{Deserialize, Serialize};
 
 use crate::estimate::hedge::{Hedge, MEMBERS, dot};
@@ -374,7 +375,7 @@ impl Online {
         self.update_rls(&update);
     }
 
-    /// Updates the weights: the first part of [`Online::learn`], before [`Online::follow`].
+    /// Updates the weights: the first part of [`Online::learn`], before [`Online::update_rls`].
     #[inline(always)]
     pub(crate) fn update_weights(
         &mut self,
