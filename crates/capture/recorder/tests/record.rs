@@ -19,10 +19,11 @@ use joulebus_capture_recorder::{
     Options, RecordedChannel, Recorder, Snapshot, Summary, Target, attach, host_clock,
 };
 use joulebus_config::Config;
+use joulebus_testkit_channels::{Signal, SignalHeader, Signals};
 use joulebus_wire::{
-    Budget, BudgetHeader, Budgets, Channel, Diagnostic, DiagnosticHeader, Diagnostics, Flow,
-    Forecast, ForecastHeader, Forecasts, FrameRows, PlanState, PlanStateHeader, PlanStates,
-    SCHEMA_VERSION, Sample, SampleHeader, Samples, Service, TakenFrame, TickHeader, Ticks,
+    Budget, BudgetHeader, Budgets, Diagnostic, DiagnosticHeader, Diagnostics, Forecast,
+    ForecastHeader, Forecasts, PlanState, PlanStateHeader, PlanStates, SCHEMA_VERSION, Sample,
+    SampleHeader, Samples, TakenFrame, TickHeader, Ticks,
 };
 
 const ROBOTS: usize = 10;
@@ -716,51 +717,35 @@ fn no_files_are_left_in_shared_memory() {
     assert!(!domain.root().exists());
 }
 
-/// A channel that is declared elsewhere, of what joulebus has.
-#[derive(Debug, Clone, Copy)]
-struct Spares;
-
-impl Channel for Spares {
-    const SERVICE: Service = Service::named("spares");
-    const MESSAGE: &'static str = "Spares";
-    const FLOW: Flow = Flow::Planners {
-        kept: 0,
-        history: 0,
-    };
-    const ROWS: FrameRows = FrameRows::Robots;
-    type Header = BudgetHeader;
-    type Row = Budget;
-}
-
 #[test]
 fn a_channel_that_is_declared_elsewhere_is_recorded_and_played() {
     let stage = Stage::new();
-    let (path, limits) = (stage.path("spares.mcap"), stage.config.limits());
-    let mut writer = stage.bus.writer::<Spares>(&limits).unwrap();
+    let (path, limits) = (stage.path("signals.mcap"), stage.config.limits());
+    let mut writer = stage.bus.writer::<Signals>(&limits).unwrap();
     let mut options = Options::default();
-    options.channels.push(RecordedChannel::of::<Spares>(false));
+    options.channels.push(RecordedChannel::of::<Signals>(true));
     let recorder = stage.record(Target::File(path.clone()), &options);
     let begun_ns = clock::monotonic_ns();
     // One is missing.
     for tick in [1, 2, 4] {
-        let header = BudgetHeader {
+        let header = SignalHeader {
             schema: SCHEMA_VERSION,
             worker_epoch: stage.worker_epoch,
             tick,
             sent_ns: clock::monotonic_ns(),
-            ..BudgetHeader::default()
+            ..SignalHeader::default()
         };
-        let spare = |robot| Budget {
+        let signal = |robot| Signal {
             robot: robot as u32,
             stamp_ns: begun_ns + tick,
-            left_j: tick as f32,
-            ..Budget::default()
+            level_dbm: tick as f32,
+            ..Signal::default()
         };
-        writer.send(header, ROBOTS, spare).unwrap();
+        writer.send(header, ROBOTS, signal).unwrap();
     }
     let summary = recorder.finish();
-    assert_eq!(lost(&summary, "joulebus/rec/spares"), 1, "{summary:?}");
-    let kind = MessageKind::of::<Spares>();
+    assert_eq!(lost(&summary, "joulebus/rec/signals"), 1, "{summary:?}");
+    let kind = MessageKind::of::<Signals>();
     let reader = Reader::open(&path).unwrap().with_kinds([kind]);
     let found: Vec<Entry> = reader.collect::<Result<_, _>>().unwrap();
     assert_eq!(found.len(), 3);
@@ -768,8 +753,8 @@ fn a_channel_that_is_declared_elsewhere_is_recorded_and_played() {
     let again = config("again", stage.config.root());
     let domain = again.domain().unwrap();
     let bus = Bus::join(&domain, "watch").unwrap();
-    let mut played = bus.reader::<Spares>(&limits).unwrap();
-    let channels = [PlayedChannel::of::<Spares>()];
+    let mut played = bus.reader::<Signals>(&limits).unwrap();
+    let channels = [PlayedChannel::of::<Signals>()];
     let mut ports = ReplayPorts::open(&domain, &limits, &channels, &[kind]).unwrap();
     let recorded = Moment {
         monotonic_ns: begun_ns,
@@ -780,20 +765,20 @@ fn a_channel_that_is_declared_elsewhere_is_recorded_and_played() {
         let recorded = entry.message.clone();
         let mut message = entry.message;
         ports.send(&mut message, &mut rebase, 1.0).unwrap();
-        let sent = message.frame::<Spares>().unwrap();
+        let sent = message.frame::<Signals>().unwrap();
         let received = played.take_next().unwrap().unwrap();
         assert_eq!(
             (received.header(), received.payload()),
             (&sent.header, &sent.rows[..])
         );
-        let Frame { header, rows } = recorded.frame::<Spares>().unwrap();
+        let Frame { header, rows } = recorded.frame::<Signals>().unwrap();
         assert_eq!(header.tick, sent.header.tick);
         let moved_ns = sent.rows[3].stamp_ns - rows[3].stamp_ns;
-        let restored = sent.rows.iter().map(|row| Budget {
+        let restored = sent.rows.iter().map(|row| Signal {
             stamp_ns: row.stamp_ns - moved_ns,
             ..*row
         });
-        assert_eq!(&restored.collect::<Vec<Budget>>(), rows);
+        assert_eq!(&restored.collect::<Vec<Signal>>(), rows);
     }
     ports.end();
 }
