@@ -11,7 +11,6 @@ use crate::ingest::check;
 use crate::ingest::frame::FrameIntake;
 use crate::ingest::pending::{Pending, PendingState};
 use crate::layout::lanes::{self, Block as _, LANES};
-use crate::state::columns::Columns;
 
 impl Fleet {
     /// Takes a frame of samples, in the order in which they were sent; `now_ns` is the worker's
@@ -161,10 +160,8 @@ impl Fleet {
             return Ok(slot);
         }
         let platform = self.platform_of(robot).ok_or(DropReason::UnknownRobot)?;
-        let Columns {
-            slots, admissions, ..
-        } = &mut self.columns;
-        let slot = slots.take(platform, |slot| admissions[slot].platform);
+        let admissions = &self.columns.admissions;
+        let slot = self.slots.take(platform, |slot| admissions[slot].platform);
         let slot = slot.ok_or(DropReason::OverCapacity)?;
         self.slot_of.insert(robot, slot as u32);
         self.occupy(slot, robot, platform, header, now_ns);

@@ -121,7 +121,7 @@ impl Fleet {
             let admissions = &self.columns.admissions;
             self.slot_of
                 .remove(robot, |slot| admissions[slot as usize].id);
-            self.columns.slots.free(slot);
+            self.slots.free(slot);
             let ledger = lanes::get(&self.columns.ledgers, slot);
             if ledger.stamp_ns().is_none() {
                 // No sample of it was ever accepted: there is no account to keep in place of

@@ -20,10 +20,10 @@ use crate::ingest::refused::Refused;
 use crate::ingest::sources::Sources;
 use crate::layout::index::Index;
 use crate::layout::lanes::{self, LANES};
-use crate::layout::slots::WORD;
+use crate::layout::slots::{Slots, WORD};
 use crate::ledger::departed::Departed;
 use crate::ledger::energy::Ledger;
-use crate::state::columns::{BlockRef, Columns, ColumnsMut};
+use crate::state::columns::{BlockRef, Columns, ColumnsMut, Needed};
 use crate::tick::batch::Batch;
 use crate::tick::context::TickContext;
 use crate::tick::features::build_rows;
@@ -47,6 +47,8 @@ pub struct Fleet {
     /// Ranges of robot ids, ascending, with their platform.
     ranges: Vec<(u32, u32, u16)>,
     columns: Columns,
+    /// The slots in use.
+    slots: Slots,
     slot_of: Index,
     departed: Departed,
     /// Expected slot of the next sample: sources list their robots in the same order.
@@ -75,15 +77,18 @@ impl Fleet {
         settings.check()?;
         let tick = TickContext::new(settings, models)?;
         let settings = &tick.settings;
-        let learning = tick.platforms.iter().any(|it| it.members.is_some());
-        let batteries = settings.has_batteries();
+        let needed = Needed {
+            online: tick.platforms.iter().any(|it| it.members.is_some()),
+            batteries: settings.has_batteries(),
+        };
         let capacity = settings.capacity as usize;
         Ok(Self {
             settings_hash: settings.fingerprint(),
             ranges: tick.robot_ranges(),
-            columns: Columns::new(capacity, tick.platforms.len(), (learning, batteries)),
+            columns: Columns::new(capacity.next_multiple_of(LANES), needed),
+            slots: Slots::new(capacity, tick.platforms.len()),
             slot_of: Index::new(settings.capacity),
-            departed: Departed::new(settings.capacity, batteries),
+            departed: Departed::new(settings.capacity, needed.batteries),
             likely_slot: 0,
             single: Batch::of_slots(WORD),
             batch: Batch::default(),
@@ -102,7 +107,7 @@ impl Fleet {
     #[must_use]
     pub fn complete(&self, now_ns: u64) -> bool {
         self.reported == self.len()
-            || self.columns.slots.iter().all(|slot| {
+            || self.slots.iter().all(|slot| {
                 let admission = &self.columns.admissions[slot];
                 let platform = &self.tick.platforms[usize::from(admission.platform)].platform;
                 let silent_ns = now_ns.saturating_sub(admission.taken_ns);
@@ -153,7 +158,7 @@ impl Fleet {
     fn shard_and_batch(&mut self) -> (Shard<'_>, &mut Batch) {
         let shard = Shard {
             tick: &self.tick,
-            columns: self.columns.view_mut(),
+            columns: self.columns.view_mut(self.slots.words()),
             oldest_ns: &self.oldest_ns,
         };
         (shard, &mut self.batch)
@@ -162,7 +167,7 @@ impl Fleet {
     /// Robots in the fleet: the length of every output frame.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.columns.slots.used()
+        self.slots.used()
     }
 
     /// Whether no robot is in the fleet.
@@ -300,7 +305,7 @@ impl Fleet {
 
     /// The block of the robot at a place, and its lane.
     fn block_of(&self, place: usize) -> (BlockRef<'_>, usize) {
-        let slot = self.columns.slots.at(place);
+        let slot = self.slots.at(place);
         let slot = slot.expect("a place is below the number of robots");
         (self.columns.block(slot / LANES), slot % LANES)
     }
@@ -310,7 +315,7 @@ impl Fleet {
     fn catch_up(&mut self, slot: usize) {
         let tick = &self.tick;
         let alone = [1 << (slot % WORD)];
-        let (_, from) = self.columns.view_mut().split(slot / WORD);
+        let (_, from) = self.columns.view_mut(self.slots.words()).split(slot / WORD);
         let mut columns = ColumnsMut {
             words: &alone,
             ..from.split(1).0

@@ -3,7 +3,6 @@
 use joulebus_predictor::LAGS;
 
 use crate::fleet::Fleet;
-use crate::ingest::admission::AdmissionState;
 use crate::layout::lanes::{self, LANES};
 use crate::state::snapshot::{Counters, FleetState, StateError};
 
@@ -30,26 +29,7 @@ impl Fleet {
             now_ns: self.tick.now_ns,
             deadline_missed: self.tick.deadline_missed,
         };
-        let (to, from) = (&mut state.columns, &self.columns);
-        let used = from.slots.reach();
-        let blocks = used.div_ceil(LANES);
-        copy(&mut to.admissions, &from.admissions[..used]);
-        copy(&mut to.pending, &from.pending[..blocks]);
-        copy(&mut to.windows, &from.windows[..blocks]);
-        copy(&mut to.lasts, &from.lasts[..blocks]);
-        copy(&mut to.intervals, &from.intervals[..blocks]);
-        copy(&mut to.ledgers, &from.ledgers[..blocks]);
-        copy(&mut to.scores, &from.scores[..blocks]);
-        copy(&mut to.detectors, &from.detectors[..blocks]);
-        copy(&mut to.energy, &from.energy[..blocks]);
-        copy(
-            &mut to.online,
-            &from.online[..blocks.min(from.online.len())],
-        );
-        copy(
-            &mut to.batteries,
-            &from.batteries[..blocks.min(from.batteries.len())],
-        );
+        state.columns.copy(&self.columns, self.slots.reach());
         state.departed.clear();
         state.departed.extend(self.departed.accounts());
         copy(&mut state.sources, self.sources.all());
@@ -64,22 +44,9 @@ impl Fleet {
     pub fn restore_state(&mut self, state: &FleetState) -> Result<(), StateError> {
         self.check_origin(state)?;
         self.check_consistency(state)?;
-        let (from, to) = (&state.columns, &mut self.columns);
-        let used = from.admissions.len();
-        let blocks = used.div_ceil(LANES);
-        to.admissions[..used].copy_from_slice(&from.admissions);
-        to.admissions[used..].fill(AdmissionState::FREE);
-        to.pending[..blocks].copy_from_slice(&from.pending);
-        to.windows[..blocks].copy_from_slice(&from.windows);
-        to.lasts[..blocks].copy_from_slice(&from.lasts);
-        to.intervals[..blocks].copy_from_slice(&from.intervals);
-        to.ledgers[..blocks].copy_from_slice(&from.ledgers);
-        to.scores[..blocks].copy_from_slice(&from.scores);
-        to.detectors[..blocks].copy_from_slice(&from.detectors);
-        to.energy[..blocks].copy_from_slice(&from.energy);
-        to.online[..from.online.len()].copy_from_slice(&from.online);
-        to.batteries[..from.batteries.len()].copy_from_slice(&from.batteries);
-        to.slots
+        self.columns.restore(&state.columns);
+        let used = state.columns.admissions.len();
+        self.slots
             .replace(used, state.present().map(|(slot, _)| slot));
         self.slot_of.clear();
         for (slot, admission) in state.present() {
@@ -133,27 +100,9 @@ impl Fleet {
         let columns = &state.columns;
         let slots = columns.admissions.len();
         at_most("slots in use", slots, state.capacity as usize)?;
-        let blocks = slots.div_ceil(LANES);
-        for (what, length) in [
-            ("blocks of pending", columns.pending.len()),
-            ("blocks of windows", columns.windows.len()),
-            ("blocks of last samples", columns.lasts.len()),
-            ("blocks of intervals", columns.intervals.len()),
-            ("blocks of ledgers", columns.ledgers.len()),
-            ("blocks of scores", columns.scores.len()),
-            ("blocks of detectors", columns.detectors.len()),
-            ("blocks of energy states", columns.energy.len()),
-        ] {
-            exactly(what, length, blocks)?;
+        for (what, length, expected) in self.columns.lengths(columns) {
+            exactly(what, length, expected)?;
         }
-        let online = blocks.min(self.columns.online.len());
-        exactly(
-            "blocks of what is learned online",
-            columns.online.len(),
-            online,
-        )?;
-        let batteries = blocks.min(self.columns.batteries.len());
-        exactly("blocks of batteries", columns.batteries.len(), batteries)?;
         at_most("accounts", state.departed.len(), state.capacity as usize)?;
         let most = self.tick.settings.intake.max_sources;
         at_most("sources", state.sources.len(), most.into())?;

@@ -1,5 +1,8 @@
 //! The state of all robots, in columns indexed by slot.
 
+use joulebus_settings::FleetSettings;
+use serde::{Deserialize, Serialize};
+
 use crate::alarms::detector::DetectorLanes;
 use crate::estimate::energy::EnergyLanes;
 use crate::estimate::interval::IntervalLanes;
@@ -10,7 +13,7 @@ use crate::ingest::admission::AdmissionState;
 use crate::ingest::last_sample::LastLanes;
 use crate::ingest::pending::PendingBlock;
 use crate::layout::lanes::LANES;
-use crate::layout::slots::{self, BLOCKS, Slots};
+use crate::layout::slots::{self, BLOCKS};
 use crate::ledger::battery::BatteryLanes;
 use crate::ledger::departed::Departed;
 use crate::ledger::energy::Ledger;
@@ -33,206 +36,217 @@ const COLUMNS: usize = size_of::<AdmissionState>()
 const _: () =
     assert!(COLUMNS + size_of::<Ledger>() + Departed::BYTES + 1 + 3 * size_of::<u32>() <= 672);
 
-/// The state of a block of robots.
+/// Declares the columns once: name, type of a block of robots, and what a check of a saved state calls it. `apart` are not read
+/// where the output of a block is computed; `optional` are empty unless a platform needs them.
+macro_rules! columns {
+    (
+        apart { $($apart:ident: $apart_type:ty, $apart_name:literal;)* }
+        always { $($always:ident: $always_type:ty, $always_name:literal;)* }
+        optional { $($(#[doc = $doc:literal])* $optional:ident: $optional_type:ty, $optional_name:literal;)* }
+    ) => {
+        /// The state of a block of robots.
+        #[derive(Debug, Clone, Copy)]
+        pub(crate) struct BlockRef<'a> {
+            pub admissions: &'a [AdmissionState; LANES],
+            $(pub $always: &'a $always_type,)*
+            $($(#[doc = $doc])* pub $optional: Option<&'a $optional_type>,)*
+        }
+
+        /// The columns, for the capacity rounded up to a whole block; of a saved state, for the slots ever used.
+        #[derive(Debug, Clone, Default, Serialize, Deserialize)]
+        pub(crate) struct Columns {
+            pub admissions: Vec<AdmissionState>,
+            $(pub $apart: Vec<$apart_type>,)*
+            $(pub $always: Vec<$always_type>,)*
+            $($(#[doc = $doc])* pub $optional: Vec<$optional_type>,)*
+        }
+
+        impl Columns {
+            /// For so many robots, all of it touched. `needed`: which of the optional ones.
+            pub(crate) fn new(robots: usize, needed: Needed) -> Self {
+                let blocks = robots.div_ceil(LANES);
+                Self {
+                    admissions: vec![AdmissionState::FREE; robots],
+                    $($apart: vec![<$apart_type>::default(); blocks],)*
+                    $($always: vec![<$always_type>::default(); blocks],)*
+                    $($optional: vec![
+                        <$optional_type>::default();
+                        if needed.$optional { blocks } else { 0 }
+                    ],)*
+                }
+            }
+
+            /// Empties them, and keeps their memory.
+            pub(crate) fn clear(&mut self) {
+                self.admissions.clear();
+                $(self.$apart.clear();)*
+                $(self.$always.clear();)*
+                $(self.$optional.clear();)*
+            }
+
+            /// Becomes a copy of the first `robots` of `from`, without allocating where there is room.
+            pub(crate) fn copy(&mut self, from: &Self, robots: usize) {
+                let blocks = robots.div_ceil(LANES);
+                self.clear();
+                self.admissions.extend_from_slice(&from.admissions[..robots]);
+                $(self.$apart.extend_from_slice(&from.$apart[..blocks]);)*
+                $(self.$always.extend_from_slice(&from.$always[..blocks]);)*
+                $(self.$optional
+                    .extend_from_slice(&from.$optional[..blocks.min(from.$optional.len())]);)*
+            }
+
+            /// Takes the blocks of a saved state, which is [`Columns::check`]ed; others stay. All other slots are free.
+            pub(crate) fn restore(&mut self, from: &Self) {
+                let robots = from.admissions.len();
+                self.admissions[..robots].copy_from_slice(&from.admissions);
+                self.admissions[robots..].fill(AdmissionState::FREE);
+                $(self.$apart[..from.$apart.len()].copy_from_slice(&from.$apart);)*
+                $(self.$always[..from.$always.len()].copy_from_slice(&from.$always);)*
+                $(self.$optional[..from.$optional.len()].copy_from_slice(&from.$optional);)*
+            }
+
+            /// Name, length and expected length of each column of a saved state of this fleet.
+            pub(crate) fn lengths(
+                &self,
+                saved: &Self,
+            ) -> impl Iterator<Item = (&'static str, usize, usize)> {
+                let blocks = saved.admissions.len().div_ceil(LANES);
+                [
+                    $(($apart_name, saved.$apart.len(), blocks),)*
+                    $(($always_name, saved.$always.len(), blocks),)*
+                    $((
+                        $optional_name,
+                        saved.$optional.len(),
+                        blocks.min(self.$optional.len()),
+                    ),)*
+                ]
+                .into_iter()
+            }
+
+            /// State from which the output of a block is computed.
+            pub(crate) fn block(&self, block: usize) -> BlockRef<'_> {
+                BlockRef {
+                    admissions: &self.admissions.as_chunks().0[block],
+                    $($always: &self.$always[block],)*
+                    $($optional: self.$optional.get(block),)*
+                }
+            }
+
+            /// All of them; `words` has a bit for each slot in use.
+            pub(crate) fn view_mut<'a>(&'a mut self, words: &'a [u64]) -> ColumnsMut<'a> {
+                ColumnsMut {
+                    admissions: &mut self.admissions,
+                    $($apart: &mut self.$apart,)*
+                    $($always: &mut self.$always,)*
+                    $($optional: &mut self.$optional,)*
+                    words,
+                }
+            }
+        }
+
+        /// Columns of a contiguous range of slots, all of one length, and a bit for each slot in use.
+        /// Ranges of different shards are disjoint.
+        #[derive(Debug)]
+        pub(crate) struct ColumnsMut<'a> {
+            pub admissions: &'a mut [AdmissionState],
+            $(pub $apart: &'a mut [$apart_type],)*
+            $(pub $always: &'a mut [$always_type],)*
+            $($(#[doc = $doc])* pub $optional: &'a mut [$optional_type],)*
+            pub words: &'a [u64],
+        }
+
+        impl<'a> ColumnsMut<'a> {
+            /// The slots of the first `words` words, and the rest.
+            pub(crate) fn split(self, words: usize) -> (Self, Self) {
+                let words = words.min(self.words.len());
+                let block = (words * BLOCKS).min(self.intervals.len());
+                let admissions = self.admissions.split_at_mut(block * LANES);
+                $(let $apart = self.$apart.split_at_mut(block);)*
+                $(let $always = self.$always.split_at_mut(block);)*
+                $(let $optional = self.$optional.split_at_mut(block.min(self.$optional.len()));)*
+                let words = self.words.split_at(words);
+                (
+                    Self {
+                        admissions: admissions.0,
+                        $($apart: $apart.0,)*
+                        $($always: $always.0,)*
+                        $($optional: $optional.0,)*
+                        words: words.0,
+                    },
+                    Self {
+                        admissions: admissions.1,
+                        $($apart: $apart.1,)*
+                        $($always: $always.1,)*
+                        $($optional: $optional.1,)*
+                        words: words.1,
+                    },
+                )
+            }
+
+            /// Reborrows the columns.
+            pub(crate) fn reborrow(&mut self) -> ColumnsMut<'_> {
+                ColumnsMut {
+                    admissions: self.admissions,
+                    $($apart: self.$apart,)*
+                    $($always: self.$always,)*
+                    $($optional: self.$optional,)*
+                    words: self.words,
+                }
+            }
+
+            /// As [`Columns::block`].
+            #[inline(always)]
+            pub(crate) fn block(&self, block: usize) -> BlockRef<'_> {
+                BlockRef {
+                    admissions: &self.admissions.as_chunks().0[block],
+                    $($always: &self.$always[block],)*
+                    $($optional: self.$optional.get(block),)*
+                }
+            }
+        }
+    };
+}
+
+columns! {
+    apart {
+        pending: PendingBlock, "blocks of pending";
+    }
+    always {
+        windows: WindowLanes, "blocks of windows";
+        lasts: LastLanes, "blocks of last samples";
+        intervals: IntervalLanes, "blocks of intervals";
+        ledgers: LedgerLanes, "blocks of ledgers";
+        scores: ScoreLanes, "blocks of scores";
+        detectors: DetectorLanes, "blocks of detectors";
+        energy: EnergyLanes, "blocks of energy states";
+    }
+    optional {
+        /// Empty unless a platform learns online.
+        online: OnlineLanes, "blocks of what is learned online";
+        /// Empty unless a platform has a battery.
+        batteries: BatteryLanes, "blocks of batteries";
+    }
+}
+
+/// Which optional columns a fleet needs.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct BlockRef<'a> {
-    pub admissions: &'a [AdmissionState; LANES],
-    pub lasts: &'a LastLanes,
-    pub windows: &'a WindowLanes,
-    pub intervals: &'a IntervalLanes,
-    pub ledgers: &'a LedgerLanes,
-    pub scores: &'a ScoreLanes,
-    pub detectors: &'a DetectorLanes,
-    pub energy: &'a EnergyLanes,
-    /// `None` unless a platform learns online.
-    pub online: Option<&'a OnlineLanes>,
-    /// `None` unless a platform has a battery.
-    pub batteries: Option<&'a BatteryLanes>,
+pub(crate) struct Needed {
+    /// A platform learns online.
+    pub online: bool,
+    /// A platform has a battery.
+    pub batteries: bool,
 }
 
-/// The columns, for the capacity rounded up to a whole block.
-#[derive(Debug)]
-pub(crate) struct Columns {
-    pub admissions: Vec<AdmissionState>,
-    pub pending: Vec<PendingBlock>,
-    pub windows: Vec<WindowLanes>,
-    pub lasts: Vec<LastLanes>,
-    pub intervals: Vec<IntervalLanes>,
-    pub ledgers: Vec<LedgerLanes>,
-    pub scores: Vec<ScoreLanes>,
-    pub detectors: Vec<DetectorLanes>,
-    pub energy: Vec<EnergyLanes>,
-    /// Empty unless a platform learns online.
-    pub online: Vec<OnlineLanes>,
-    /// Empty unless a platform has a battery.
-    pub batteries: Vec<BatteryLanes>,
-    pub slots: Slots,
-}
-
-impl Columns {
-    /// `learning`: whether a platform learns online; `batteries`: whether one has a battery.
-    pub(crate) fn new(
-        capacity: usize,
-        platforms: usize,
-        (learning, batteries): (bool, bool),
-    ) -> Self {
-        let blocks = capacity.div_ceil(LANES);
-        let robots = blocks * LANES;
+impl Needed {
+    pub(crate) fn by(settings: &FleetSettings) -> Self {
         Self {
-            admissions: vec![AdmissionState::FREE; robots],
-            pending: vec![PendingBlock::default(); blocks],
-            windows: vec![WindowLanes::default(); blocks],
-            lasts: vec![LastLanes::default(); blocks],
-            intervals: vec![IntervalLanes::default(); blocks],
-            ledgers: vec![LedgerLanes::default(); blocks],
-            scores: vec![ScoreLanes::default(); blocks],
-            detectors: vec![DetectorLanes::default(); blocks],
-            energy: vec![EnergyLanes::default(); blocks],
-            online: vec![OnlineLanes::default(); if learning { blocks } else { 0 }],
-            batteries: vec![BatteryLanes::default(); if batteries { blocks } else { 0 }],
-            slots: Slots::new(capacity, platforms),
-        }
-    }
-
-    /// State from which the output of a block is computed.
-    pub(crate) fn block(&self, block: usize) -> BlockRef<'_> {
-        BlockRef {
-            admissions: &self.admissions.as_chunks().0[block],
-            lasts: &self.lasts[block],
-            windows: &self.windows[block],
-            intervals: &self.intervals[block],
-            ledgers: &self.ledgers[block],
-            scores: &self.scores[block],
-            detectors: &self.detectors[block],
-            energy: &self.energy[block],
-            online: self.online.get(block),
-            batteries: self.batteries.get(block),
-        }
-    }
-
-    pub(crate) fn view_mut(&mut self) -> ColumnsMut<'_> {
-        ColumnsMut {
-            admissions: &mut self.admissions,
-            pending: &mut self.pending,
-            windows: &mut self.windows,
-            lasts: &mut self.lasts,
-            intervals: &mut self.intervals,
-            ledgers: &mut self.ledgers,
-            scores: &mut self.scores,
-            detectors: &mut self.detectors,
-            energy: &mut self.energy,
-            online: &mut self.online,
-            batteries: &mut self.batteries,
-            words: self.slots.words(),
+            online: settings.platforms.iter().any(|platform| platform.online),
+            batteries: settings.has_batteries(),
         }
     }
 }
 
-/// Columns of a contiguous range of slots, all of one length, and a bit for each slot in use.
-/// Ranges of different shards are disjoint.
-#[derive(Debug)]
-pub(crate) struct ColumnsMut<'a> {
-    pub admissions: &'a mut [AdmissionState],
-    pub pending: &'a mut [PendingBlock],
-    pub windows: &'a mut [WindowLanes],
-    pub lasts: &'a mut [LastLanes],
-    pub intervals: &'a mut [IntervalLanes],
-    pub ledgers: &'a mut [LedgerLanes],
-    pub scores: &'a mut [ScoreLanes],
-    pub detectors: &'a mut [DetectorLanes],
-    pub energy: &'a mut [EnergyLanes],
-    /// Empty unless a platform learns online.
-    pub online: &'a mut [OnlineLanes],
-    /// Empty unless a platform has a battery.
-    pub batteries: &'a mut [BatteryLanes],
-    pub words: &'a [u64],
-}
-
-impl<'a> ColumnsMut<'a> {
-    /// The slots of the first `words` words, and the rest.
-    pub(crate) fn split(self, words: usize) -> (Self, Self) {
-        let words = words.min(self.words.len());
-        let block = (words * BLOCKS).min(self.intervals.len());
-        let at = block * LANES;
-        let admissions = self.admissions.split_at_mut(at);
-        let pending = self.pending.split_at_mut(block);
-        let windows = self.windows.split_at_mut(block);
-        let lasts = self.lasts.split_at_mut(block);
-        let intervals = self.intervals.split_at_mut(block);
-        let ledgers = self.ledgers.split_at_mut(block);
-        let scores = self.scores.split_at_mut(block);
-        let detectors = self.detectors.split_at_mut(block);
-        let energy = self.energy.split_at_mut(block);
-        let online = self.online.split_at_mut(block.min(self.online.len()));
-        let batteries = self.batteries.split_at_mut(block.min(self.batteries.len()));
-        let words = self.words.split_at(words);
-        (
-            Self {
-                admissions: admissions.0,
-                pending: pending.0,
-                windows: windows.0,
-                lasts: lasts.0,
-                intervals: intervals.0,
-                ledgers: ledgers.0,
-                scores: scores.0,
-                detectors: detectors.0,
-                energy: energy.0,
-                online: online.0,
-                batteries: batteries.0,
-                words: words.0,
-            },
-            Self {
-                admissions: admissions.1,
-                pending: pending.1,
-                windows: windows.1,
-                lasts: lasts.1,
-                intervals: intervals.1,
-                ledgers: ledgers.1,
-                scores: scores.1,
-                detectors: detectors.1,
-                energy: energy.1,
-                online: online.1,
-                batteries: batteries.1,
-                words: words.1,
-            },
-        )
-    }
-
-    /// Reborrows the columns.
-    pub(crate) fn reborrow(&mut self) -> ColumnsMut<'_> {
-        ColumnsMut {
-            admissions: self.admissions,
-            pending: self.pending,
-            windows: self.windows,
-            lasts: self.lasts,
-            intervals: self.intervals,
-            ledgers: self.ledgers,
-            scores: self.scores,
-            detectors: self.detectors,
-            energy: self.energy,
-            online: self.online,
-            batteries: self.batteries,
-            words: self.words,
-        }
-    }
-
-    /// Same as [`Columns::block`].
-    #[inline(always)]
-    pub(crate) fn block(&self, block: usize) -> BlockRef<'_> {
-        BlockRef {
-            admissions: &self.admissions.as_chunks().0[block],
-            lasts: &self.lasts[block],
-            windows: &self.windows[block],
-            intervals: &self.intervals[block],
-            ledgers: &self.ledgers[block],
-            scores: &self.scores[block],
-            detectors: &self.detectors[block],
-            energy: &self.energy[block],
-            online: self.online.get(block),
-            batteries: self.batteries.get(block),
-        }
-    }
-
+impl ColumnsMut<'_> {
     /// Number of robots in these slots.
     pub(crate) fn robots(&self) -> usize {
         slots::count(self.words)

@@ -5,7 +5,8 @@
 //! stay.
 
 use crate::layout::shift::Shift;
-use crate::state::snapshot::{Counters, FleetState, SavedColumns};
+use crate::state::columns::Columns;
+use crate::state::snapshot::{Counters, FleetState};
 
 impl FleetState {
     /// Moves all instants by `offset_ns`, the number to add to the monotonic clock of the state's
@@ -56,7 +57,7 @@ impl Counters {
     }
 }
 
-impl SavedColumns {
+impl Columns {
     fn shift(&mut self, shift: Shift) {
         let Self {
             admissions,

@@ -3,24 +3,15 @@
 use joulebus_settings::FleetSettings;
 use serde::{Deserialize, Serialize};
 
-use crate::alarms::detector::DetectorLanes;
-use crate::estimate::energy::EnergyLanes;
-use crate::estimate::interval::IntervalLanes;
-use crate::estimate::online::OnlineLanes;
-use crate::estimate::scores::ScoreLanes;
-use crate::estimate::window::WindowLanes;
 use crate::ingest::admission::AdmissionState;
 use crate::ingest::codes::drop_counts;
 use crate::ingest::frame::TickIntake;
-use crate::ingest::last_sample::LastLanes;
-use crate::ingest::pending::PendingBlock;
 use crate::ingest::refused::Refused;
 use crate::ingest::sources::Source;
-use crate::layout::lanes::LANES;
-use crate::ledger::battery::{BatteryLanes, Known};
+use crate::ledger::battery::Known;
 use crate::ledger::departed::Account;
 use crate::ledger::energy::Ledger;
-use crate::ledger::energy::LedgerLanes;
+use crate::state::columns::{Columns, Needed};
 
 /// First bytes of the encoding. The last of them is its version, incremented whenever a column
 /// gains, loses or moves a field.
@@ -39,7 +30,8 @@ pub struct FleetState {
     pub(crate) settings_hash: u64,
     pub(crate) model_hash: u64,
     pub(crate) counters: Counters,
-    pub(crate) columns: SavedColumns,
+    /// The slots ever used.
+    pub(crate) columns: Columns,
     pub(crate) departed: Vec<Account>,
     pub(crate) sources: Vec<Source>,
     pub(crate) refused: Refused,
@@ -55,24 +47,6 @@ pub(crate) struct Counters {
     pub intake: TickIntake,
     pub now_ns: u64,
     pub deadline_missed: bool,
-}
-
-/// The slots ever used, as in the fleet's own columns.
-#[derive(Debug, Clone, Default, Serialize, Deserialize)]
-pub(crate) struct SavedColumns {
-    pub admissions: Vec<AdmissionState>,
-    pub pending: Vec<PendingBlock>,
-    pub windows: Vec<WindowLanes>,
-    pub lasts: Vec<LastLanes>,
-    pub intervals: Vec<IntervalLanes>,
-    pub ledgers: Vec<LedgerLanes>,
-    pub scores: Vec<ScoreLanes>,
-    pub detectors: Vec<DetectorLanes>,
-    pub energy: Vec<EnergyLanes>,
-    /// Empty unless a platform learns online.
-    pub online: Vec<OnlineLanes>,
-    /// Empty unless a platform has a battery.
-    pub batteries: Vec<BatteryLanes>,
 }
 
 /// Errors of restoring a state.
@@ -153,31 +127,15 @@ impl FleetState {
     #[must_use]
     pub fn with_capacity_for(settings: &FleetSettings) -> Self {
         let robots = settings.capacity as usize;
-        let blocks = robots.div_ceil(LANES);
-        let learning = settings.platforms.iter().any(|platform| platform.online);
-        let batteries = settings.has_batteries();
+        let mut columns = Columns::new(robots, Needed::by(settings));
+        columns.clear();
         Self {
             capacity: 0,
             platforms: 0,
             settings_hash: 0,
             model_hash: 0,
             counters: Counters::default(),
-            columns: SavedColumns {
-                admissions: with_capacity(robots, AdmissionState::FREE),
-                pending: with_capacity(blocks, PendingBlock::default()),
-                windows: with_capacity(blocks, WindowLanes::default()),
-                lasts: with_capacity(blocks, LastLanes::default()),
-                intervals: with_capacity(blocks, IntervalLanes::default()),
-                ledgers: with_capacity(blocks, LedgerLanes::default()),
-                scores: with_capacity(blocks, ScoreLanes::default()),
-                detectors: with_capacity(blocks, DetectorLanes::default()),
-                energy: with_capacity(blocks, EnergyLanes::default()),
-                online: with_capacity(if learning { blocks } else { 0 }, OnlineLanes::default()),
-                batteries: with_capacity(
-                    if batteries { blocks } else { 0 },
-                    BatteryLanes::default(),
-                ),
-            },
+            columns,
             departed: with_capacity(
                 robots,
                 Account {
