@@ -1,10 +1,9 @@
 //! Alarms: a robot with a stuck power monitor, and one that sends invalid values.
 //! `cargo run -p joulebus-examples --example alarms`
 
-use std::error::Error;
 use std::time::Duration;
 
-use joulebus_consumer::{Event, Planner, wire::Alarm};
+use joulebus_consumer::{Event, Subscriber, wire::Alarm};
 use joulebus_examples::PrivateFleet;
 use joulebus_publisher::{Pace, Publisher, RobotState};
 
@@ -16,11 +15,11 @@ stuck_after_s = 0.5
 stale_after_s = 5.0
 "#;
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> anyhow::Result<()> {
     let fleet = PrivateFleet::with_worker(PLATFORMS)?;
     let mut publisher = Publisher::connect(fleet.config(), "controller")?;
-    let mut planner = Planner::connect(fleet.config())?;
-    let mut diagnostics = planner.diagnostics()?;
+    let mut subscriber = Subscriber::connect(fleet.config())?;
+    let mut diagnostics = subscriber.diagnostics()?;
     let mut pace = Pace::every(Duration::from_nanos(33_333_333));
     let (mut stuck, mut refused) = (false, false);
     for tick in 0..150 {
@@ -31,7 +30,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             RobotState::new(1).command(0.1, 0.0).reading(3.7),
             RobotState::new(2).command(0.1, 0.0).reading(f32::NAN),
         ])?;
-        if let Event::Frame(_) = planner.wait_next(Duration::from_secs(1))? {}
+        if let Event::Frame(_) = subscriber.wait_next(Duration::from_secs(1))? {}
         let Some(frame) = diagnostics.latest()? else {
             continue;
         };
@@ -57,5 +56,5 @@ fn main() -> Result<(), Box<dyn Error>> {
             return Ok(());
         }
     }
-    Err("no alarm within five seconds".into())
+    anyhow::bail!("no alarm within five seconds")
 }

@@ -1,7 +1,6 @@
 //! Ask before you move: what a plan costs, whether a robot makes it, when it must turn back, and
 //! which robot does it for the least. `cargo run -p joulebus-examples --example ask`
 
-use std::error::Error;
 use std::time::Duration;
 
 use joulebus_examples::PrivateFleet;
@@ -18,7 +17,7 @@ capacity_wh = 10.0
 initial_soc_lo = 0.9
 "#;
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> anyhow::Result<()> {
     let fleet = PrivateFleet::with_worker(PLATFORMS)?;
     let mut publisher = Publisher::connect(fleet.config(), "controller")?;
     let mut planner = Planner::connect(fleet.config())?;

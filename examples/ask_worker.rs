@@ -1,7 +1,6 @@
 //! Ask the worker: a program that loads no models asks what a path costs, and what standing still
 //! costs. `cargo run -p joulebus-examples --example ask_worker`
 
-use std::error::Error;
 use std::time::Duration;
 
 use joulebus_config::Config;
@@ -20,7 +19,7 @@ capacity_wh = 10.0
 initial_soc_lo = 0.9
 "#;
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> anyhow::Result<()> {
     let fleet = PrivateFleet::with_worker(PLATFORMS)?;
     // In `joulebus run` this thread runs beside the tick.
     let server = PlanServer::start(&Config::load(fleet.config())?)?;

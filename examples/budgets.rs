@@ -1,10 +1,9 @@
 //! Energy budgets: what each robot has drawn, what it may still use, and for how long.
 //! `cargo run -p joulebus-examples --example budgets`
 
-use std::error::Error;
 use std::time::Duration;
 
-use joulebus_consumer::{Event, Planner};
+use joulebus_consumer::{Event, Subscriber};
 use joulebus_examples::PrivateFleet;
 use joulebus_publisher::{Pace, Publisher, RobotState};
 
@@ -17,11 +16,11 @@ capacity_wh = 10.0
 initial_soc_lo = 0.9
 "#;
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> anyhow::Result<()> {
     let fleet = PrivateFleet::with_worker(PLATFORMS)?;
     let mut publisher = Publisher::connect(fleet.config(), "controller")?;
-    let mut planner = Planner::connect(fleet.config())?;
-    let mut budgets = planner.budgets()?;
+    let mut subscriber = Subscriber::connect(fleet.config())?;
+    let mut budgets = subscriber.budgets()?;
     let mut pace = Pace::every(Duration::from_nanos(33_333_333));
     for _ in 0..60 {
         pace.wait();
@@ -33,10 +32,10 @@ fn main() -> Result<(), Box<dyn Error>> {
             RobotState::new(2).command(0.2, 0.0),
         ])?;
         // Budgets are sent with the forecasts, for which a planner waits.
-        if let Event::Frame(_) = planner.wait_next(Duration::from_secs(1))? {}
+        if let Event::Frame(_) = subscriber.wait_next(Duration::from_secs(1))? {}
     }
     let Some(frame) = budgets.latest()? else {
-        return Err("the worker has sent no budgets".into());
+        anyhow::bail!("the worker has sent no budgets");
     };
     for budget in (0..3).filter_map(|robot| frame.robot(robot)) {
         println!(

@@ -1,13 +1,12 @@
 //! A fleet controller publishes its commands and readings, 30 times a second, whether or not a
 //! worker runs: `cargo run -p joulebus-examples --example controller configs/fleet.toml`
 
-use std::error::Error;
 use std::path::Path;
 use std::time::Duration;
 
 use joulebus_publisher::{Pace, Publisher, RobotState};
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> anyhow::Result<()> {
     let config = std::env::args().nth(1);
     let config = config.as_deref().unwrap_or("configs/fleet.toml");
     let sent = run(config.as_ref(), 90)?;
@@ -16,7 +15,7 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 /// Publishes samples of twenty robots 30 times a second, `ticks` times; returns their number.
-pub(crate) fn run(config: &Path, ticks: u32) -> Result<u64, Box<dyn Error>> {
+pub(crate) fn run(config: &Path, ticks: u32) -> anyhow::Result<u64> {
     let mut publisher = Publisher::connect(config, "example-controller")?;
     let mut pace = Pace::every(Duration::from_nanos(33_333_333));
     for tick in 0..ticks {

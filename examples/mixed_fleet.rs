@@ -2,10 +2,9 @@
 //! all.
 //! `cargo run -p joulebus-examples --example mixed_fleet`
 
-use std::error::Error;
 use std::time::Duration;
 
-use joulebus_consumer::{Event, Planner, wire::Forecast};
+use joulebus_consumer::{Event, Subscriber, wire::Forecast};
 use joulebus_examples::PrivateFleet;
 use joulebus_publisher::{Pace, Publisher, RobotState};
 
@@ -23,10 +22,10 @@ robots = ["200"]
 power_max_w = 150.0
 "#;
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> anyhow::Result<()> {
     let fleet = PrivateFleet::with_worker(PLATFORMS)?;
     let mut publisher = Publisher::connect(fleet.config(), "controller")?;
-    let mut planner = Planner::connect(fleet.config())?;
+    let mut subscriber = Subscriber::connect(fleet.config())?;
     let mut pace = Pace::every(Duration::from_nanos(33_333_333));
     for tick in 0..600_u32 {
         pace.wait();
@@ -36,19 +35,19 @@ fn main() -> Result<(), Box<dyn Error>> {
         let huskies = huskies.map(|id| RobotState::new(id).command(0.5, 0.1).reading(140.0));
         let rovers = [RobotState::new(200).reading(31.0)];
         publisher.publish(gternals.chain(huskies).chain(rovers))?;
-        if let Event::Frame(_) = planner.wait_next(Duration::from_secs(1))? {}
+        if let Event::Frame(_) = subscriber.wait_next(Duration::from_secs(1))? {}
         // Two seconds. Where a program gets no processor for a while, the windows of its robots
         // begin anew.
-        let frame = planner.current();
+        let frame = subscriber.current();
         let known = frame.map_or(0, |frame| {
-            frame.iter().filter_map(Forecast::power_w).count()
+            frame.iter().filter_map(Forecast::expected_w).count()
         });
         if tick >= 59 && known == 13 {
             break;
         }
     }
-    let Some(frame) = planner.current() else {
-        return Err("the worker has sent no forecasts".into());
+    let Some(frame) = subscriber.current() else {
+        anyhow::bail!("the worker has sent no forecasts");
     };
     for (platform, ids) in [
         ("gternal", 0..100),
@@ -59,7 +58,9 @@ fn main() -> Result<(), Box<dyn Error>> {
             .robots()
             .iter()
             .filter(|forecast| ids.contains(&forecast.robot));
-        let powers_w: Vec<f32> = robots.filter_map(|forecast| forecast.power_w()).collect();
+        let powers_w: Vec<f32> = robots
+            .filter_map(|forecast| forecast.expected_w())
+            .collect();
         let sum_w: f32 = powers_w.iter().sum();
         println!("{platform}: {} robots, {sum_w:.1} W", powers_w.len());
     }

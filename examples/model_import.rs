@@ -1,13 +1,12 @@
 //! Model import: converts weights of another program to a model for the worker. The parser executes
 //! no code in the file. `cargo run -p joulebus-examples --example model_import`
 
-use std::error::Error;
-
+use anyhow::Context;
 use joulebus_model_files::{Checkpoint, Origin, to_arrays};
 use joulebus_predictor::Network;
 use joulebus_sim::protocol;
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> anyhow::Result<()> {
     let checkpoint = Checkpoint::from_arrays(&arrays_of_another_program()?)?;
     // The network is found by the shapes of its arrays, the normalisation by its names.
     let found = checkpoint.find(None, None)?;
@@ -38,8 +37,8 @@ fn main() -> Result<(), Box<dyn Error>> {
 type Arrays = Vec<(String, Vec<u8>)>;
 
 /// Weights and statistics as plain NumPy arrays, as another program may have saved them.
-fn arrays_of_another_program() -> Result<Arrays, Box<dyn Error>> {
-    let (_, bytes) = joulebus_config::builtin_model("gternal-sim").ok_or("no such model")?;
+fn arrays_of_another_program() -> anyhow::Result<Arrays> {
+    let (_, bytes) = joulebus_config::builtin_model("gternal-sim").context("no such model")?;
     let mut arrays = to_arrays(&Network::from_safetensors(bytes)?)?;
     // Without the arrays of our own format, it is a foreign file.
     arrays.retain(|(name, _)| {

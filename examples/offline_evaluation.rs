@@ -1,7 +1,6 @@
 //! Offline evaluation: recorded trials through the live tick, with the same bits.
 //! `cargo run -p joulebus-examples --example offline_evaluation [FILE…]`
 
-use std::error::Error;
 use std::path::Path;
 
 use joulebus_config::Config;
@@ -17,7 +16,7 @@ file = "builtin:gternal"
 robots = ["0-99"]
 "#;
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> anyhow::Result<()> {
     // Recordings as .npy, CSV or CSV.gz; by default two simulated trials.
     let mut trials = std::env::args()
         .skip(1)

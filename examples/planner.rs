@@ -1,26 +1,25 @@
 //! A planner waits for forecasts, and is notified at once when the worker ends: `cargo run -p
 //! joulebus-examples --example planner configs/fleet.toml`
 
-use std::error::Error;
 use std::path::Path;
 use std::time::Duration;
 
-use joulebus_consumer::{Event, Planner, wire::Forecast};
+use joulebus_consumer::{Event, Subscriber, wire::Forecast};
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> anyhow::Result<()> {
     let config = std::env::args().nth(1);
     let config = config.as_deref().unwrap_or("configs/fleet.toml");
     run(config.as_ref(), 60)
 }
 
 /// Prints `frames` frames of forecasts, and changes of the worker's state.
-pub(crate) fn run(config: &Path, frames: u64) -> Result<(), Box<dyn Error>> {
-    let mut planner = Planner::connect(config)?;
-    while planner.counts().frames < frames {
-        match planner.wait_next(Duration::from_secs(1))? {
+pub(crate) fn run(config: &Path, frames: u64) -> anyhow::Result<()> {
+    let mut subscriber = Subscriber::connect(config)?;
+    while subscriber.counts().frames < frames {
+        match subscriber.wait_next(Duration::from_secs(1))? {
             Event::Frame(frame) => {
                 let tick = frame.header().tick;
-                let fleet_w: f32 = frame.iter().filter_map(Forecast::power_w).sum();
+                let fleet_w: f32 = frame.iter().filter_map(Forecast::expected_w).sum();
                 match frame.robot(7).and_then(Forecast::interval_w) {
                     Some((lo, hi)) => {
                         println!("tick {tick}: fleet {fleet_w:.1} W, robot 7 {lo:.2} to {hi:.2} W");

@@ -2,12 +2,11 @@
 //! `cargo run -p joulebus-examples --example read_capture [FILE]`
 
 use std::collections::BTreeMap;
-use std::error::Error;
 
 use joulebus_capture_format::{Frame, Reader};
 use joulebus_wire::Forecasts;
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> anyhow::Result<()> {
     let directory = tempfile::tempdir()?;
     let file = match std::env::args().nth(1) {
         Some(file) => file.into(),
@@ -24,7 +23,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         *messages.entry(entry.topic.to_string()).or_default() += 1;
         // The payloads are those of shared memory, with the same bits.
         if let Some(Frame { rows, .. }) = entry.message.frame::<Forecasts>() {
-            for power_w in rows.iter().filter_map(|robot| robot.power_w()) {
+            for power_w in rows.iter().filter_map(|robot| robot.expected_w()) {
                 sum_w += f64::from(power_w);
                 forecasts += 1;
             }

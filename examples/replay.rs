@@ -2,14 +2,13 @@
 //! and budget of a capture and compares the bits. `cargo run -p joulebus-examples --example replay
 //! [FILE]`
 
-use std::error::Error;
-
+use anyhow::Context;
 use joulebus_capture_format::Reader;
 use joulebus_capture_verify::Verifier;
 use joulebus_config::Config;
 use joulebus_models::load_models;
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> anyhow::Result<()> {
     let directory = tempfile::tempdir()?;
     let file = match std::env::args().nth(1) {
         Some(file) => file.into(),
@@ -26,10 +25,10 @@ fn main() -> Result<(), Box<dyn Error>> {
     let fleet = attachments
         .fleets()
         .next()
-        .ok_or("no fleet in it")?
+        .context("no fleet in it")?
         .to_owned();
     let unpacked = attachments.unpack(&fleet, directory.path())?;
-    let config = Config::load(unpacked.ok_or("no config in it")?)?;
+    let config = Config::load(unpacked.context("no config in it")?)?;
 
     let mut verifier = Verifier::new(config.settings().clone(), load_models(&config)?)?;
     while let Some(entry) = reader.next_entry()? {

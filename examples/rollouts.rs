@@ -2,12 +2,11 @@
 //! seconds.
 //! `cargo run -p joulebus-examples --example rollouts`
 
-use std::error::Error;
-
+use anyhow::Context;
 use joulebus_predictor::{LAGS, Model, Network, ReadingAge, RolloutStart, Rollouts};
 
-fn main() -> Result<(), Box<dyn Error>> {
-    let (name, bytes) = joulebus_config::builtin_model("gternal-sim").ok_or("no such model")?;
+fn main() -> anyhow::Result<()> {
+    let (name, bytes) = joulebus_config::builtin_model("gternal-sim").context("no such model")?;
     let model = Model::Network(Network::from_safetensors(bytes)?);
 
     // One robot that drives at 0.1 m/s, and three candidates for it: slower, faster, on the spot.

@@ -1,14 +1,13 @@
 //! Training: from rows of a simulated fleet to a model file for the worker. The same seed gives the
 //! same bytes on every machine. `cargo run -p joulebus-examples --example training`
 
-use std::error::Error;
 use std::fs;
 
 use joulebus_predictor::FeatureSet;
 use joulebus_sim::training_data::{SimulatedData, dataset_from_plant};
 use joulebus_train::{TrainSettings, train};
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> anyhow::Result<()> {
     // Split by robot: the rows of one robot are all in the same part.
     let dataset = dataset_from_plant(SimulatedData {
         seed: 7,

@@ -1,13 +1,12 @@
 //! The worker is killed and restarted: a planner is notified of both at once, and stays connected.
 //! `cargo run -p joulebus-examples --example worker_death`
 
-use std::error::Error;
 use std::path::Path;
 use std::process::{Child, Command};
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use joulebus_consumer::{Config, Event, Planner};
+use joulebus_consumer::{Config, Event, Subscriber};
 use joulebus_examples::PrivateFleet;
 use joulebus_predictor_worker::Worker;
 
@@ -17,18 +16,18 @@ file = "builtin:gternal"
 robots = ["0-9"]
 "#;
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> anyhow::Result<()> {
     // This program is also the worker that it starts.
     if let Some(config) = std::env::args().nth(1) {
         Worker::open(&Config::load(config)?)?.run(&AtomicBool::new(false))?;
         return Ok(());
     }
     let fleet = PrivateFleet::new(PLATFORMS)?;
-    let mut planner = Planner::connect(fleet.config())?;
+    let mut subscriber = Subscriber::connect(fleet.config())?;
     let mut worker = start(fleet.config())?;
     let mut killed = false;
     loop {
-        match planner.wait_next(Duration::from_secs(10))? {
+        match subscriber.wait_next(Duration::from_secs(10))? {
             Event::Frame(frame) if frame.arrival().restarted => {
                 println!("tick {} of a new worker", frame.header().tick);
                 break;
@@ -45,7 +44,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             }
             Event::TimedOut => {
                 worker.kill()?;
-                return Err("no event for ten seconds".into());
+                anyhow::bail!("no event for ten seconds");
             }
             // Frames sent before the end, and `Stale` before it is reported: nothing to do.
             _ => {}

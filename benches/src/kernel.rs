@@ -180,7 +180,8 @@ impl Case {
         let forecasts_w = black_box(&mut self.forecasts_w);
         if self.layout == Layout::Columns {
             let columns = std::array::from_fn(|feature| self.columns[feature].as_slice());
-            self.model.predict_columns(black_box(columns), forecasts_w);
+            let predicted = self.model.predict_columns(black_box(columns), forecasts_w);
+            predicted.expect("columns of the batch's length");
         } else {
             self.model.predict(black_box(&self.rows), forecasts_w);
         }

@@ -18,7 +18,7 @@ static int failed(const char *what) {
     return EXIT_FAILURE;
 }
 
-static void print_frame(joulebus_planner *planner, const joulebus_forecasts *frame) {
+static void print_frame(joulebus_subscriber *subscriber, const joulebus_forecasts *frame) {
     double total_w = 0.0;
     size_t known = 0;
     for (size_t at = 0; at < frame->count; at++) {
@@ -30,7 +30,7 @@ static void print_frame(joulebus_planner *planner, const joulebus_forecasts *fra
     }
     printf("tick %" PRIu64 ": %zu of %zu robots will draw %.2f W", frame->header->tick, known, frame->count, total_w);
     const joulebus_forecast *seventh = NULL;
-    if (!joulebus_planner_robot(planner, 7, &seventh) && seventh && seventh->flags & JOULEBUS_FORECAST_INTERVAL) {
+    if (!joulebus_subscriber_robot(subscriber, 7, &seventh) && seventh && seventh->flags & JOULEBUS_FORECAST_INTERVAL) {
         printf(", robot 7 %.2f to %.2f W", seventh->lo_w, seventh->hi_w);
     }
     printf("\n");
@@ -45,22 +45,22 @@ int main(int count, char **arguments) {
     unsigned long frames = count > 2 ? strtoul(arguments[2], NULL, 10) : 0;
     signal(SIGINT, on_signal);
     signal(SIGTERM, on_signal);
-    joulebus_planner *planner = NULL;
-    if (joulebus_planner_open(JOULEBUS_HEADER, arguments[1], "planner", &planner)) {
+    joulebus_subscriber *subscriber = NULL;
+    if (joulebus_subscriber_open(JOULEBUS_HEADER, arguments[1], "planner", &subscriber)) {
         return failed("cannot join the fleet");
     }
     unsigned long seen = 0;
     int ends = 0;
     while (!ends && (frames == 0 || seen < frames)) {
         joulebus_event event;
-        if (joulebus_planner_wait(planner, TIMEOUT_NS, &event)) {
+        if (joulebus_subscriber_wait(subscriber, TIMEOUT_NS, &event)) {
             /* The next call may succeed. */
             fprintf(stderr, "%s\n", joulebus_last_error());
             continue;
         }
         switch (event.kind) {
         case JOULEBUS_EVENT_KIND_FRAME:
-            print_frame(planner, &event.frame);
+            print_frame(subscriber, &event.frame);
             seen++;
             break;
         case JOULEBUS_EVENT_KIND_GONE:
@@ -76,13 +76,13 @@ int main(int count, char **arguments) {
             break;
         }
     }
-    joulebus_planner_status status;
-    if (joulebus_planner_get_status(planner, &status)) {
+    joulebus_subscriber_status status;
+    if (joulebus_subscriber_get_status(subscriber, &status)) {
         return failed("status");
     }
     printf("%" PRIu64 " frames, %" PRIu64 " ticks missed, %" PRIu64 " workers\n", status.frames, status.ticks_missed,
            status.workers);
-    if (joulebus_planner_close(planner)) {
+    if (joulebus_subscriber_close(subscriber)) {
         return failed("close");
     }
     return EXIT_SUCCESS;

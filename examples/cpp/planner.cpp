@@ -57,7 +57,7 @@ int main(int count, char **arguments) {
     // Nothing to do: a signal ends the wait, and the wait says so.
     std::signal(SIGINT, [](int) {});
     std::signal(SIGTERM, [](int) {});
-    auto planner = joulebus::Planner::open(arguments[1]);
+    auto planner = joulebus::Subscriber::open(arguments[1]);
     auto questions = joulebus::Questions::open(arguments[1]);
     if (!planner || !questions) {
         std::cerr << "cannot join the fleet: " << (!planner ? planner.error() : questions.error()).message << '\n';
@@ -73,7 +73,7 @@ int main(int count, char **arguments) {
         if (auto *frame = std::get_if<joulebus::Forecasts>(&*event)) {
             double total_w = 0.0;
             for (const joulebus_forecast &robot : *frame) {
-                total_w += joulebus::power_w(robot).value_or(0.0f);
+                total_w += joulebus::expected_w(robot).value_or(0.0f);
             }
             std::cout << "tick " << frame->header().tick << ": " << frame->size() << " robots, " << total_w << " W"
                       << std::endl;

@@ -2,7 +2,6 @@
 //! needs a running worker nor interferes with one.
 #![forbid(unsafe_code)]
 
-use std::error::Error;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -60,7 +59,7 @@ impl PrivateFleet {
     ///
     /// # Errors
     /// `/dev/shm` cannot be written to.
-    pub fn new(platforms: &str) -> Result<Self, Box<dyn Error>> {
+    pub fn new(platforms: &str) -> anyhow::Result<Self> {
         let directory = TempDir::with_prefix_in("joulebus-example-", "/dev/shm")?;
         let root = directory.path().join("domain");
         let config = directory.path().join("fleet.toml");
@@ -80,7 +79,7 @@ impl PrivateFleet {
     ///
     /// # Errors
     /// The config is refused, or the worker cannot start.
-    pub fn with_worker(platforms: &str) -> Result<Self, Box<dyn Error>> {
+    pub fn with_worker(platforms: &str) -> anyhow::Result<Self> {
         let mut fleet = Self::new(platforms)?;
         fleet.start_worker()?;
         Ok(fleet)
@@ -90,7 +89,7 @@ impl PrivateFleet {
     ///
     /// # Errors
     /// The config is refused, or the worker cannot start.
-    pub fn start_worker(&mut self) -> Result<(), Box<dyn Error>> {
+    pub fn start_worker(&mut self) -> anyhow::Result<()> {
         let config = Config::load(&self.config)?;
         let stop = Arc::clone(&self.stop);
         let (ready, started) = mpsc::channel();
@@ -107,7 +106,7 @@ impl PrivateFleet {
                 let _ = ready.send(Err(error.to_string()));
             }
         }));
-        started.recv()??;
+        started.recv()?.map_err(anyhow::Error::msg)?;
         Ok(())
     }
 
@@ -132,7 +131,7 @@ impl Drop for PrivateFleet {
 /// # Errors
 /// The fleet cannot start, the file cannot be written, or the recorder got no processor in time and
 /// lost messages.
-pub fn record(file: &Path) -> Result<(), Box<dyn Error>> {
+pub fn record(file: &Path) -> anyhow::Result<()> {
     let mut fleet =
         PrivateFleet::new("[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n")?;
     let config = Config::load(fleet.config())?;
@@ -164,10 +163,10 @@ pub fn record(file: &Path) -> Result<(), Box<dyn Error>> {
     }
     let summary = recorder.finish();
     match (&summary.failure, summary.messages_lost()) {
-        (Some(failure), _) => Err(failure.as_str().into()),
+        (Some(failure), _) => Err(anyhow::Error::msg(failure.clone())),
         (None, 0) => Ok(()),
         (None, lost) => {
-            Err(format!("the recorder lost {lost} messages: is the machine busy?").into())
+            anyhow::bail!("the recorder lost {lost} messages: is the machine busy?")
         }
     }
 }

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 
@@ -91,6 +92,16 @@ fn ask_worker_is_answered_and_refused() {
 }
 
 #[test]
+fn an_error_prints_as_a_sentence() {
+    let nowhere = Path::new("/nowhere/fleet.toml");
+    let output = start("controller", &[nowhere]).wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let said = String::from_utf8(output.stderr).unwrap();
+    let begin = "Error: cannot read the config /nowhere/fleet.toml: ";
+    assert!(said.starts_with(begin), "{said}");
+}
+
+#[test]
 fn every_example_has_a_test() {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let tests = fs::read_to_string(here.join("tests/run.rs")).unwrap();
@@ -152,6 +163,28 @@ fn worker_death() {
         &run("worker_death"),
         &["tick ", "the worker is gone", "tick "],
     );
+}
+
+#[test]
+fn an_event_loop_gets_frames_and_the_end_of_a_killed_worker() {
+    let fleet = PrivateFleet::new("[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n");
+    let fleet = fleet.unwrap();
+    // With a config, that example is a worker.
+    let mut worker = start("worker_death", &[fleet.config()]);
+    let mut event_loop = start("event_loop", &[fleet.config()]);
+    let mut lines = BufReader::new(event_loop.stdout.take().unwrap()).lines();
+    let mut line = || lines.next().unwrap().unwrap();
+    while line() == "0 frames" {}
+    worker.kill().unwrap();
+    worker.wait().unwrap();
+    let last = loop {
+        let line = line();
+        if line.starts_with("the worker is gone (") {
+            break line;
+        }
+    };
+    assert!(!last.ends_with(" 0 frames"), "{last}");
+    assert!(event_loop.wait().unwrap().success());
 }
 
 #[test]

@@ -90,7 +90,7 @@ fn exercise(fleet: &mut Fleet) {
                 fleet.diagnostic(place),
                 fleet.budget(place),
             );
-            let shown = forecast.power_w();
+            let shown = forecast.expected_w();
             assert!(shown.is_none_or(f32::is_finite), "{forecast:?}");
         }
     }

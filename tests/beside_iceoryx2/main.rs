@@ -10,7 +10,7 @@ use std::{env, fs};
 use iceoryx2::port::publisher::Publisher as OwnPublisher;
 use iceoryx2::port::subscriber::Subscriber as OwnSubscriber;
 use iceoryx2::prelude::*;
-use joulebus_consumer::{Event, Planner};
+use joulebus_consumer::{Event, Subscriber};
 use joulebus_publisher::{Publisher, RobotState};
 
 type Done<T = ()> = Result<T, Box<dyn Error>>;
@@ -50,7 +50,7 @@ struct Fleet {
     config: PathBuf,
     worker: Child,
     publisher: Publisher,
-    planner: Planner,
+    planner: Subscriber,
     robot: u32,
 }
 
@@ -67,7 +67,7 @@ impl Fleet {
         Ok(Self {
             worker: work(joulebus, &config)?,
             publisher: Publisher::connect(&config, "controller")?,
-            planner: Planner::connect(&config)?,
+            planner: Subscriber::connect(&config)?,
             config,
             robot,
         })

@@ -10,7 +10,7 @@ use joulebus_connect::{ConnectError, join};
 use joulebus_wire::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, Diagnostics, SCHEMA_VERSION};
 
 use crate::newest::{ReadError, check_schema};
-use crate::planner::look_every;
+use crate::subscriber::look_every;
 
 /// What has become of an alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,6 +37,7 @@ impl Change {
 
 /// A change of an alarm of a robot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct AlarmChange {
     /// The robot.
     pub robot: u32,

@@ -7,7 +7,7 @@ use joulebus_config::Config;
 use joulebus_connect::ConnectError;
 use joulebus_wire::Level;
 
-use crate::{AlarmChange, AlarmFeed, AlarmHistory, Change, Event, Planner, ReadError};
+use crate::{AlarmChange, AlarmFeed, AlarmHistory, Change, Event, ReadError, Subscriber};
 
 /// A raise or an end of an alarm, of a robot or of the worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -53,7 +53,7 @@ type OfWorker = (&'static str, Level, u64);
 
 /// All alarms of a running fleet. Belongs to the thread that connected it.
 pub struct FleetAlarms {
-    planner: Planner,
+    subscriber: Subscriber,
     feed: AlarmFeed,
     worker: Option<OfWorker>,
 }
@@ -66,7 +66,7 @@ impl FleetAlarms {
     pub fn with_config(config: &Config, name: &str) -> Result<Self, ConnectError> {
         let feed = AlarmFeed::with_config(config, name)?;
         Ok(Self {
-            planner: Planner::polling(config, name, feed.look_every())?,
+            subscriber: Subscriber::polling(config, name, feed.look_every())?,
             feed,
             worker: None,
         })
@@ -78,7 +78,7 @@ impl FleetAlarms {
     /// # Errors
     /// [`ReadError`]; the next call may succeed, unless the fleet's files were removed.
     pub fn wait(&mut self, mut each: impl FnMut(FleetAlarm)) -> Result<(), ReadError> {
-        let now = match self.planner.wait_next(self.feed.look_every())? {
+        let now = match self.subscriber.wait_next(self.feed.look_every())? {
             Event::Frame(_) => Some(None),
             Event::Gone(_) => Some(Some(("WorkerGone", Level::Error))),
             Event::Stale { .. } => Some(Some(("WorkerStale", Level::Stale))),
@@ -128,7 +128,7 @@ impl FleetAlarms {
 impl fmt::Debug for FleetAlarms {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.debug_struct("FleetAlarms")
-            .field("planner", &self.planner)
+            .field("subscriber", &self.subscriber)
             .field("feed", &self.feed)
             .field("worker", &self.worker)
             .finish()

@@ -3,12 +3,12 @@
 //! ```no_run
 //! use std::time::Duration;
 //!
-//! use joulebus_consumer::{Event, Planner};
+//! use joulebus_consumer::{Event, Subscriber};
 //!
-//! fn main() -> Result<(), Box<dyn std::error::Error>> {
-//!     let mut planner = Planner::connect("configs/fleet.toml")?;
+//! fn main() -> anyhow::Result<()> {
+//!     let mut subscriber = Subscriber::connect("configs/fleet.toml")?;
 //!     loop {
-//!         match planner.wait_next(Duration::from_secs(1))? {
+//!         match subscriber.wait_next(Duration::from_secs(1))? {
 //!             Event::Frame(frame) => {
 //!                 for robot in &frame {
 //!                     if let Some((lo_w, hi_w)) = robot.interval_w() {
@@ -25,32 +25,33 @@
 //! ```
 //!
 //! **Units**: W, J, s, ns. Times are of the host's monotonic clock ([`clock::monotonic_ns`]).
-//! Unknown values are `None` from the accessors ([`wire::Forecast::power_w`]), NaN in the fields;
+//! Unknown values are `None` from the accessors ([`wire::Forecast::expected_w`]), NaN in the fields;
 //! [`wire::Forecast::quality`] states how far to trust the rest.
 //!
-//! **The worker** may start later, end, die and be restarted: a planner continues. Its exit is
+//! **The worker** may start later, end, die and be restarted: a subscriber continues. Its exit is
 //! reported at once by the kernel, without a time-out ([`Event::Gone`]). A worker that is alive but
 //! silent is detected when its newest frame is older than two tick periods ([`Event::Stale`]).
 //! After either, the next frame ends the outage.
 //!
-//! **Alarms.** [`Planner::diagnostics`] states what is raised; [`AlarmFeed`] tells each raise and each end.
+//! **Alarms.** [`Subscriber::diagnostics`] states what is raised; [`AlarmFeed`] tells each raise and each end.
 //!
-//! **Gaps.** A planner always gets the newest frame. Skipped frames are counted
-//! ([`Frame::arrival`], [`Counts`]). A slow or stopped planner does not affect the worker.
+//! **Gaps.** A subscriber always gets the newest frame. Skipped frames are counted
+//! ([`Frame::arrival`], [`Counts`]). A slow or stopped subscriber does not affect the worker.
 //!
-//! **Lifetimes.** A frame lies in shared memory and is borrowed from the [`Planner`], or from the
+//! **Lifetimes.** A frame lies in shared memory and is borrowed from the [`Subscriber`], or from the
 //! [`Feed`] of another channel, each of which holds exactly one: it is unchanged until the
 //! next call that takes a newer one. To keep more, copy: rows are `Copy`; or keep up to two
-//! frames of forecasts where they lie ([`Planner::keep`]). [`Frame::robot`] takes
+//! frames of forecasts where they lie ([`Subscriber::take_current`]). [`Frame::robot`] takes
 //! constant time while no robots join or leave. Feeds are separate so that a frame of each may be
 //! borrowed at the same time.
 //!
-//! **Errors** state the remedy: [`ConnectError`] at the start, [`OpenError`] for a feed,
-//! [`ReadError`] later; after the latter the planner remains usable. [`error`] has the errors that
-//! they contain.
+//! **Errors** state the remedy: [`ConnectError`] at the start and for a feed, [`ReadError`] later.
+//! After the latter the subscriber remains usable. [`error`] has the errors that they contain.
 //!
-//! **Leaving**: drop the planner. Everything here belongs to the thread that connected it. A process
-//! may have planners of several fleets, and may use iceoryx2 for itself: its global configuration
+//! **Event loops** wait for [`Subscriber::readiness`].
+//!
+//! **Leaving**: drop the subscriber. Everything here belongs to the thread that connected it. A process
+//! may have subscribers of several fleets, and may use iceoryx2 for itself: its global configuration
 //! and its logger are left alone.
 #![forbid(unsafe_code)]
 
@@ -60,17 +61,17 @@ mod fleet_alarms;
 mod frame;
 mod index;
 mod newest;
-mod planner;
+mod subscriber;
 mod tracker;
 
 pub use alarms::{AlarmChange, AlarmFeed, AlarmHistory, Change};
 pub use feed::Feed;
 pub use fleet_alarms::{FleetAlarm, FleetAlarms};
 pub use frame::{Frame, KeptForecasts};
-pub use joulebus_bus::{OpenError, clock};
+pub use joulebus_bus::{Readiness, clock};
 pub use joulebus_config::Config;
 pub use joulebus_connect::{ConnectError, error};
 pub use joulebus_wire::{self as wire, Budgets, Diagnostics, Forecasts, PlanStates, Queries};
 pub use newest::ReadError;
-pub use planner::{Event, Planner};
+pub use subscriber::{Event, Subscriber};
 pub use tracker::{Arrival, Counts, End, WorkerState};

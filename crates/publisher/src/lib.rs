@@ -6,7 +6,7 @@
 //!
 //! use joulebus_publisher::{Pace, Publisher, RobotState};
 //!
-//! fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! fn main() -> anyhow::Result<()> {
 //!     let mut publisher = Publisher::connect("configs/fleet.toml", "fleet-controller")?;
 //!     let mut pace = Pace::every(Duration::from_nanos(33_333_333));
 //!     loop {
@@ -48,10 +48,10 @@ mod pace;
 mod publisher;
 mod state;
 
-pub use joulebus_bus::{SendError, clock};
+pub use joulebus_bus::{SendError, WaitError, clock};
 pub use joulebus_config::Config;
 pub use joulebus_connect::{ConnectError, error};
 pub use joulebus_wire as wire;
 pub use pace::{Grid, Pace, Slot};
 pub use publisher::{PublishError, Publisher, Sent};
-pub use state::RobotState;
+pub use state::{Charger, RobotState};

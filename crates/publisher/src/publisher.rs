@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::Path;
 
-use joulebus_bus::{Bus, SampleWriter, SendError, clock, process_id};
+use joulebus_bus::{Bus, SampleWriter, SendError, WaitError, clock, process_id};
 use joulebus_config::Config;
 use joulebus_connect::{ConnectError, join};
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, fnv1a};
@@ -29,7 +29,7 @@ pub struct Publisher {
 }
 
 /// A frame that was sent.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug)]
 #[non_exhaustive]
 pub struct Sent {
     /// Processes connected as readers: 0 means that no worker runs.
@@ -38,6 +38,8 @@ pub struct Sent {
     pub samples: usize,
     /// Its number within this run of the source, from 0.
     pub frame_seq: u64,
+    /// Why the worker was not woken, if so. It takes the frame at its next tick all the same.
+    pub not_woken: Option<WaitError>,
 }
 
 impl Publisher {
@@ -85,7 +87,7 @@ impl Publisher {
     /// Sends one frame: each robot at most once, numbered and stamped with the current time.
     ///
     /// # Errors
-    /// [`PublishError`]; except for [`SendError::Wake`] nothing was sent.
+    /// [`PublishError`]; nothing was sent.
     pub fn publish(
         &mut self,
         robots: impl IntoIterator<Item = RobotState>,
@@ -98,7 +100,7 @@ impl Publisher {
     /// does not hide its own delay.
     ///
     /// # Errors
-    /// [`PublishError`]; except for [`SendError::Wake`] nothing was sent.
+    /// [`PublishError`]; nothing was sent.
     pub fn publish_intended(
         &mut self,
         intended_ns: u64,
@@ -131,7 +133,7 @@ impl Publisher {
     /// strictly.
     ///
     /// # Errors
-    /// [`PublishError`]; except for [`SendError::Wake`] nothing was sent.
+    /// [`PublishError`]; nothing was sent.
     pub fn publish_samples(
         &mut self,
         intended_ns: u64,
@@ -150,15 +152,14 @@ impl Publisher {
             sent_unix_ns: clock::unix_ns(),
             ..self.header
         };
-        let result = self.writer.send(header, samples.len(), |i| samples[i]);
-        if matches!(result, Ok(_) | Err(SendError::Wake(_))) {
-            self.frames_sent += 1;
-            self.samples_sent += samples.len() as u64;
-        }
+        let sent = self.writer.send(header, samples.len(), |i| samples[i])?;
+        self.frames_sent += 1;
+        self.samples_sent += samples.len() as u64;
         Ok(Sent {
-            readers: result?,
+            readers: sent.readers,
             samples: samples.len(),
             frame_seq: header.frame_seq,
+            not_woken: sent.not_woken,
         })
     }
 

@@ -6,8 +6,18 @@ use joulebus_wire::{Sample, sample_flag};
 
 /// One robot in one control tick: the command just issued, and the reading just received. `None`
 /// means unknown.
+///
+/// Made by [`RobotState::new`] and the methods that add what is known. Fields may be set as well.
+///
+/// ```
+/// # use joulebus_publisher::{Charger, RobotState};
+/// let driving = RobotState::new(7).command(0.2, 0.0).reading(4.6);
+/// let mut docked = RobotState::new(8).charger(Charger::Charging);
+/// docked.voltage_v = Some(12.4);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[must_use]
+#[non_exhaustive]
 pub struct RobotState {
     /// Id of the robot, unique in the fleet.
     pub robot: u32,
@@ -31,12 +41,33 @@ pub struct RobotState {
     /// Energy that the robot needs from here to return to its charger, J, as its planner says. It applies
     /// to this frame; without it the platform's config applies.
     pub return_j: Option<f32>,
-    /// The robot is on its charger.
-    pub charging: bool,
-    /// The charger says that the battery is full; only while charging.
-    pub full: bool,
+    /// The robot's charger.
+    pub charger: Charger,
     /// The battery has been exchanged since the last frame.
     pub swapped: bool,
+}
+
+/// A robot's charger.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum Charger {
+    /// The robot is not on its charger, or that is not known.
+    #[default]
+    Disconnected,
+    /// The robot is on its charger.
+    Charging,
+    /// The robot is on its charger, which says that the battery is full.
+    Full,
+}
+
+impl Charger {
+    const fn flags(self) -> u32 {
+        match self {
+            Self::Disconnected => 0,
+            Self::Charging => sample_flag::CHARGING,
+            Self::Full => sample_flag::CHARGING | sample_flag::FULL,
+        }
+    }
 }
 
 impl RobotState {
@@ -87,7 +118,7 @@ impl RobotState {
     }
 
     /// With the measured state of charge, 0 to 1.
-    pub const fn soc(mut self, soc: f32) -> Self {
+    pub const fn state_of_charge(mut self, soc: f32) -> Self {
         self.soc = Some(soc);
         self
     }
@@ -99,14 +130,8 @@ impl RobotState {
     }
 
     /// With the state of the charger.
-    pub const fn charging(mut self, charging: bool) -> Self {
-        self.charging = charging;
-        self
-    }
-
-    /// On the charger, which says that the battery is full.
-    pub const fn full(mut self) -> Self {
-        (self.charging, self.full) = (true, true);
+    pub const fn charger(mut self, charger: Charger) -> Self {
+        self.charger = charger;
         self
     }
 
@@ -220,14 +245,9 @@ fn sample(state: &RobotState, seq: u64, stamp_ns: u64, measured_ns: u64) -> Samp
             sample.flags |= flag;
         }
     }
-    for (holds, flag) in [
-        (state.charging, sample_flag::CHARGING),
-        (state.full, sample_flag::FULL),
-        (state.swapped, sample_flag::SWAPPED),
-    ] {
-        if holds {
-            sample.flags |= flag;
-        }
+    sample.flags |= state.charger.flags();
+    if state.swapped {
+        sample.flags |= sample_flag::SWAPPED;
     }
     sample
 }
@@ -324,10 +344,15 @@ mod tests {
             (new.reading(0.0), POWER),
             (new.held_reading(0.0), POWER | HELD),
             (new.battery(0.0, 0.0), VOLTAGE | CURRENT),
-            (new.charging(true), CHARGING),
-            (new.full(), CHARGING | FULL),
+            (new.charger(Charger::Disconnected), 0),
+            (new.charger(Charger::Charging), CHARGING),
+            (new.charger(Charger::Full), CHARGING | FULL),
+            (
+                new.charger(Charger::Full).swapped(),
+                CHARGING | FULL | SWAPPED,
+            ),
             (new.swapped(), SWAPPED),
-            (new.soc(0.0), SOC),
+            (new.state_of_charge(0.0), SOC),
             (new.return_energy(0.0), RETURN),
             // Without a reading there is nothing to repeat.
             (RobotState { held: true, ..new }, 0),

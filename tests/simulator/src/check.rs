@@ -411,7 +411,7 @@ impl Checker {
                 "only the worker is believed",
                 || format!("{row:?}"),
             )?;
-            if let (Some(power_w), Some((lo_w, hi_w))) = (row.power_w(), row.interval_w()) {
+            if let (Some(power_w), Some((lo_w, hi_w))) = (row.expected_w(), row.interval_w()) {
                 ensure(
                     lo_w <= power_w && power_w <= hi_w,
                     "a forecast lies in its interval",
@@ -591,7 +591,7 @@ impl Checker {
         for robot in robots.chain([also]) {
             let row = self.newest.get(&robot);
             let is_fresh = row.is_some_and(|row| {
-                matches!(row.quality(), joulebus_wire::Quality::Fresh) && row.power_w().is_some()
+                matches!(row.quality(), joulebus_wire::Quality::Fresh) && row.expected_w().is_some()
             });
             ensure(is_fresh, "everything works again once faults stop", || {
                 format!("robot {robot}: {row:?}")

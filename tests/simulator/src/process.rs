@@ -7,7 +7,7 @@ use joulebus_capture_format::{Attachments, CaptureSettings, Preset};
 use joulebus_config::Config;
 use joulebus_plan::{Plan, Question, Reply};
 use joulebus_wire::{Forecast, ForecastHeader, Sample};
-use simulated_consumer::{Budgets, Diagnostics, End, Event, Feed, PlanStates, Planner};
+use simulated_consumer::{Budgets, Diagnostics, End, Event, Feed, PlanStates, Subscriber};
 use simulated_host::{self as host, time};
 use simulated_plan_server::{PlanServer, QueryReport};
 use simulated_planner::{Answered, ClientError, PlanClient, QueryError};
@@ -208,7 +208,7 @@ impl SourceProgram {
 
 /// A planner that reads forecasts, diagnostics, budgets and what plans start from.
 pub(crate) struct PlannerProgram {
-    planner: Planner,
+    planner: Subscriber,
     diagnostics: Feed<Diagnostics>,
     budgets: Feed<Budgets>,
     plan_states: Feed<PlanStates>,
@@ -222,8 +222,8 @@ impl PlannerProgram {
         let poll_every = (number == 0 && setup.poll_every_ns > 0)
             .then(|| Duration::from_nanos(setup.poll_every_ns));
         let planner = match poll_every {
-            Some(every) => Planner::polling(config, "planner", every).ok()?,
-            None => Planner::with_config(config, "planner").ok()?,
+            Some(every) => Subscriber::polling(config, "planner", every).ok()?,
+            None => Subscriber::with_config(config, "planner").ok()?,
         };
         let looks = planner.look_every();
         Some(Self {

@@ -2,6 +2,7 @@
 //! seeds of the fuzz targets.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
+mod api;
 mod dependency_rules;
 mod documents;
 mod fuzz_inputs;

@@ -232,7 +232,7 @@ fn a_run_with_a_model_that_reads_freshness_is_verified() {
     let mut counts = [0; 2];
     for entry in entries(&file) {
         for row in rows_of::<Forecasts>(&entry.message) {
-            let known = row.power_w().is_some();
+            let known = row.expected_w().is_some();
             match row.quality() {
                 Quality::Fresh => counts[0] += usize::from(known),
                 Quality::Held => counts[1] += usize::from(known),

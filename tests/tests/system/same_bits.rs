@@ -141,7 +141,7 @@ fn same_forecast(robot: u32, live: &Forecast, step: &Step) {
     }
     let place = format!("robot {robot}, sample {}", step.sample_seq);
     assert_eq!(live.quality(), step.quality, "{place}");
-    assert_eq!(bits(live.power_w()), bits(step.power_w), "{place}");
+    assert_eq!(bits(live.expected_w()), bits(step.power_w), "{place}");
     assert_eq!(
         bits(live.interval_w().map(|(lo_w, _)| lo_w)),
         bits(step.lo_w),

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use joulebus_fleet::Fleet;
-use joulebus_plan::{Fleet as PlanFleet, Question, Refused, Reply, RobotRows, Work};
+use joulebus_plan::answering::Work;
+use joulebus_plan::{Fleet as PlanFleet, Question, Refused, Reply, RobotRows};
 use joulebus_predictor::Model;
 use joulebus_settings::FleetSettings;
 use joulebus_wire::{

@@ -8,7 +8,8 @@ use std::time::Duration;
 
 use clap::ArgGroup;
 use joulebus_config::Config;
-use joulebus_plan::{AnswerReport, AnswersReport, MAX_STEPS, Plan, Question, QuestionError, Reply};
+use joulebus_plan::report::{AnswerReport, AnswersReport};
+use joulebus_plan::{MAX_STEPS, Plan, Question, QuestionError, Reply};
 use joulebus_planner::{ClientError, PlanClient, Planner};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};

@@ -68,7 +68,7 @@ pub(crate) fn cells(robot: u32, row: &Row) -> [String; 13] {
         robot.to_string(),
         quality(forecast.quality()),
         or_unknown(read.then(|| watts(forecast.reading_w.into()))),
-        or_unknown(forecast.power_w().map(|power_w| watts(power_w.into()))),
+        or_unknown(forecast.expected_w().map(|power_w| watts(power_w.into()))),
         or_unknown(
             forecast
                 .interval_w()
@@ -125,7 +125,7 @@ pub(crate) fn quality(quality: Quality) -> String {
         Quality::Warmup { have } => format!("warmup {have}/5"),
         Quality::OpenLoop { steps } => format!("open loop {steps}"),
         Quality::Invalid(reason) => format!("✗ {}", reason.name()),
-        Quality::Unknown => "unknown".to_owned(),
+        _ => "unknown".to_owned(),
     }
 }
 

@@ -347,7 +347,7 @@ fn table_row(robot: u32, row: &Row, places: &[usize], state_columns: u16) -> Tab
     // The last column.
     texts[HEADS.len() - 1] = state_within(row, usize::from(state_columns));
     let level = row.level();
-    let known = row.forecast.power_w().is_some();
+    let known = row.forecast.expected_w().is_some();
     let cells = places.iter().map(|place| {
         let head = HEADS[*place].0;
         let cell = right_or_left(head, &texts[*place]);

@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use joulebus_bus::{Bus, WorkerLock, clock};
-use joulebus_consumer::{Config, Event, Planner};
+use joulebus_consumer::{Config, Event, Subscriber};
 use joulebus_publisher::{Publisher, RobotState};
 use joulebus_testkit::Place;
 use joulebus_testkit::counting::allocations;
@@ -18,7 +18,7 @@ fn only_loans_allocate_and_only_once() {
     let config = Config::load(place.config()).unwrap();
     let limits = config.limits();
     let mut publisher = Publisher::connect(place.config(), "source").unwrap();
-    let mut planner = Planner::connect(place.config()).unwrap();
+    let mut planner = Subscriber::connect(place.config()).unwrap();
     let mut budgets = planner.budgets().unwrap();
     let lock = WorkerLock::acquire(&config.domain().unwrap()).unwrap();
     let bus = Bus::join(&config.domain().unwrap(), "worker").unwrap();

@@ -9,13 +9,14 @@ use std::path::Path;
 use std::time::Duration;
 
 use joulebus_bus::{Bus, WorkerLock, clock};
-use joulebus_consumer::{Config, Event, Feed, Planner, WorkerState};
-use joulebus_testkit::{Member, Place, run_member, send_to_test, told};
+use joulebus_consumer::{Config, Event, Feed, Subscriber, WorkerState};
+use joulebus_testkit::{Member, Place, eventually, run_member, send_to_test, told};
 use joulebus_wire::{
     Budget, BudgetHeader, Budgets, Diagnostic, DiagnosticHeader, Diagnostics, Forecast,
     ForecastHeader, Forecasts, PlanState, PlanStateHeader, PlanStates, SCHEMA_VERSION, WakeEvent,
     forecast_flag,
 };
+use rustix::event::{PollFd, PollFlags, poll};
 
 /// Long enough that nothing becomes stale during a test.
 const HOUR_NS: u64 = 3_600_000_000_000;
@@ -25,10 +26,10 @@ pub(crate) fn member() {
     run_member(|role, config| match role {
         "worker" => worker(config, true),
         "impostor" => worker(config, false),
-        "planner" => plan(Planner::connect(config).unwrap()),
+        "planner" => plan(Subscriber::connect(config).unwrap()),
         "poller" => {
             let config = Config::load(config).unwrap();
-            plan(Planner::polling(&config, "poller", Duration::from_millis(100)).unwrap());
+            plan(Subscriber::polling(&config, "poller", Duration::from_millis(100)).unwrap());
         }
         "example" => {
             planner::run(config, 3).unwrap();
@@ -145,8 +146,8 @@ fn power_w(robot: u64, tick: u64) -> f32 {
     (robot * 10_000 + tick) as f32
 }
 
-/// Commands: `next MS`, `each MS`, `latest`, `worker`, `counts`, `feeds`.
-fn plan(mut planner: Planner) {
+/// Commands: `next MS`, `each MS`, `readable MS`, `latest`, `worker`, `counts`, `feeds`.
+fn plan(mut planner: Subscriber) {
     let mut feeds: Option<(Feed<Diagnostics>, Feed<Budgets>, Feed<PlanStates>)> = None;
     send_to_test("ready");
     while let Some(line) = told() {
@@ -167,6 +168,14 @@ fn plan(mut planner: Planner) {
                 });
                 let event = describe(&waited.unwrap());
                 send_to_test(format!("{ticks:?}, {event}"));
+            }
+            ("readable", ms) => {
+                assert!(planner.look_within() <= Duration::from_millis(100));
+                let readiness = planner.readiness().unwrap();
+                let mut polled = [PollFd::new(&readiness, PollFlags::IN)];
+                let timeout = Duration::from_millis(ms.parse().unwrap());
+                let ready = poll(&mut polled, Some(&timeout.try_into().unwrap())).unwrap();
+                send_to_test((ready == 1).to_string());
             }
             ("latest", _) => match planner.latest().unwrap() {
                 Some(frame) => send_to_test(describe(&Event::Frame(frame))),
@@ -223,7 +232,7 @@ fn describe(event: &Event<'_>) -> String {
             assert_eq!(frame.robots().len(), 64);
             for robot in 0..64 {
                 let found = frame.robot(robot).unwrap();
-                assert_eq!(found.power_w(), Some(power_w(robot.into(), tick)));
+                assert_eq!(found.expected_w(), Some(power_w(robot.into(), tick)));
             }
             assert!(frame.robot(64).is_none());
             let arrival = frame.arrival();
@@ -469,6 +478,45 @@ fn a_tick_wakes_planners_that_listen_and_none_that_polls() {
         planner.finish();
     }
     worker.finish();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn a_descriptor_is_readable_for_a_frame_and_the_exit_of_each_worker() {
+    let place = Place::new();
+    let mut planner = ready(&place, "planner");
+    assert_eq!(planner.ask("readable 0"), "false");
+    for frame in ["tick 1, missed 0", "tick 1, missed 0, restarted"] {
+        let mut worker = ready(&place, "worker");
+        worker.ask("ticks 1 1");
+        assert_eq!(planner.ask("readable 60000"), "true");
+        assert_eq!(planner.ask("next 0"), frame);
+        // The cleanup after the one before may tell of it late.
+        eventually("all has been read", || {
+            assert_eq!(planner.ask("next 0"), "TimedOut");
+            planner.ask("readable 0") == "false"
+        });
+        worker.kill();
+        assert_eq!(planner.ask("readable 60000"), "true");
+        assert_eq!(planner.ask("next 60000"), "Gone(Exited)");
+    }
+    planner.finish();
+    place.assert_nothing_left();
+}
+
+#[test]
+fn the_descriptor_of_a_planner_that_polls_is_readable_for_the_workers_exit_alone() {
+    let place = Place::new();
+    let mut planner = ready(&place, "poller");
+    let mut worker = ready(&place, "worker");
+    worker.ask("ticks 1 1");
+    assert_eq!(planner.ask("readable 0"), "false");
+    assert_eq!(planner.ask("next 60000"), "tick 1, missed 0");
+    assert_eq!(planner.ask("readable 0"), "false");
+    worker.kill();
+    assert_eq!(planner.ask("readable 60000"), "true");
+    assert_eq!(planner.ask("next 60000"), "Gone(Exited)");
+    planner.finish();
     place.assert_nothing_left();
 }
 

@@ -138,6 +138,7 @@ impl Path {
 
 /// Commands of a path.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Followed {
     /// Time that each command is in force, s.
     pub period_s: f32,

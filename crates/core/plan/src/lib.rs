@@ -31,7 +31,7 @@ mod limits;
 mod payload;
 mod platform;
 mod question;
-mod report;
+pub mod report;
 mod robot;
 mod route;
 mod trip;
@@ -40,10 +40,21 @@ pub use answer::{Answer, Caveats, Left, Range, Unknown, Verdict};
 pub use candidates::Candidates;
 pub use error::{AskError, Differs, PathError, QuestionError, Refused};
 pub use fleet::Fleet;
-pub use follower::{Followed, Follower, Path, Point, Pose};
+pub use follower::{Path, Point};
 pub use limits::MAX_STEPS;
 pub use platform::{Frames, Platform, RobotRows};
-pub use question::{Plan, Question, Reply, Row, Work};
-pub use report::{AnswerReport, AnswersReport};
+pub use question::{Plan, Question, Reply, Row};
 pub use robot::Robot;
 pub use trip::{Ranked, Trip, rank, rank_each};
+
+/// Answering in short steps, for programs that answer others meanwhile or can be interrupted: the
+/// worker's thread, `joulebus serve`, Python and C. [`Question::answer`] does all at once.
+pub mod answering {
+    pub use crate::question::Work;
+}
+
+/// The commands of a path, as a robot that follows it gets them: for programs that drive, such as
+/// simulated missions.
+pub mod follow {
+    pub use crate::follower::{Followed, Follower, Pose};
+}

@@ -23,6 +23,7 @@ pub struct Question {
 
 /// A plan for robots.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub enum Plan {
     /// One robot: each of several sequences of commands ([`Candidates`]).
     WhatIf {

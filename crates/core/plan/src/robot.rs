@@ -406,7 +406,7 @@ fn unknown(
         Quality::Invalid(reason) => return Some(Unknown::Invalid { reason }),
         Quality::Warmup { have } => return Some(Unknown::Warmup { have }),
         Quality::Fresh | Quality::Held | Quality::OpenLoop { .. } => {}
-        Quality::Unknown => return Some(Unknown::Unreadable),
+        _ => return Some(Unknown::Unreadable),
     }
     let has_sample = state.flags & plan_state_flag::SAMPLE != 0;
     let finite = |values: &[f32]| values.iter().all(|value| value.is_finite());

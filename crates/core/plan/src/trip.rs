@@ -14,6 +14,7 @@ use crate::route::{Home, Later, Route, Ways};
 
 /// The answer to a path, and back if asked.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Trip {
     /// The answer for all legs. The path back is the last one.
     pub answer: Answer,
@@ -30,6 +31,7 @@ pub struct Trip {
 
 /// A robot's answer to a task.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Ranked {
     /// The robot.
     pub robot: u32,

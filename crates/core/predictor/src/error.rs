@@ -124,13 +124,18 @@ pub enum RolloutError {
         allowed: usize,
     },
     /// The length of a slice does not match the shape.
-    #[error("{column} has {found} values, allowed: {allowed}")]
-    Length {
-        /// Name of the slice.
-        column: &'static str,
-        /// Values found.
-        found: usize,
-        /// Values required by the shape.
-        allowed: usize,
-    },
+    #[error(transparent)]
+    Length(#[from] LengthError),
+}
+
+/// A slice has another length than the others require.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error("{column} has {found} values, allowed: {allowed}")]
+pub struct LengthError {
+    /// Name of the slice.
+    pub column: &'static str,
+    /// Values found.
+    pub found: usize,
+    /// Values required by the others.
+    pub allowed: usize,
 }

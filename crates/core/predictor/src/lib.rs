@@ -16,7 +16,10 @@
 //! **One arithmetic.** A robot's forecast depends on that robot's row alone and has the same bits
 //! for every batch size, every position in the batch, every tiling and every vector width, in rows,
 //! columns and rollouts; the scalar [`Network::predict_reference_f32`] is the definition that the
-//! kernels are tested against. Every NaN forecast is [`f32::NAN`] ([`canonical`]).
+//! kernels are tested against. Every NaN forecast is [`f32::NAN`] ([`nan::canonical`]).
+//!
+//! [`simd`] and [`nan`] are for loops beside the network that must have the same bits on every
+//! processor, as the fleet's tick has.
 
 mod card;
 mod check;
@@ -27,22 +30,22 @@ mod gelu;
 mod kernel;
 mod linear;
 mod model;
-mod nan;
+pub mod nan;
 mod network;
 mod parameters;
 mod persistence;
 mod reading_age;
 mod rollout;
+pub mod simd;
 
 pub use card::{ModelCard, ResidualStats, Scores, TrainedBlocks, TrainedRows, TrainingRange};
-pub use error::{ModelError, RolloutError};
+pub use error::{LengthError, ModelError, RolloutError};
 pub use features::{FEATURE_NAMES, FEATURES, FeatureSet, Features, INPUTS, LAGS, features};
 pub use file::MAX_MODEL_BYTES;
 pub use gelu::Activation;
-pub use kernel::{Kernel, SimdLevel, SimdTask, Tiling, prefetch};
+pub use kernel::{Kernel, Tiling};
 pub use linear::Linear;
 pub use model::Model;
-pub use nan::{canonical, canonical_f64};
 pub use network::Network;
 pub use parameters::{HIDDEN, Layer, Normalisation, Parameters};
 pub use persistence::Persistence;

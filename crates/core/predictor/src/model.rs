@@ -5,7 +5,7 @@ use std::ops::Range;
 use joulebus_energy::EnergyModel;
 
 use crate::card::{ResidualStats, TrainingRange};
-use crate::error::RolloutError;
+use crate::error::{LengthError, RolloutError};
 use crate::features::{FEATURE_NAMES, FeatureSet, Features, INPUTS};
 use crate::kernel::SimdLevel;
 use crate::linear::Linear;
@@ -64,23 +64,31 @@ impl Model {
     ///
     /// Columns of features that the model does not read ([`Model::feature_set`]) may be empty.
     ///
-    /// # Panics
-    /// If a column that is read, or is not empty, has another length than `forecasts_w`.
-    pub fn predict_columns(&self, features: [&[f32]; INPUTS], forecasts_w: &mut [f32]) {
+    /// # Errors
+    /// [`LengthError`] where a column that is read, or is not empty, has another length than
+    /// `forecasts_w`. Nothing is written then.
+    pub fn predict_columns(
+        &self,
+        features: [&[f32]; INPUTS],
+        forecasts_w: &mut [f32],
+    ) -> Result<(), LengthError> {
         let count = forecasts_w.len();
         let read = self.feature_set().range();
         for (feature, column) in features.iter().enumerate() {
-            assert!(
-                column.len() == count || (column.is_empty() && !read.contains(&feature)),
-                "column {} has {} values, allowed: {count}, as many as forecasts_w",
-                FEATURE_NAMES[feature],
-                column.len(),
-            );
+            let is_unread = column.is_empty() && !read.contains(&feature);
+            if column.len() != count && !is_unread {
+                return Err(LengthError {
+                    column: FEATURE_NAMES[feature],
+                    found: column.len(),
+                    allowed: count,
+                });
+            }
         }
         match self {
             Model::Network(network) => network.predict_columns(&features, forecasts_w),
             Model::Persistence(_) => forecasts_w.copy_from_slice(features[read.start]),
         }
+        Ok(())
     }
 
     /// The instruction set for other loops, which is the network kernel's.

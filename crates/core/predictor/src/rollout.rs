@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::error::RolloutError;
+use crate::error::{LengthError, RolloutError};
 use crate::features::LAGS;
 use crate::reading_age::ReadingAge;
 
@@ -71,11 +71,11 @@ impl Rollouts<'_> {
             ("power_w", power_w.unwrap_or(trace), trace),
         ] {
             if found != allowed {
-                return Err(RolloutError::Length {
+                return Err(RolloutError::Length(LengthError {
                     column,
                     found,
                     allowed,
-                });
+                }));
             }
         }
         Ok(())

@@ -185,6 +185,7 @@ impl Level {
 
 /// Why a robot is not [`Level::Ok`], most important first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[non_exhaustive]
 pub enum Alarm {
     /// No sample for longer than `stale_after`.
     NoData,

@@ -65,7 +65,7 @@ impl Forecast {
 
     /// The power expected, W, if there is a forecast.
     #[must_use]
-    pub const fn power_w(&self) -> Option<f32> {
+    pub const fn expected_w(&self) -> Option<f32> {
         if self.flags & forecast_flag::POWER != 0 {
             Some(self.power_w)
         } else {
@@ -86,6 +86,7 @@ impl Forecast {
 
 /// Quality of a robot's output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Quality {
     /// Made from a new measurement.
     Fresh,

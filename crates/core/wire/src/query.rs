@@ -235,6 +235,7 @@ pub const ROW_WORDS: usize = size_of::<AnswerRow>() / 8;
 
 /// Why a question was not answered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[non_exhaustive]
 pub enum QueryRefusal {
     /// Another version of the payloads.
     Schema,

@@ -5,6 +5,7 @@ use crate::rows;
 
 /// Why a sample was dropped. Sent = accepted + dropped, summed over all reasons.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum DropReason {
     /// The robot belongs to no platform of the config.
     UnknownRobot,
@@ -168,6 +169,7 @@ impl DropCounts {
 
 /// Why a robot has no forecast.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum InvalidReason {
     /// No sample for longer than `stale_after`.
     Stale,

@@ -123,7 +123,7 @@ impl Sample {
 
     /// With the measured state of charge, 0 to 1.
     #[must_use]
-    pub const fn soc(mut self, soc: f32) -> Self {
+    pub const fn state_of_charge(mut self, soc: f32) -> Self {
         self.soc = soc;
         self.flags |= sample_flag::SOC;
         self

@@ -299,7 +299,7 @@ impl Board {
         if forecast.sample_seq != before.sample_seq || !in_a_row {
             let point = Point {
                 reading_w: forecast.reading_w,
-                forecast_w: before.power_w().filter(|_| in_a_row).unwrap_or(f32::NAN),
+                forecast_w: before.expected_w().filter(|_| in_a_row).unwrap_or(f32::NAN),
                 interval_w: if in_a_row {
                     (lo_w, hi_w)
                 } else {

@@ -11,7 +11,7 @@ use joulebus_bus::{Bus, FrameBuf, SampleReader, clock};
 use joulebus_config::Config;
 use joulebus_connect::{ConnectError, join};
 use joulebus_consumer::{
-    self as consumer, Budgets, Diagnostics, End, Planner, Queries, ReadError, WorkerState,
+    self as consumer, Budgets, Diagnostics, End, Queries, ReadError, Subscriber, WorkerState,
 };
 
 use crate::board::{Board, Link};
@@ -22,23 +22,12 @@ const PATIENCE: Duration = Duration::from_millis(100);
 const FOLLOW_NS: u64 = 5_000_000;
 const FOLLOW_EVERY: Duration = Duration::from_micros(200);
 
-/// Why a planner cannot read a fleet.
-#[derive(Debug, thiserror::Error)]
-pub enum OpenError {
-    /// The domain cannot be joined.
-    #[error(transparent)]
-    Connect(#[from] ConnectError),
-    /// A port cannot be opened.
-    #[error(transparent)]
-    Port(#[from] joulebus_bus::OpenError),
-}
-
 /// Why the thread of a [`Feed`] does not read, or no longer.
 #[derive(Debug, thiserror::Error)]
 pub enum FeedError {
     /// The fleet cannot be joined.
     #[error(transparent)]
-    Open(#[from] OpenError),
+    Connect(#[from] ConnectError),
     /// Reading fails permanently.
     #[error(transparent)]
     Read(#[from] ReadError),
@@ -61,7 +50,7 @@ pub struct Reading {
     queries: Option<consumer::Feed<Queries>>,
     tap: Option<Tap>,
     polls: bool,
-    planner: Planner,
+    planner: Subscriber,
 }
 
 impl Reading {
@@ -70,8 +59,8 @@ impl Reading {
     ///
     /// # Errors
     /// The domain cannot be joined.
-    pub fn open(config: &Config, name: &str, taps: bool) -> Result<Self, OpenError> {
-        let mut reading = Self::of(Planner::with_config(config, name)?)?;
+    pub fn open(config: &Config, name: &str, taps: bool) -> Result<Self, ConnectError> {
+        let mut reading = Self::of(Subscriber::with_config(config, name)?)?;
         if taps {
             reading.tap = Some(Tap::open(config)?);
         }
@@ -79,20 +68,20 @@ impl Reading {
     }
 
     /// Same as [`Reading::open`], for boards that are read only `every` so often. Ticks do not wake
-    /// it, as in [`Planner::polling`]. No frame of forecasts is skipped. They count as readable
+    /// it, as in [`Subscriber::polling`]. No frame of forecasts is skipped. They count as readable
     /// when they are sent, because the worker does not cause the time until the next reading.
     ///
     /// # Errors
     /// The domain cannot be joined.
-    pub fn polling(config: &Config, name: &str, every: Duration) -> Result<Self, OpenError> {
-        let reading = Self::of(Planner::polling(config, name, every)?)?;
+    pub fn polling(config: &Config, name: &str, every: Duration) -> Result<Self, ConnectError> {
+        let reading = Self::of(Subscriber::polling(config, name, every)?)?;
         Ok(Self {
             polls: true,
             ..reading
         })
     }
 
-    fn of(planner: Planner) -> Result<Self, OpenError> {
+    fn of(planner: Subscriber) -> Result<Self, ConnectError> {
         Ok(Self {
             diagnostics: planner.diagnostics()?,
             budgets: planner.budgets()?,
@@ -162,7 +151,7 @@ impl Reading {
 
     /// The planner, for further feeds of the same fleet.
     #[must_use]
-    pub const fn planner(&self) -> &Planner {
+    pub const fn planner(&self) -> &Subscriber {
         &self.planner
     }
 
@@ -229,7 +218,7 @@ struct Tap {
 }
 
 impl Tap {
-    fn open(config: &Config) -> Result<Self, OpenError> {
+    fn open(config: &Config) -> Result<Self, ConnectError> {
         let limits = config.limits();
         let bus = join(config, "tap")?;
         Ok(Self {

@@ -15,7 +15,7 @@ mod stages;
 
 pub use alarm::AlarmRecord;
 pub use board::{Board, Link, Newest, Point, Raised, Row, WorkerRun};
-pub use feed::{Feed, FeedError, OpenError, Reading};
+pub use feed::{Feed, FeedError, Reading};
 pub use record::{FrameRecord, LearnedRecord, RobotRecord, quality_name};
 pub use scores::Scores;
 pub use search::{Platforms, Search};

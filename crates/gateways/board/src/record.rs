@@ -176,7 +176,7 @@ impl RobotRecord {
             target_ns: heard.then_some(forecast.target_ns),
             reading_w: read.then(|| forecast.reading_w.into()),
             reading_age_ns: read.then_some(forecast.reading_age_ns),
-            power_w: forecast.power_w().map(f64::from),
+            power_w: forecast.expected_w().map(f64::from),
             lo_w: interval_w.map(|(lo_w, _)| lo_w.into()),
             hi_w: interval_w.map(|(_, hi_w)| hi_w.into()),
             residual_w: residual.and_then(|d| known(d.residual_w.into())),
@@ -227,7 +227,7 @@ pub const fn quality_name(quality: Quality) -> &'static str {
         Quality::Warmup { .. } => "Warmup",
         Quality::OpenLoop { .. } => "OpenLoop",
         Quality::Invalid(_) => "Invalid",
-        Quality::Unknown => "Unknown",
+        _ => "Unknown",
     }
 }
 
@@ -236,7 +236,7 @@ fn quality_detail(quality: Quality) -> Option<String> {
         Quality::Warmup { have } => Some(have.to_string()),
         Quality::OpenLoop { steps } => Some(steps.to_string()),
         Quality::Invalid(reason) => Some(reason.name().to_owned()),
-        Quality::Fresh | Quality::Held | Quality::Unknown => None,
+        _ => None,
     }
 }
 

@@ -38,7 +38,7 @@ fn residual(before: &Forecast, after: &Forecast) -> Option<(f64, f64)> {
         && before.source_epoch == after.source_epoch
         && before.generation == after.generation
         && before.sample_seq.checked_add(1) == Some(after.sample_seq);
-    let forecast_w = before.power_w().filter(|_| follows)?;
+    let forecast_w = before.expected_w().filter(|_| follows)?;
     let reading_w = f64::from(after.reading_w);
     Some((
         reading_w - f64::from(forecast_w),

@@ -4,9 +4,10 @@ use std::cell::RefCell;
 use std::sync::Arc;
 use std::time::Duration;
 
-use joulebus_board::{Board, OpenError, Reading};
+use joulebus_board::{Board, Reading};
 use joulebus_bus::clock;
 use joulebus_config::Config;
+use joulebus_consumer::ConnectError;
 
 use crate::shared::Shared;
 
@@ -36,7 +37,7 @@ pub(crate) const fn next_due_ns(due_ns: u64, every_ns: u64, now_ns: u64) -> u64 
 
 /// Joins the fleet to write the most frequent topic every `every`. If that is much rarer than
 /// ticks, ticks do not wake the bridge, because a wake-up costs the worker time.
-fn open(config: &Config, name: &str, every: Duration) -> Result<Reading, OpenError> {
+fn open(config: &Config, name: &str, every: Duration) -> Result<Reading, ConnectError> {
     let look_every = (every / LATE_PART).min(POLL_INTERVAL);
     if look_every.as_nanos() < u128::from(config.tick_period_ns()) {
         return Reading::open(config, name, false);

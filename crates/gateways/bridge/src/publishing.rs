@@ -110,6 +110,9 @@ fn count(
             record.frames += 1;
             record.samples += sent.samples as u64;
             record.frames_unheard += u64::from(sent.readers == 0);
+            if let Some(error) = sent.not_woken {
+                tracing::warn!(%error, "the worker was not woken");
+            }
         }
         Err(PublishError::Send(error)) if !error.is_final() => {
             record.frames_failed += 1;

@@ -11,7 +11,7 @@ use joulebus_bus::{Bus, Reader, clock, process_id};
 use joulebus_config::Config;
 use joulebus_connect::join;
 use joulebus_consumer::{
-    Budgets, Diagnostics, Event, Feed, PlanStates, Planner, ReadError, WorkerState,
+    Budgets, Diagnostics, Event, Feed, PlanStates, ReadError, Subscriber, WorkerState,
 };
 use joulebus_standby::SavedState;
 use joulebus_wire::{Channel, FrameHeader as _, Place, SCHEMA_VERSION, StateHeader, Ticks};
@@ -56,7 +56,7 @@ pub(crate) fn run(
     stop: &AtomicBool,
     ready: impl FnOnce(),
 ) -> anyhow::Result<(Vec<EgressRecord>, Refusals)> {
-    let mut planner = Planner::with_config(config, "link")?;
+    let mut planner = Subscriber::with_config(config, "link")?;
     let mut egress = Egress::open(network, Kind::Outputs, None, fleet)?;
     let mut feeds = Feeds::new(config);
     let mut state = leadership.map(StateFeed::new);
@@ -234,7 +234,7 @@ impl<'a> Feeds<'a> {
         }
     }
 
-    fn give(&mut self, planner: &Planner, egress: &mut Egress) -> anyhow::Result<()> {
+    fn give(&mut self, planner: &Subscriber, egress: &mut Egress) -> anyhow::Result<()> {
         let [of_diagnostics, of_budgets, of_plan_states] = &mut self.sent;
         let feed = (Carried::DIAGNOSTICS, &mut self.diagnostics);
         pass(feed, of_diagnostics, egress, planner)?;
@@ -318,7 +318,7 @@ fn pass<C: Channel>(
     (service, wanted): (Carried, &mut Wanted<Feed<C>>),
     sent: &mut Place,
     egress: &mut Egress,
-    planner: &Planner,
+    planner: &Subscriber,
 ) -> Result<(), ReadError> {
     wanted.keep(egress.wants(service), || planner.feed());
     let Some(feed) = &mut wanted.feed else {

@@ -4,9 +4,7 @@ use std::sync::Arc;
 
 use joulebus_bus::{SendError, Writer, clock, process_id};
 use joulebus_config::Config;
-use joulebus_wire::{
-    Budgets, Diagnostics, Forecasts, Place, PlanStateHeader, PlanStates, WakeEvent,
-};
+use joulebus_wire::{Budgets, Diagnostics, Forecasts, Place, PlanStateHeader, PlanStates};
 
 use crate::protocol::carried::Carried;
 use crate::protocol::merge::{Continued, Merge, Merged, Origin};
@@ -106,10 +104,7 @@ impl ShardMerger {
                 (now_ns, self.capacity),
             )? {
                 self.tick += 1;
-                worker_ports
-                    .planners
-                    .wake(WakeEvent::Frame)
-                    .map_err(SendError::Wake)?;
+                worker_ports.wake_planners();
             }
         }
         if self.tick == 0 {

@@ -38,15 +38,20 @@ impl WorkerPorts {
         })
     }
 
+    /// After a frame of forecasts. Who is not woken finds it within 100 ms.
+    pub(crate) fn wake_planners(&self) {
+        if let Err(error) = self.planners.wake(WakeEvent::Frame) {
+            tracing::debug!(%error, "planners were not woken");
+        }
+    }
+
     /// Writes a frame as the worker of this host would.
     pub(crate) fn pass_on(&mut self, accepted: &Accepted<'_>) -> Result<(), PassError> {
         let to = (&mut self.runs, self.every);
         match accepted.frame.service {
             Carried::FORECASTS => {
                 pass_on(&mut self.forecasts, accepted, to)?;
-                self.planners
-                    .wake(WakeEvent::Frame)
-                    .map_err(SendError::Wake)?;
+                self.wake_planners();
                 Ok(())
             }
             Carried::DIAGNOSTICS => pass_on(&mut self.diagnostics, accepted, to),

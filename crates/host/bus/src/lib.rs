@@ -62,8 +62,8 @@ pub use os::scheduling::{
 };
 pub use ports::{
     Frame, FrameBuf, IncomingFrame, KeptFrame, Loan, OpenError, OpenQuery, Poller, QueryClient,
-    QueryError, QueryServer, Reader, ReceiveError, SampleReader, SampleWriter, SendError,
-    WaitError, Waiter, Waker, Woken, Writer,
+    QueryError, QueryServer, Reader, Readiness, ReceiveError, SampleReader, SampleWriter,
+    SendError, Sent, WaitError, Waiter, Waker, Woken, Writer,
 };
 pub use preflight::{CapacityError, CapacityReport, Ports, check_capacity};
 pub use private::{DomainWarning, RootError};

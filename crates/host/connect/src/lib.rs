@@ -13,7 +13,7 @@ pub fn join(config: &Config, name: &str) -> Result<Bus, ConnectError> {
     Ok(Bus::join(&config.domain()?, name)?)
 }
 
-/// Errors of joining the fleet of a config, or of opening one of its ports.
+/// Errors of connecting: of the config, of joining its fleet, of its models, or of opening a port.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConnectError {
@@ -29,6 +29,10 @@ pub enum ConnectError {
     /// A port could not be opened.
     #[error(transparent)]
     Open(#[from] OpenError),
+    /// A model of the config could not be loaded: a `joulebus_models::ModelsError`. Only programs
+    /// that compute load models.
+    #[error(transparent)]
+    Models(Box<dyn std::error::Error + Send + Sync>),
 }
 
 /// The errors contained in [`ConnectError`], and in the errors of opening ports.

@@ -75,6 +75,9 @@ impl Link {
             Ok(sent) => {
                 report.frames_sent += 1;
                 report.samples_sent += frame.len() as u64;
+                if let Some(error) = &sent.not_woken {
+                    tracing::warn!(%error, "the worker was not woken");
+                }
                 if sent.readers > 0 {
                     return Ok(Fate::Sent);
                 }

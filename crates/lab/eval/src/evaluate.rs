@@ -286,7 +286,7 @@ fn step(fleet: &mut Fleet, sample: &Sample, now_ns: u64) -> Step {
         residual_w: known(has_residual.then_some(diagnostic.residual_w)),
         network_residual_w: known(has_residual.then_some(diagnostic.residual_w)),
         scored: scored(fleet, sample.robot) > scored_before,
-        power_w: known(forecast.power_w()),
+        power_w: known(forecast.expected_w()),
         lo_w: known(interval.map(|(lo_w, _)| lo_w)),
         hi_w: known(interval.map(|(_, hi_w)| hi_w)),
         quality: forecast.quality(),

@@ -4,7 +4,8 @@
 use joulebus_config::Config;
 use joulebus_fleet::Fleet;
 use joulebus_models::load_models;
-use joulebus_plan::{Follower, Frames, Platform, Point, Robot};
+use joulebus_plan::follow::Follower;
+use joulebus_plan::{Frames, Platform, Point, Robot};
 use joulebus_predictor::Model;
 use joulebus_wire::{
     Alarm, Budget, BudgetHeader, PlanState, PlanStateHeader, SCHEMA_VERSION, Sample, SampleHeader,

@@ -1,6 +1,7 @@
 //! A robot with its true battery.
 
-use joulebus_plan::{Follower, Point, Pose};
+use joulebus_plan::Point;
+use joulebus_plan::follow::{Follower, Pose};
 use joulebus_plant::arena::Command;
 use joulebus_plant::driven::Driven;
 use joulebus_wire::{Sample, sample_flag};

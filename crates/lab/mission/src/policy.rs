@@ -2,7 +2,8 @@
 
 use std::fmt;
 
-use joulebus_plan::{Path, Point, Pose, Robot, Verdict, rank_each};
+use joulebus_plan::follow::Pose;
+use joulebus_plan::{Path, Point, Robot, Verdict, rank_each};
 use joulebus_predictor::{ReadingAge, RolloutStart, Rollouts};
 use joulebus_wire::{Budget, PlanState};
 use serde::Serialize;

@@ -2,7 +2,8 @@
 
 use std::collections::VecDeque;
 
-use joulebus_plan::{Point, Pose};
+use joulebus_plan::Point;
+use joulebus_plan::follow::Pose;
 use joulebus_plant::arena::Command;
 use joulebus_wire::Sample;
 use serde::Serialize;

@@ -26,7 +26,7 @@ fn waves(count: usize, scale: f32, from: usize) -> Vec<f32> {
 /// What calls are made on.
 struct Calls {
     model: Model,
-    planner: joulebus_consumer::Planner,
+    planner: joulebus_consumer::Subscriber,
     questions: Questions,
     publisher: Publisher,
     features: Vec<f32>,
@@ -44,7 +44,7 @@ impl Calls {
         questions.wait(Duration::from_secs(60))?;
         Ok(Self {
             model: Model::Network(Network::from_safetensors(builtin)?),
-            planner: joulebus_consumer::Planner::with_config(config, "speed-rust")?,
+            planner: joulebus_consumer::Subscriber::with_config(config, "speed-rust")?,
             questions,
             publisher: Publisher::with_config(config, "speed-rust")?,
             features: waves(1000 * FEATURES, 10.0, 0),
@@ -89,7 +89,7 @@ impl Calls {
                 let Some(frame) = self.planner.latest()? else {
                     return Ok(());
                 };
-                let powers_w = frame.iter().filter_map(|row| row.power_w());
+                let powers_w = frame.iter().filter_map(|row| row.expected_w());
                 black_box(powers_w.sum::<f32>());
             }
             "publish" => {

@@ -1,6 +1,6 @@
 /**
  * @file
- * libjoulebus: publisher, planner, questions about plans and predictor of joulebus, a shared-memory energy broker for
+ * libjoulebus: publisher, subscriber, questions about plans and predictor of joulebus, a shared-memory energy broker for
  * robot fleets. docs/c.md has the whole picture; joulebus.hpp is a layer above for C++17.
  *
  * This file is made from the sources of joulebus-c and joulebus-wire: cargo test -p joulebus-c --test all layouts.
@@ -8,7 +8,7 @@
  * Errors. Calls return a joulebus_error; joulebus_last_error() has the message. After an error nothing is written to
  * where results go, if not said otherwise. No call aborts the program on what it is given or reads.
  *
- * Threads. A publisher, planner, frame, questions or client belongs to the thread that opened it: used by another one,
+ * Threads. A publisher, subscriber, frame, questions or client belongs to the thread that opened it: used by another one,
  * the call is refused (JOULEBUS_ERROR_THREAD), closing included. Each thread may open its own. A predictor may be used by
  * any thread. No call may be made by a signal handler; what one interrupts is not disturbed, but refuses calls on the
  * same handle.
@@ -949,7 +949,7 @@ typedef uint32_t joulebus_end;
 #endif // __cplusplus
 
 /**
- * The worker, as seen by a planner.
+ * The worker, as seen by a subscriber.
  */
 enum joulebus_worker
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
@@ -992,11 +992,6 @@ typedef struct joulebus_client joulebus_client;
 typedef struct joulebus_frame joulebus_frame;
 
 /**
- * A reader of forecasts, diagnostics and budgets.
- */
-typedef struct joulebus_planner joulebus_planner;
-
-/**
  * A network.
  */
 typedef struct joulebus_predictor joulebus_predictor;
@@ -1012,6 +1007,11 @@ typedef struct joulebus_publisher joulebus_publisher;
 typedef struct joulebus_questions joulebus_questions;
 
 /**
+ * A reader of forecasts, diagnostics and budgets.
+ */
+typedef struct joulebus_subscriber joulebus_subscriber;
+
+/**
  * One robot in one control tick. Set to zero, nothing is known of it.
  */
 typedef struct joulebus_robot_state {
@@ -1020,8 +1020,8 @@ typedef struct joulebus_robot_state {
      */
     uint32_t robot;
     /**
-     * JOULEBUS_SAMPLE bits: which of the fields below are known, and HELD, CHARGING, FULL and SWAPPED. Others are
-     * refused.
+     * JOULEBUS_SAMPLE bits: which of the fields below are known, and HELD, CHARGING, FULL (which implies CHARGING) and
+     * SWAPPED. Others are refused.
      */
     uint32_t flags;
     /**
@@ -1079,6 +1079,14 @@ typedef struct joulebus_sent {
      * Its number within this run of the source, from 0.
      */
     uint64_t frame_seq;
+    /**
+     * 1 if the worker was woken. It takes the frame at its next tick all the same.
+     */
+    uint32_t woken;
+    /**
+     * 0.
+     */
+    uint32_t reserved;
 } joulebus_sent;
 
 /**
@@ -1138,7 +1146,7 @@ typedef struct joulebus_forecasts {
 } joulebus_forecasts;
 
 /**
- * An event of a planner.
+ * An event of a subscriber.
  */
 typedef struct joulebus_event {
     /**
@@ -1196,9 +1204,9 @@ typedef struct joulebus_budgets {
 } joulebus_budgets;
 
 /**
- * What a planner has read.
+ * What a subscriber has read.
  */
-typedef struct joulebus_planner_status {
+typedef struct joulebus_subscriber_status {
     /**
      * The worker, as of the last call that read.
      */
@@ -1231,7 +1239,7 @@ typedef struct joulebus_planner_status {
      * Frames passed over because another process than the worker has sent them.
      */
     uint64_t foreign;
-} joulebus_planner_status;
+} joulebus_subscriber_status;
 
 /**
  * A platform, as the fleet's config describes it.
@@ -1550,57 +1558,72 @@ joulebus_error joulebus_publisher_get_counts(struct joulebus_publisher *publishe
 joulebus_error joulebus_publisher_close(struct joulebus_publisher *publisher);
 
 /**
- * Joins the fleet of a config file as a planner. The worker need not run.
+ * Joins the fleet of a config file as a subscriber. The worker need not run.
  *
  * @param header      JOULEBUS_HEADER.
  * @param config_path The fleet's config file.
  * @param name        1 to 128 bytes, shown to operators; need not be unique.
- * @param planner     The new handle.
+ * @param subscriber  The new handle.
  */
-joulebus_error joulebus_planner_open(const char *header,
-                                     const char *config_path,
-                                     const char *name,
-                                     struct joulebus_planner **planner);
+joulebus_error joulebus_subscriber_open(const char *header,
+                                        const char *config_path,
+                                        const char *name,
+                                        struct joulebus_subscriber **subscriber);
 
 /**
  * Waits for a frame that was not returned before, the worker's end, a frame that is too old, or a signal. Of several
  * frames it returns the newest; skipped ones are counted. Frames stay where they are in shared memory: the event's
- * pointers are valid until the next call of joulebus_planner_wait, joulebus_planner_latest or joulebus_planner_close
- * with this planner.
+ * pointers are valid until the next call of joulebus_subscriber_wait, joulebus_subscriber_latest or joulebus_subscriber_close
+ * with this subscriber.
  *
  * @param timeout_ns Time to wait, ns; UINT64_MAX for ever, 0 not at all.
  * @param event      What happened.
  */
-joulebus_error joulebus_planner_wait(struct joulebus_planner *planner,
-                                     uint64_t timeout_ns,
-                                     struct joulebus_event *event);
+joulebus_error joulebus_subscriber_wait(struct joulebus_subscriber *subscriber,
+                                        uint64_t timeout_ns,
+                                        struct joulebus_event *event);
+
+/**
+ * A descriptor that is readable when joulebus_subscriber_wait is likely to have something to return, for event loops: a
+ * frame has arrived, or the worker's process has exited. When it is readable, call joulebus_subscriber_wait with a
+ * time of 0 until it returns JOULEBUS_EVENT_KIND_TIMED_OUT; call it as well where it has not been readable for
+ * look_within_ns, since it tells nothing of a worker that is silent, and may miss a frame that arrives while an earlier one is
+ * read. It belongs to the subscriber, and must not be closed.
+ *
+ * @param descriptor     To be polled for reading only.
+ * @param look_within_ns Longest time to wait for it from now on, ns; at most 100 ms.
+ */
+joulebus_error joulebus_subscriber_readiness(struct joulebus_subscriber *subscriber,
+                                             int32_t *descriptor,
+                                             uint64_t *look_within_ns);
 
 /**
  * The newest frame, without waiting, whether or not it was returned before; its header is NULL until the first has
- * arrived. Pointers are valid as of joulebus_planner_wait.
+ * arrived. Pointers are valid as of joulebus_subscriber_wait.
  */
-joulebus_error joulebus_planner_latest(struct joulebus_planner *planner,
-                                       struct joulebus_forecasts *frame);
+joulebus_error joulebus_subscriber_latest(struct joulebus_subscriber *subscriber,
+                                          struct joulebus_forecasts *frame);
 
 /**
  * One robot of the frame that was returned last, in constant time while no robots join or leave; NULL if it is not in
- * the frame, or the frame was kept. Valid as of joulebus_planner_wait.
+ * the frame, or the frame was taken. Valid as of joulebus_subscriber_wait.
  */
-joulebus_error joulebus_planner_robot(struct joulebus_planner *planner,
-                                      uint32_t robot,
-                                      const joulebus_forecast **row);
+joulebus_error joulebus_subscriber_robot(struct joulebus_subscriber *subscriber,
+                                         uint32_t robot,
+                                         const joulebus_forecast **row);
 
 /**
- * Keeps the frame that was returned last: its pointers stay valid until joulebus_frame_close, also after the planner is
- * closed and the worker has ended. Two may be kept; with more, reading is an error until one is closed. Without a frame,
+ * Takes the frame that was returned last out of the subscriber, to keep it: there is no current frame then until a newer one
+ * arrives. Its pointers stay valid until joulebus_frame_close, also after the subscriber is closed and the worker has ended.
+ * Two may be kept; with more, reading is an error until one is closed. Without a frame,
  * JOULEBUS_ERROR_NO_FRAME.
  *
  * @param frame The new handle.
  * @param view  The frame that is kept; NULL if it is not wanted.
  */
-joulebus_error joulebus_planner_keep(struct joulebus_planner *planner,
-                                     struct joulebus_frame **frame,
-                                     struct joulebus_forecasts *view);
+joulebus_error joulebus_subscriber_take_current(struct joulebus_subscriber *subscriber,
+                                                struct joulebus_frame **frame,
+                                                struct joulebus_forecasts *view);
 
 /**
  * Gives a kept frame back. NULL is closed already.
@@ -1609,29 +1632,29 @@ joulebus_error joulebus_frame_close(struct joulebus_frame *frame);
 
 /**
  * The fleet's newest diagnostics, without waiting. The first call opens them: frames sent from then on are read. The
- * header is NULL until the first has arrived. Valid until the next call of this function, or joulebus_planner_close.
+ * header is NULL until the first has arrived. Valid until the next call of this function, or joulebus_subscriber_close.
  */
-joulebus_error joulebus_planner_diagnostics(struct joulebus_planner *planner,
-                                            struct joulebus_diagnostics *frame);
+joulebus_error joulebus_subscriber_diagnostics(struct joulebus_subscriber *subscriber,
+                                               struct joulebus_diagnostics *frame);
 
 /**
  * The fleet's newest budgets, without waiting. The first call opens them: frames sent before are read as soon as the
  * worker sends again. The header is NULL until the first has arrived. Valid until the next call of this function, or
- * joulebus_planner_close.
+ * joulebus_subscriber_close.
  */
-joulebus_error joulebus_planner_budgets(struct joulebus_planner *planner,
-                                        struct joulebus_budgets *frame);
+joulebus_error joulebus_subscriber_budgets(struct joulebus_subscriber *subscriber,
+                                           struct joulebus_budgets *frame);
 
 /**
  * The worker as seen by the last call that read, and what was counted.
  */
-joulebus_error joulebus_planner_get_status(struct joulebus_planner *planner,
-                                           struct joulebus_planner_status *status);
+joulebus_error joulebus_subscriber_get_status(struct joulebus_subscriber *subscriber,
+                                              struct joulebus_subscriber_status *status);
 
 /**
  * Leaves the fleet. Frames that are kept stay valid. NULL is closed already.
  */
-joulebus_error joulebus_planner_close(struct joulebus_planner *planner);
+joulebus_error joulebus_subscriber_close(struct joulebus_subscriber *subscriber);
 
 /**
  * Joins the fleet of a config file as a planner that asks, and loads the models that the config names. The worker

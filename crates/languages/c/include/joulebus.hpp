@@ -309,7 +309,7 @@ private:
 };
 
 /** Power expected, W, if there is a forecast. */
-inline std::optional<float> power_w(const joulebus_forecast &row) noexcept {
+inline std::optional<float> expected_w(const joulebus_forecast &row) noexcept {
     if ((row.flags & JOULEBUS_FORECAST_POWER) == 0) {
         return std::nullopt;
     }
@@ -366,7 +366,7 @@ struct Stale {
 struct Interrupted {};
 /** Nothing happened in the time. */
 struct TimedOut {};
-/** What a planner is told. */
+/** What a subscriber is told. */
 using Event = std::variant<TimedOut, Forecasts, Gone, Stale, Interrupted>;
 
 /** A frame of forecasts that stays valid as long as this, which is a range of rows as Forecasts is. Belongs to its
@@ -407,24 +407,31 @@ private:
     Forecasts frame_;
 };
 
+/** A descriptor that is readable when Subscriber::wait is likely to have something to return, and how long to wait for it
+ *  before wait is called anyway. The descriptor is the subscriber's. */
+struct Readiness {
+    int descriptor;
+    std::chrono::nanoseconds look_within;
+};
+
 /** A reader of forecasts, diagnostics and budgets. Belongs to one thread. */
-class Planner {
+class Subscriber {
 public:
     /** Joins the fleet of a config file. The worker need not run. */
-    static Result<Planner> open(const std::string &config_path, const std::string &name = "planner") {
-        joulebus_planner *raw = nullptr;
-        auto code = joulebus_planner_open(JOULEBUS_HEADER, config_path.c_str(), name.c_str(), &raw);
+    static Result<Subscriber> open(const std::string &config_path, const std::string &name = "planner") {
+        joulebus_subscriber *raw = nullptr;
+        auto code = joulebus_subscriber_open(JOULEBUS_HEADER, config_path.c_str(), name.c_str(), &raw);
         if (code != JOULEBUS_ERROR_NONE) {
             return last_error(code);
         }
-        return Planner(raw);
+        return Subscriber(raw);
     }
 
     /** The next event. A frame is valid until the next wait, latest or close. */
     Result<Event> wait(std::chrono::nanoseconds timeout) {
         joulebus_event event{};
         auto ns = timeout == forever ? std::numeric_limits<std::uint64_t>::max() : detail::ns(timeout);
-        auto code = joulebus_planner_wait(handle_.get(), ns, &event);
+        auto code = joulebus_subscriber_wait(handle_.get(), ns, &event);
         if (code != JOULEBUS_ERROR_NONE) {
             return last_error(code);
         }
@@ -442,28 +449,40 @@ public:
         }
     }
 
+    /** What an event loop waits for: joulebus_subscriber_readiness says how. */
+    Result<Readiness> readiness() {
+        std::int32_t descriptor = -1;
+        std::uint64_t look_within_ns = 0;
+        auto code = joulebus_subscriber_readiness(handle_.get(), &descriptor, &look_within_ns);
+        if (code != JOULEBUS_ERROR_NONE) {
+            return last_error(code);
+        }
+        return Readiness{descriptor, std::chrono::nanoseconds(look_within_ns)};
+    }
+
     /** The newest frame, if one has arrived, without waiting. */
     Result<std::optional<Forecasts>> latest() {
         joulebus_forecasts frame{};
-        auto code = joulebus_planner_latest(handle_.get(), &frame);
+        auto code = joulebus_subscriber_latest(handle_.get(), &frame);
         return read<Forecasts>(code, frame);
     }
 
     /** One robot of the frame that was returned last, in constant time; nullptr if it is not there. */
     Result<const joulebus_forecast *> robot(std::uint32_t id) {
         const joulebus_forecast *row = nullptr;
-        auto code = joulebus_planner_robot(handle_.get(), id, &row);
+        auto code = joulebus_subscriber_robot(handle_.get(), id, &row);
         if (code != JOULEBUS_ERROR_NONE) {
             return last_error(code);
         }
         return row;
     }
 
-    /** Keeps the frame that was returned last. Two may be kept. */
-    Result<KeptForecasts> keep() {
+    /** Takes the frame that was returned last out, to keep it: there is no current frame then until a newer one arrives.
+     *  Two may be kept. */
+    Result<KeptForecasts> take_current() {
         joulebus_frame *raw = nullptr;
         joulebus_forecasts frame{};
-        auto code = joulebus_planner_keep(handle_.get(), &raw, &frame);
+        auto code = joulebus_subscriber_take_current(handle_.get(), &raw, &frame);
         if (code != JOULEBUS_ERROR_NONE) {
             return last_error(code);
         }
@@ -473,20 +492,20 @@ public:
     /** The newest diagnostics, if any has arrived; valid until the next call. */
     Result<std::optional<Diagnostics>> diagnostics() {
         joulebus_diagnostics frame{};
-        auto code = joulebus_planner_diagnostics(handle_.get(), &frame);
+        auto code = joulebus_subscriber_diagnostics(handle_.get(), &frame);
         return read<Diagnostics>(code, frame);
     }
 
     /** The newest budgets, if any have arrived; valid until the next call. */
     Result<std::optional<Budgets>> budgets() {
         joulebus_budgets frame{};
-        auto code = joulebus_planner_budgets(handle_.get(), &frame);
+        auto code = joulebus_subscriber_budgets(handle_.get(), &frame);
         return read<Budgets>(code, frame);
     }
 
-    Result<joulebus_planner_status> status() const {
-        joulebus_planner_status status{};
-        auto code = joulebus_planner_get_status(handle_.get(), &status);
+    Result<joulebus_subscriber_status> status() const {
+        joulebus_subscriber_status status{};
+        auto code = joulebus_subscriber_get_status(handle_.get(), &status);
         if (code != JOULEBUS_ERROR_NONE) {
             return last_error(code);
         }
@@ -494,10 +513,10 @@ public:
     }
 
     Result<void> close() { return handle_.close(); }
-    joulebus_planner *get() const noexcept { return handle_.get(); }
+    joulebus_subscriber *get() const noexcept { return handle_.get(); }
 
 private:
-    explicit Planner(joulebus_planner *raw) noexcept : handle_(raw) {}
+    explicit Subscriber(joulebus_subscriber *raw) noexcept : handle_(raw) {}
 
     template <class Of, class Raw> static Result<std::optional<Of>> read(joulebus_error code, const Raw &raw) {
         if (code != JOULEBUS_ERROR_NONE) {
@@ -506,7 +525,7 @@ private:
         return raw.header == nullptr ? std::optional<Of>() : std::optional<Of>(Of(raw));
     }
 
-    detail::Handle<joulebus_planner, joulebus_planner_close> handle_;
+    detail::Handle<joulebus_subscriber, joulebus_subscriber_close> handle_;
 };
 
 /** Whether a robot makes a plan with its reserve untouched. */

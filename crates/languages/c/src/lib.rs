@@ -1,4 +1,4 @@
-//! The C library `libjoulebus`: publisher, planner, questions about plans and predictor for C and C++.
+//! The C library `libjoulebus`: publisher, subscriber, questions about plans and predictor for C and C++.
 //!
 //! `include/joulebus.h` and `include/joulebus.hpp` are its documentation, with `docs/c.md`. This crate is no library
 //! for Rust: [`abi`] holds what C calls, the other modules what makes such calls safe.

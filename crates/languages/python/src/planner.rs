@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 use bytemuck::cast_slice;
 use joulebus_consumer::wire::{ForecastHeader, Quality};
 use joulebus_consumer::{
-    Arrival, Budgets, Config, Diagnostics, End, Event, Feed, KeptForecasts, Planner as Ports,
-    ReadError, WorkerState,
+    Arrival, Budgets, Config, Diagnostics, End, Event, Feed, KeptForecasts, ReadError,
+    Subscriber as Ports, WorkerState,
 };
 use pyo3::IntoPyObjectExt as _;
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
@@ -214,7 +214,7 @@ impl State {
             Ok(_) => return Ok(Told::Nothing),
             Err(error) => return Err(read_failed(&error, kept)),
         };
-        let Some(frame) = open.planner.keep() else {
+        let Some(frame) = open.planner.take_current() else {
             return Ok(Told::Nothing);
         };
         let number = self.next;
@@ -342,7 +342,7 @@ pub(crate) fn quality(
         Quality::Warmup { have } => ("Warmup", number(have)?),
         Quality::OpenLoop { steps } => ("OpenLoop", number(steps)?),
         Quality::Invalid(reason) => ("Invalid", format!("{reason:?}").into_py_any(py)?),
-        Quality::Unknown => ("Unknown", py.None()),
+        _ => ("Unknown", py.None()),
     })
 }
 

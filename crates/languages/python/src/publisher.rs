@@ -1,9 +1,10 @@
 //! A source of samples, from arrays.
 
+use std::ffi::CString;
 use std::path::PathBuf;
 
-use joulebus_publisher::{Config, Publisher as Port, RobotState, clock};
-use pyo3::exceptions::PyValueError;
+use joulebus_publisher::{Charger, Config, Publisher as Port, RobotState, clock};
+use pyo3::exceptions::{PyRuntimeWarning, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyFloat};
 
@@ -53,6 +54,10 @@ impl PublisherPort {
                 .map_err(|error| PublishError::new_err(error.to_string()))
         };
         let sent = py.detach(|| self.thread.ask(send))??;
+        if let Some(error) = &sent.not_woken {
+            let message = CString::new(format!("the worker was not woken: {error}"))?;
+            PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &message, 2)?;
+        }
         Ok((sent.readers, sent.samples, sent.frame_seq))
     }
 
@@ -123,8 +128,17 @@ fn setter(name: &str) -> Option<Setter> {
         "soc" => Number(|robot, value| robot.soc = value),
         "return_j" => Number(|robot, value| robot.return_j = value),
         "held" => Truth(|robot, value| robot.held = value),
-        "charging" => Truth(|robot, value| robot.charging = value),
-        "full" => Truth(|robot, value| robot.full = value),
+        // A charger that says "full" is connected, in whichever order the columns are given.
+        "charging" => Truth(|robot, value| {
+            if value && robot.charger == Charger::Disconnected {
+                robot.charger = Charger::Charging;
+            }
+        }),
+        "full" => Truth(|robot, value| {
+            if value {
+                robot.charger = Charger::Full;
+            }
+        }),
         "swapped" => Truth(|robot, value| robot.swapped = value),
         _ => return None,
     })

@@ -4,8 +4,9 @@
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
+use joulebus_plan::answering::Work;
 use joulebus_plan::{
-    Fleet, MAX_STEPS, Path, Plan, Point, Question, QuestionError, RobotRows, Row, Verdict, Work,
+    Fleet, MAX_STEPS, Path, Plan, Point, Question, QuestionError, RobotRows, Row, Verdict,
 };
 use joulebus_planner::{Config, Planner, ViewError};
 use pyo3::exceptions::{PyKeyError, PyRuntimeError, PyValueError};

@@ -1,7 +1,8 @@
 //! A question that waits or is being answered.
 
 use joulebus_bus::{OpenQuery, PeerWatch};
-use joulebus_plan::{Question, Refused, Work};
+use joulebus_plan::answering::Work;
+use joulebus_plan::{Question, Refused};
 use joulebus_wire::{AnswerHeader, QueryHeader, QueryRefusal};
 
 /// A question's process is watched from this age on, ns: most are answered before.

@@ -5,8 +5,9 @@ use joulebus_bus::{
     process_id,
 };
 use joulebus_config::Config;
-use joulebus_plan::{Fleet, QuestionError, Refused, Work};
-use joulebus_planner::{OpenPlannerError, Planner, View};
+use joulebus_plan::answering::Work;
+use joulebus_plan::{Fleet, QuestionError, Refused};
+use joulebus_planner::{ConnectError, Planner, View};
 use joulebus_wire::{
     AnswerHeader, QUERY_STEPS, QueryCounts, QueryRecord, QueryRefusal, SCHEMA_VERSION, fnv1a,
 };
@@ -35,7 +36,7 @@ pub(crate) enum ServerError {
     #[error(transparent)]
     Open(#[from] OpenError),
     #[error(transparent)]
-    Planner(#[from] OpenPlannerError),
+    Connect(#[from] ConnectError),
     #[error(transparent)]
     Receive(#[from] ReceiveError),
     #[error(transparent)]
@@ -350,14 +351,10 @@ impl Server {
             sent_ns: now_ns,
             ..job.answer
         };
-        let sent = self
-            .server
-            .answer(&job.query, job.answer, job.listener(), words);
-        match sent {
-            // A client that was not woken finds the answer itself.
-            Err(SendError::Wake(_)) => Ok(()),
-            sent => sent,
-        }
+        // A client that was not woken finds the answer itself.
+        self.server
+            .answer(&job.query, job.answer, job.listener(), words)?;
+        Ok(())
     }
 
     fn record(&mut self, job: &Job, words: &[u64]) -> Result<(), ServerError> {

@@ -8,7 +8,6 @@ pub use joulebus_bus::QueryError;
 use joulebus_bus::{Bus, QueryClient, clock};
 use joulebus_config::Config;
 use joulebus_connect::{ConnectError, join};
-use joulebus_consumer::OpenError;
 use joulebus_plan::{Question, Refused, Reply};
 use joulebus_wire::{AnswerHeader, QueryHeader, fnv1a};
 
@@ -21,18 +20,6 @@ pub struct PlanClient {
     asked: Option<Asked>,
     // After the port, which must be dropped before the process leaves the domain.
     _bus: Bus,
-}
-
-/// Errors of connecting.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum OpenClientError {
-    /// The config, or joining the fleet.
-    #[error(transparent)]
-    Connect(#[from] ConnectError),
-    /// The port.
-    #[error(transparent)]
-    Open(#[from] OpenError),
 }
 
 /// Reason that a question has no answer.
@@ -49,6 +36,7 @@ pub enum ClientError {
 
 /// A reply, and the frames that it was computed from.
 #[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
 pub struct Answered {
     /// The reply.
     pub reply: Reply,
@@ -68,17 +56,16 @@ impl PlanClient {
     /// Joins the fleet of the config file at `config_path`. The worker need not run yet.
     ///
     /// # Errors
-    /// [`OpenClientError`] with the cause and the remedy.
-    pub fn connect(config_path: impl AsRef<Path>) -> Result<Self, OpenClientError> {
-        let config = Config::load(config_path).map_err(ConnectError::from)?;
-        Self::with_config(&config, "plan-client")
+    /// [`ConnectError`] with the cause and the remedy.
+    pub fn connect(config_path: impl AsRef<Path>) -> Result<Self, ConnectError> {
+        Self::with_config(&Config::load(config_path)?, "plan-client")
     }
 
     /// As [`PlanClient::connect`], with a loaded config, and a name that is shown to operators.
     ///
     /// # Errors
-    /// [`OpenClientError`].
-    pub fn with_config(config: &Config, name: &str) -> Result<Self, OpenClientError> {
+    /// [`ConnectError`].
+    pub fn with_config(config: &Config, name: &str) -> Result<Self, ConnectError> {
         let bus = join(config, name)?;
         Ok(Self {
             client: bus.query_client(&config.limits())?,

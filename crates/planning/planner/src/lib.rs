@@ -4,13 +4,14 @@
 //! ```no_run
 //! use std::time::Duration;
 //!
+//! use anyhow::Context;
 //! use joulebus_plan::{Path, Point, Verdict};
 //! use joulebus_planner::Planner;
 //!
-//! fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! fn main() -> anyhow::Result<()> {
 //!     let mut planner = Planner::connect("configs/fleet.toml")?;
 //!     let view = planner.wait(Duration::from_secs(1))?;
-//!     let robot = view.robot(7).ok_or("robot 7 is not in the fleet")?;
+//!     let robot = view.robot(7).context("robot 7 is not in the fleet")?;
 //!     let there = Path::new(&[Point::new(0.0, 0.0), Point::new(2.0, 1.0)], 0.2);
 //!     let trip = robot.can_finish(&there, Some(Point::new(0.0, 0.0)), 0.9)?;
 //!     if trip.answer.verdict == Verdict::Yes {
@@ -28,9 +29,9 @@
 mod client;
 mod planner;
 
-pub use client::{Answered, ClientError, OpenClientError, PlanClient, QueryError};
+pub use client::{Answered, ClientError, PlanClient, QueryError};
 pub use joulebus_config::Config;
-pub use joulebus_connect::ConnectError;
-pub use joulebus_consumer::{OpenError, ReadError, WorkerState};
+pub use joulebus_connect::{ConnectError, error};
+pub use joulebus_consumer::{ReadError, WorkerState};
 pub use joulebus_models::ModelsError;
-pub use planner::{OpenPlannerError, Planner, View, ViewError};
+pub use planner::{Planner, View, ViewError};

@@ -6,33 +6,18 @@ use std::time::{Duration, Instant};
 
 use joulebus_config::Config;
 use joulebus_connect::ConnectError;
-use joulebus_consumer::{Budgets, Event, Feed, Frame, OpenError, PlanStates, ReadError, clock};
-use joulebus_models::{ModelsError, load_models};
+use joulebus_consumer::{Budgets, Event, Feed, Frame, PlanStates, ReadError, Subscriber, clock};
+use joulebus_models::load_models;
 use joulebus_plan::{Differs, Fleet, Robot, RobotRows};
 use joulebus_wire::AnswerHeader;
 
 /// Reads what plans start from, and answers questions about them. Belongs to one thread, as every
 /// reader of shared memory; the [`Robot`]s that it gives do not.
 pub struct Planner {
-    planner: joulebus_consumer::Planner,
+    subscriber: Subscriber,
     states: Feed<PlanStates>,
     budgets: Feed<Budgets>,
     fleet: Fleet,
-}
-
-/// Errors of connecting.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum OpenPlannerError {
-    /// The config, or joining the fleet.
-    #[error(transparent)]
-    Connect(#[from] ConnectError),
-    /// A model of the config.
-    #[error(transparent)]
-    Models(#[from] ModelsError),
-    /// A service.
-    #[error(transparent)]
-    Open(#[from] OpenError),
 }
 
 /// Errors of reading the fleet's state.
@@ -65,31 +50,31 @@ impl Planner {
     /// keep it for as long as there are questions.
     ///
     /// # Errors
-    /// [`OpenPlannerError`] with the cause and the remedy.
-    pub fn connect(config_path: impl AsRef<Path>) -> Result<Self, OpenPlannerError> {
-        let config = Config::load(config_path).map_err(ConnectError::from)?;
-        Self::with_config(&config, "planner")
+    /// [`ConnectError`] with the cause and the remedy.
+    pub fn connect(config_path: impl AsRef<Path>) -> Result<Self, ConnectError> {
+        Self::with_config(&Config::load(config_path)?, "planner")
     }
 
     /// As [`Planner::connect`], with a loaded config, and a name that is shown to operators.
     ///
     /// # Errors
-    /// [`OpenPlannerError`].
-    pub fn with_config(config: &Config, name: &str) -> Result<Self, OpenPlannerError> {
-        let fleet = Fleet::new(config.settings(), &load_models(config)?);
+    /// [`ConnectError`].
+    pub fn with_config(config: &Config, name: &str) -> Result<Self, ConnectError> {
+        let models = load_models(config).map_err(|error| ConnectError::Models(error.into()))?;
+        let fleet = Fleet::new(config.settings(), &models);
         Self::with_fleet(config, name, fleet)
     }
 
     /// As [`Planner::with_config`], with models that are loaded already.
     ///
     /// # Errors
-    /// [`OpenPlannerError`].
-    pub fn with_fleet(config: &Config, name: &str, fleet: Fleet) -> Result<Self, OpenPlannerError> {
-        let planner = joulebus_consumer::Planner::with_config(config, name)?;
+    /// [`ConnectError`].
+    pub fn with_fleet(config: &Config, name: &str, fleet: Fleet) -> Result<Self, ConnectError> {
+        let subscriber = Subscriber::with_config(config, name)?;
         Ok(Self {
-            states: planner.plan_states()?,
-            budgets: planner.budgets()?,
-            planner,
+            states: subscriber.plan_states()?,
+            budgets: subscriber.budgets()?,
+            subscriber,
             fleet,
         })
     }
@@ -131,7 +116,7 @@ impl Planner {
             if left.is_zero() {
                 break;
             }
-            if let Event::Interrupted = self.planner.wait_next(left)? {
+            if let Event::Interrupted = self.subscriber.wait_next(left)? {
                 return Err(ViewError::Interrupted);
             }
         }
@@ -148,7 +133,7 @@ impl Planner {
 impl fmt::Debug for Planner {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.debug_struct("Planner")
-            .field("planner", &self.planner)
+            .field("subscriber", &self.subscriber)
             .field("states", &self.states)
             .finish_non_exhaustive()
     }

@@ -20,7 +20,7 @@ pub use begin::{begin, remove_process, size};
 pub use bus::{Bus, remove_files};
 pub use joulebus_bus::{
     CapacityError, FilesRemoved, IceoryxConfigError, JoinError, OpenError, Panicked, QueryError,
-    ReceiveError, RootError, SchedulingError, SendError, SweepError, WaitError, Woken,
+    ReceiveError, RootError, SchedulingError, SendError, Sent, SweepError, WaitError, Woken,
     WorkerLockError, schedule_process, schedule_thread,
 };
 pub use joulebus_domain::{Domain, DomainError, Limits, LimitsError, STANDBY_FILES, Scheduling};
@@ -31,7 +31,7 @@ pub use ports::{
     taken_frames,
 };
 pub use query::{OpenQuery, QueryClient, QueryServer};
-pub use wait::{Poller, Waiter, Waker};
+pub use wait::{Poller, Readiness, Waiter, Waker};
 
 /// The id of the process that runs.
 #[must_use]

@@ -553,10 +553,11 @@ impl SampleWriter {
         header: SampleHeader,
         len: usize,
         sample: impl FnMut(usize) -> Sample,
-    ) -> Result<usize, SendError> {
-        let readers = self.writer.send(header, len, sample)?;
-        self.waker.wake(WakeEvent::Frame).map_err(SendError::Wake)?;
-        Ok(readers)
+    ) -> Result<crate::Sent, SendError> {
+        Ok(crate::Sent {
+            readers: self.writer.send(header, len, sample)?,
+            not_woken: self.waker.wake(WakeEvent::Frame).err(),
+        })
     }
 
     /// Maximum number of samples per frame.

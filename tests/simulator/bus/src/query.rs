@@ -12,8 +12,8 @@ use crate::liveness::worker_lock::WorkerLock;
 use crate::liveness::worker_ports::WorkerPorts;
 use crate::queues::port_id;
 use crate::{
-    Bus, Limits, OpenError, PeerWatch, QueryError, ReceiveError, SendError, WaitError, Waiter,
-    Waker, clock,
+    Bus, Limits, OpenError, PeerWatch, QueryError, ReceiveError, SendError, Sent, WaitError,
+    Waiter, Waker, clock,
 };
 
 #[path = "../../../../crates/host/bus/src/ports/worn.rs"]
@@ -175,7 +175,7 @@ impl QueryServer {
         header: AnswerHeader,
         listener: u128,
         words: &[u64],
-    ) -> Result<(), SendError> {
+    ) -> Result<Sent, SendError> {
         host::operation();
         self.bus.check()?;
         if !host::is_dead() {
@@ -183,7 +183,10 @@ impl QueryServer {
             *query.transfer.answer.borrow_mut() = Some((header, words));
         }
         let woken = self.answered.wake_one(listener, WakeEvent::Frame);
-        woken.map_err(SendError::Wake)
+        Ok(Sent {
+            readers: 1,
+            not_woken: woken.err(),
+        })
     }
 
     /// Waits for questions.

@@ -1,6 +1,7 @@
 //! Events.
 
 use std::cell::Cell;
+use std::io;
 use std::rc::Rc;
 
 use joulebus_simulated_host::{self as host, time};
@@ -189,5 +190,35 @@ impl Poller {
         };
         host::sleep_until(until_ns);
         Ok(woken)
+    }
+}
+
+/// The simulated host has no descriptors.
+#[derive(Debug, Clone)]
+pub struct Readiness {}
+
+impl Readiness {
+    /// As in `joulebus-bus`.
+    ///
+    /// # Errors
+    /// Always.
+    pub fn new() -> io::Result<Self> {
+        Err(io::ErrorKind::Unsupported.into())
+    }
+
+    /// As in `joulebus-bus`.
+    ///
+    /// # Errors
+    /// Always.
+    pub fn of(_waiter: &Waiter) -> io::Result<Self> {
+        Self::new()
+    }
+
+    /// As in `joulebus-bus`.
+    ///
+    /// # Errors
+    /// None: there is none of these.
+    pub const fn watch(&self, _peer: &PeerWatch) -> io::Result<()> {
+        Ok(())
     }
 }

@@ -5,7 +5,8 @@ use std::time::{Duration, Instant};
 
 use joulebus_config::Config;
 use joulebus_connect::join;
-use joulebus_plan::{Path, Plan, Point, Question, Reply, RobotRows, Verdict, Work};
+use joulebus_plan::answering::Work;
+use joulebus_plan::{Path, Plan, Point, Question, Reply, RobotRows, Verdict};
 use joulebus_planner::{ClientError, PlanClient, Planner, QueryError};
 use joulebus_tests::AskerLine;
 use joulebus_wire::{QUERY_STEPS, QueryHeader, QueryRefusal, fnv1a, query_flag};

@@ -4,7 +4,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use joulebus_config::Config;
-use joulebus_consumer::{Event, Planner, clock};
+use joulebus_consumer::{Event, Subscriber, clock};
 use joulebus_tests::ReaderLine;
 
 use crate::{Done, print_line, stop_with_stdin};
@@ -13,7 +13,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(20);
 
 pub(crate) fn run(config: &Config) -> Done {
     let stop = stop_with_stdin();
-    let mut planner = Planner::with_config(config, "consumer")?;
+    let mut planner = Subscriber::with_config(config, "consumer")?;
     print_line(&ReaderLine::Ready)?;
     while !stop.load(Ordering::Relaxed) {
         let gaps = planner.counts().gaps;

@@ -37,7 +37,7 @@ pub(crate) fn run(config: &Config, name: &str) -> Done {
             let samples = frame.samples;
             readers = match writer.send(forged, samples.len(), |place| Sample::from(samples[place]))
             {
-                Ok(readers) => readers,
+                Ok(sent) => sent.readers,
                 Err(error) => {
                     print_line(&SourceLine::Failed(error.to_string()))?;
                     return Err(error.into());

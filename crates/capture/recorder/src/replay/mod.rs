@@ -196,12 +196,11 @@ impl ReplayPorts {
             return Ok(());
         };
         port.send(message, rebase, slower)?;
-        if let Some(planners) = self
-            .planners
-            .as_ref()
-            .filter(|_| kind == MessageKind::of::<Forecasts>())
+        if let Some(planners) = &self.planners
+            && kind == MessageKind::of::<Forecasts>()
+            && let Err(error) = planners.wake(WakeEvent::Frame)
         {
-            planners.wake(WakeEvent::Frame).map_err(SendError::Wake)?;
+            tracing::warn!(%error, "planners were not woken");
         }
         Ok(())
     }

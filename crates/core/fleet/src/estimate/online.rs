@@ -32,7 +32,8 @@
 // Index loops: the compiler vectorises them.
 #![allow(clippy::needless_range_loop)]
 
-use joulebus_predictor::{FeatureSet, LAGS, Linear, Model, canonical};
+use joulebus_predictor::nan::canonical;
+use joulebus_predictor::{FeatureSet, LAGS, Linear, Model};
 use serde::{Deserialize, Serialize};
 
 use crate::estimate::hedge::{Hedge, MEMBERS, dot};

@@ -1,6 +1,6 @@
 //! Running scores of the forecasts and of persistence.
 
-use joulebus_predictor::canonical_f64;
+use joulebus_predictor::nan::canonical_f64;
 use serde::{Deserialize, Serialize};
 
 use crate::layout::lanes::block;

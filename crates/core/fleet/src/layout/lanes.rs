@@ -8,7 +8,7 @@
 use std::hint::select_unpredictable;
 use std::slice;
 
-use joulebus_predictor::prefetch;
+use joulebus_predictor::simd::prefetch;
 
 /// Robots per block: the f32 lanes of the widest vectors.
 pub(crate) const LANES: usize = 16;

@@ -110,7 +110,8 @@ impl Batch {
     pub(crate) fn infer(&mut self, model: &Model) {
         let rows = self.slots.len();
         let columns = self.columns.each_ref().map(|column| &column[..rows]);
-        model.predict_columns(columns, &mut self.forecasts_w[..rows]);
+        let predicted = model.predict_columns(columns, &mut self.forecasts_w[..rows]);
+        predicted.expect("every column has as many rows as there are forecasts");
     }
 
     /// Marks the rows that have a feature outside the training range, or NaN.

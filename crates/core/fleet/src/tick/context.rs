@@ -2,7 +2,8 @@
 
 use std::ops::RangeInclusive;
 
-use joulebus_predictor::{Model, SimdLevel};
+use joulebus_predictor::Model;
+use joulebus_predictor::simd::SimdLevel;
 use joulebus_settings::{FleetSettings, SettingsError};
 
 use crate::ingest::admission::AdmissionState;

@@ -4,7 +4,8 @@
 // Index loops: the compiler vectorises them.
 #![allow(clippy::needless_range_loop)]
 
-use joulebus_predictor::{SimdTask, missing_steps};
+use joulebus_predictor::missing_steps;
+use joulebus_predictor::simd::SimdTask;
 use joulebus_wire::{InvalidReason, Quality};
 
 use crate::estimate::online::{Members, OnlineLanes};

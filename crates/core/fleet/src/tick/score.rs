@@ -3,7 +3,7 @@
 // Indexed by lane, so that the compiler vectorises the loop.
 #![allow(clippy::needless_range_loop)]
 
-use joulebus_predictor::SimdTask;
+use joulebus_predictor::simd::SimdTask;
 
 use crate::alarms::conditions::{AlarmInputLanes, judge};
 use crate::alarms::detector::DetectorLanes;

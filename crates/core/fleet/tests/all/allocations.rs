@@ -31,7 +31,7 @@ fn fill(frame: &mut Vec<Sample>, step: u64, now_ns: u64) {
                 earlier.measured_ns = earlier.measured_ns.min(earlier.stamp_ns);
                 frame.push(earlier);
             }
-            6 => sample = sample.soc(0.5).return_energy(100.0),
+            6 => sample = sample.state_of_charge(0.5).return_energy(100.0),
             7 => sample = sample.with(sample_flag::CHARGING),
             _ => {}
         }

@@ -153,7 +153,7 @@ fn plain(sample: Sample, _: &Truth) -> Sample {
 }
 
 fn with_soc(sample: Sample, truth: &Truth) -> Sample {
-    sample.soc(truth.measured())
+    sample.state_of_charge(truth.measured())
 }
 
 fn assert_in_order(budget: &Budget) {
@@ -211,7 +211,7 @@ fn day(battery: Battery, robots: u32, measures: bool) -> (f64, f64) {
                 sample = sample.with(sample_flag::FULL);
             }
             if measures {
-                sample = sample.soc(truth.measured());
+                sample = sample.state_of_charge(truth.measured());
             }
             samples.push(sample);
         }
@@ -379,7 +379,7 @@ fn a_measured_state_of_charge_out_of_range_is_refused_and_counted() {
     ] {
         let mut bench = Bench::new(battery());
         let before = bench.drive(10, with_soc);
-        let shown = bench.send(4.0, |sample, _| sample.soc(soc));
+        let shown = bench.send(4.0, |sample, _| sample.state_of_charge(soc));
         let drops: Vec<_> = bench
             .fleet
             .drops()
@@ -396,7 +396,7 @@ fn a_measured_state_of_charge_out_of_range_is_refused_and_counted() {
         assert_eq!(bench.fleet.drops().total(), 1, "{return_j}");
     }
     let mut bench = Bench::new(battery());
-    bench.drive(10, |sample, _| sample.soc(1.04));
+    bench.drive(10, |sample, _| sample.state_of_charge(1.04));
     assert_eq!(
         bench.fleet.drops().total(),
         0,
@@ -409,7 +409,7 @@ fn a_stuck_sensor_is_noticed_and_the_count_goes_on() {
     for stuck in [0.9, 0.6, 1.0] {
         let mut bench = Bench::new(battery());
         bench.drive(100, with_soc);
-        bench.drive(5 * HOUR / 2, |sample, _| sample.soc(stuck));
+        bench.drive(5 * HOUR / 2, |sample, _| sample.state_of_charge(stuck));
         let shown = bench.budget();
         let truth = bench.truth.soc as f32;
         assert!(truth < 0.1, "the battery is nearly empty: {truth}");
@@ -431,7 +431,7 @@ fn a_jumping_sensor_is_not_followed() {
         bench.drive(HOUR, |sample, truth| {
             jump.set(jump.get() + 1);
             let off = [0.0, 0.4, -0.4, 0.2, -0.3][(jump.get() / every % 5) as usize];
-            sample.soc((truth.measured() + off).clamp(0.0, 1.0))
+            sample.state_of_charge((truth.measured() + off).clamp(0.0, 1.0))
         });
         let (shown, truth) = (bench.budget(), bench.truth.soc as f32);
         assert!(
@@ -449,15 +449,15 @@ fn a_sensor_that_jumps_up_and_stays_is_doubted_one_that_jumps_down_is_believed_a
     let mut bench = Bench::new(battery());
     bench.drive(HOUR, with_soc);
     let (before, truth) = (bench.budget(), bench.truth.soc as f32);
-    let shown = bench.drive(100, |sample, _| sample.soc(1.0));
+    let shown = bench.drive(100, |sample, _| sample.state_of_charge(1.0));
     assert!(bench.raised(Alarm::SocImplausible));
     assert!(shown.soc_hi < before.soc_hi, "{shown:?}, {truth}");
     // The counted charge is lower, and safe to plan with.
     assert_eq!(shown.flags & budget_flag::CONTRADICTED, 0);
-    let shown = bench.drive(3, |sample, _| sample.soc(0.1));
+    let shown = bench.drive(3, |sample, _| sample.state_of_charge(0.1));
     assert!(shown.soc > 0.3, "{shown:?}");
     assert_ne!(shown.flags & budget_flag::CONTRADICTED, 0);
-    let shown = bench.drive(30, |sample, _| sample.soc(0.1));
+    let shown = bench.drive(30, |sample, _| sample.state_of_charge(0.1));
     assert!(shown.soc < 0.15, "{shown:?}");
     assert_eq!(shown.flags & budget_flag::CONTRADICTED, 0);
     assert_eq!(shown.battery_changes, 1);

@@ -285,7 +285,7 @@ fn a_robot_without_a_slot_gets_one_when_another_leaves() {
         assert!(place(&fleet, 1).is_none() || step < 31 || forecast(&fleet, 1).quality() == stale);
     }
     assert!(place(&fleet, 1).is_none());
-    assert!(forecast(&fleet, 2).power_w().is_some());
+    assert!(forecast(&fleet, 2).expected_w().is_some());
 }
 
 #[test]

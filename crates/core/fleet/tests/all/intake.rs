@@ -132,13 +132,13 @@ const SAMPLES: [Case; 25] = [
     ),
     (
         "NaN state of charge",
-        |s| *s = s.soc(f32::NAN),
+        |s| *s = s.state_of_charge(f32::NAN),
         DropReason::NotFinite,
         Some(InvalidReason::NotFinite),
     ),
     (
         "more than full",
-        |s| *s = s.soc(1.06),
+        |s| *s = s.state_of_charge(1.06),
         DropReason::BatteryOutOfRange,
         Some(InvalidReason::BatteryOutOfRange),
     ),
@@ -202,7 +202,7 @@ fn each_bad_sample_is_counted_once_named_and_shown_and_the_next_good_one_recover
         let expected = invalid.map_or(before, Quality::Invalid);
         assert_eq!(quality(&fleet, ROBOT), expected, "{what}");
         let shown = forecast(&fleet, ROBOT);
-        assert_eq!(shown.power_w().is_some(), invalid.is_none(), "{what}");
+        assert_eq!(shown.expected_w().is_some(), invalid.is_none(), "{what}");
         assert_eq!(
             diagnostic(&fleet, ROBOT).refused,
             u64::from(invalid.is_some()),
@@ -405,7 +405,7 @@ fn a_new_run_of_the_source_takes_over_even_when_its_first_sample_is_refused() {
             fleet.tick(NEXT + step * PERIOD_NS, false);
         }
         assert_eq!(fleet.drops().total(), 1, "{what}: {:?}", fleet.drops());
-        assert!(forecast(&fleet, ROBOT).power_w().is_some(), "{what}");
+        assert!(forecast(&fleet, ROBOT).expected_w().is_some(), "{what}");
         assert_eq!(forecast(&fleet, ROBOT).source_epoch, 6, "{what}");
     }
 }
@@ -438,7 +438,7 @@ fn missing_columns_are_missing_and_not_zero() {
             };
             assert_eq!(shown.quality(), expected, "{what}, step {step}");
             let known = forecasts && step >= 4;
-            assert_eq!(shown.power_w().is_some(), known, "{what}, step {step}");
+            assert_eq!(shown.expected_w().is_some(), known, "{what}, step {step}");
             assert_eq!(shown.power_w.is_nan(), !known, "{what}, step {step}");
             assert_ne!(
                 shown.flags & forecast_flag::READING,
@@ -481,7 +481,7 @@ fn silence_is_open_loop_then_stale_and_the_robot_recovers() {
             Quality::OpenLoop { steps: missing }
         };
         assert_eq!(quality(&fleet, ROBOT), expected);
-        assert_eq!(forecast(&fleet, ROBOT).power_w().is_some(), !stale);
+        assert_eq!(forecast(&fleet, ROBOT).expected_w().is_some(), !stale);
     }
     let stale = NOW + 31 * PERIOD_NS + 1;
     fleet.tick(stale, false);

@@ -37,7 +37,7 @@ fn frame(step: u64, now_ns: u64, noise: &mut Noise) -> Vec<Sample> {
                 samples.push(earlier);
             }
             6 => sample.flags |= sample_flag::DISCONTINUITY,
-            7 => sample = sample.soc((noise.next_u64() % 101) as f32 / 100.0),
+            7 => sample = sample.state_of_charge((noise.next_u64() % 101) as f32 / 100.0),
             8 => sample = sample.return_energy((noise.next_u64() % 9_000) as f32),
             9 => sample.flags |= sample_flag::CHARGING | sample_flag::FULL,
             10 | 11 => sample.flags |= sample_flag::CHARGING,

@@ -6,7 +6,8 @@ use std::process::Command;
 
 use joulebus_config::{Config, builtin_model};
 use joulebus_energy::{Commands, EnergyModel, EnergyState};
-use joulebus_plan::{Fleet, Follower, Path, PathError, Point, Pose};
+use joulebus_plan::follow::{Follower, Pose};
+use joulebus_plan::{Fleet, Path, PathError, Point};
 use joulebus_predictor::{Model, Network, Persistence, ResidualStats};
 use proptest::prelude::*;
 

@@ -3,7 +3,8 @@
 use std::time::Instant;
 
 use crate::world::{Rows, fleet};
-use joulebus_plan::{Path, Plan, Point, Question, RobotRows, Work};
+use joulebus_plan::answering::Work;
+use joulebus_plan::{Path, Plan, Point, Question, RobotRows};
 use joulebus_wire::QUERY_STEPS;
 
 fn rows(robot: u32) -> RobotRows {

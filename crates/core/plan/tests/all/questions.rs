@@ -1,9 +1,9 @@
 //! Questions and replies survive their payloads, and invalid ones are refused.
 
 use crate::world::{Rows, fleet};
+use joulebus_plan::answering::Work;
 use joulebus_plan::{
-    Path, Plan, Point, Question, QuestionError, Refused, Reply, RobotRows, Unknown, Verdict, Work,
-    rank,
+    Path, Plan, Point, Question, QuestionError, Refused, Reply, RobotRows, Unknown, Verdict, rank,
 };
 use joulebus_wire::{
     AnswerHeader, QUERY_STEPS, QueryHeader, QueryRefusal, SCHEMA_VERSION, plan_state_flag,

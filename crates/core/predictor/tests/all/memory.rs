@@ -68,7 +68,8 @@ fn columns_of_every_length_and_alignment_give_the_reference_bits() {
                 });
                 let expected = expected(&network, &rows);
                 let mut out_w = vec![-1.0; count];
-                Model::Network(network.clone()).predict_columns(columns, &mut out_w);
+                let model = Model::Network(network.clone());
+                model.predict_columns(columns, &mut out_w).unwrap();
                 assert_eq!(bits(&out_w), expected, "{set:?} {count}");
             }
         }

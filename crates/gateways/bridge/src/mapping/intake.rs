@@ -18,7 +18,7 @@
 
 use std::collections::BTreeMap;
 
-use joulebus_publisher::RobotState;
+use joulebus_publisher::{Charger, RobotState};
 use joulebus_settings::ChargeReading;
 
 use crate::mapping::observation::{Observation, PowerOf, PowerReading};
@@ -154,8 +154,11 @@ impl Intake {
         let mut state = RobotState::new(robot);
         state.v_mps = command(known.v_mps, holds, now_ns);
         state.omega_radps = command(known.omega_radps, holds, now_ns);
-        state.charging = known.charging == Some(true);
-        state.full = state.charging && known.full;
+        state.charger = match (known.charging, known.full) {
+            (Some(true), true) => Charger::Full,
+            (Some(true), false) => Charger::Charging,
+            _ => Charger::Disconnected,
+        };
         let number = |timed: Option<Timed<f32>>| timed?.within(holds.reading_ns, now_ns);
         state.voltage_v = number(known.voltage_v);
         state.current_a = number(known.current_a);
@@ -332,7 +335,7 @@ mod tests {
             let state = intake.sample(7, 20).unwrap();
             assert_eq!(state.power_w, expected, "{charge_reading:?} {of:?}");
             assert_eq!(state.measured_ns.is_some(), expected.is_some());
-            assert!(state.charging && state.full);
+            assert_eq!(state.charger, Charger::Full);
             let left = Observation {
                 charging: Some(false),
                 ..power_alone(12.0)
@@ -340,8 +343,8 @@ mod tests {
             intake.take(7, &left, 30);
             let state = intake.sample(7, 40).unwrap();
             assert_eq!(
-                (state.power_w, state.charging, state.full),
-                (Some(12.0), false, false)
+                (state.power_w, state.charger),
+                (Some(12.0), Charger::Disconnected)
             );
         }
     }
@@ -357,7 +360,10 @@ mod tests {
             let mut intake = Intake::new(HOLDS, true, [(7, charge_reading)]);
             intake.take(7, &power(-40.0, of), 10);
             let state = intake.sample(7, 20).unwrap();
-            assert_eq!((state.power_w, state.charging), (expected, false));
+            assert_eq!(
+                (state.power_w, state.charger),
+                (expected, Charger::Disconnected)
+            );
             let told = Observation {
                 charging: Some(false),
                 ..power(12.0, of)
@@ -379,11 +385,19 @@ mod tests {
         for at_ns in (100..2_000).step_by(100) {
             intake.take(7, &power(-40.0, PowerOf::Battery), at_ns);
             let state = intake.sample(7, at_ns + 10).unwrap();
-            assert_eq!((state.charging, state.power_w), (true, None), "at {at_ns}");
+            assert_eq!(
+                (state.charger, state.power_w),
+                (Charger::Charging, None),
+                "at {at_ns}"
+            );
         }
         intake.take(7, &charging(false), 2_000);
         let state = intake.sample(7, 2_010).unwrap();
-        assert_eq!((state.charging, state.power_w), (false, None), "of before");
+        assert_eq!(
+            (state.charger, state.power_w),
+            (Charger::Disconnected, None),
+            "of before"
+        );
         intake.take(7, &power(12.0, PowerOf::Battery), 2_020);
         let state = intake.sample(7, 2_030).unwrap();
         assert_eq!((state.power_w, state.held), (Some(12.0), false));

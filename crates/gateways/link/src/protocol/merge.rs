@@ -362,7 +362,7 @@ mod tests {
         assert_eq!((header.model_hash, header.period_ns), (5, 33));
         let known: Vec<_> = rows
             .iter()
-            .map(|row| (row.robot, row.power_w().is_some()))
+            .map(|row| (row.robot, row.expected_w().is_some()))
             .collect();
         assert_eq!(known, [(1, true), (2, true), (3, true), (4, false)]);
         // The last known values of a robot stay, but its forecast does not.
@@ -432,7 +432,7 @@ mod tests {
                 let mut rows = Vec::new();
                 prop_assert_eq!(merge.len(), newest.iter().flatten().map(Vec::len).sum::<usize>());
                 let header = merge.write(&live, OWN, now_ns, |row: Forecast| {
-                    rows.push((row.robot, row.power_w().is_some()));
+                    rows.push((row.robot, row.expected_w().is_some()));
                 });
                 prop_assert!(header.is_some());
                 let kept = newest.iter().zip(&live).filter_map(|(ids, live)| Some((ids.as_ref()?, *live)));

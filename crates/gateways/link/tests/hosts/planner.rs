@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use joulebus_bus::clock;
-use joulebus_consumer::{Event, Planner};
+use joulebus_consumer::{Event, Subscriber};
 use joulebus_testkit::{Member, send_to_test};
 use joulebus_wire::Forecast;
 use serde::{Deserialize, Serialize};
@@ -48,7 +48,7 @@ pub(crate) fn run() {
     let Some(config) = std::env::var_os(CONFIG) else {
         return;
     };
-    let mut planner = Planner::connect(PathBuf::from(config)).unwrap();
+    let mut planner = Subscriber::connect(PathBuf::from(config)).unwrap();
     send_to_test("joined");
     loop {
         let runs = planner.counts().workers;
@@ -76,7 +76,7 @@ fn row(row: &Forecast) -> Row {
         robot: row.robot,
         stamp_ns: row.stamp_ns,
         target_ns: row.target_ns,
-        has_power: row.power_w().is_some(),
+        has_power: row.expected_w().is_some(),
         bits: bytemuck::bytes_of(&rest).to_vec(),
     }
 }

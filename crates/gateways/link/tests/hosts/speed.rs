@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use joulebus_bus::clock;
-use joulebus_consumer::{Event, Planner};
+use joulebus_consumer::{Event, Subscriber};
 use joulebus_testkit::{Member, send_to_test};
 use serde::{Deserialize, Serialize};
 use zenoh::Wait as _;
@@ -87,7 +87,7 @@ pub(crate) fn run() {
         });
     }
     if let Some(config) = std::env::var_os(LISTEN) {
-        let mut planner = Planner::connect(PathBuf::from(config)).unwrap();
+        let mut planner = Subscriber::connect(PathBuf::from(config)).unwrap();
         collect(|seen| {
             if let Event::Frame(frame) = planner.wait_next(Duration::from_secs(1)).unwrap() {
                 seen.push(Seen {
@@ -100,7 +100,7 @@ pub(crate) fn run() {
     }
     if let Some(config) = std::env::var_os(POLL) {
         let config = joulebus_config::Config::load(PathBuf::from(config)).unwrap();
-        let mut planner = Planner::polling(&config, "near", Duration::from_millis(100)).unwrap();
+        let mut planner = Subscriber::polling(&config, "near", Duration::from_millis(100)).unwrap();
         collect(|seen| {
             let each = |header: &joulebus_wire::ForecastHeader, _: &[_]| {
                 seen.push(Seen {

@@ -301,7 +301,7 @@ fn power_w(forecast: &Forecast) -> [(&'static str, Option<f64>); 4] {
     let interval_w = forecast.interval_w();
     [
         ("reading", read.then(|| forecast.reading_w.into())),
-        ("forecast", forecast.power_w().map(f64::from)),
+        ("forecast", forecast.expected_w().map(f64::from)),
         ("lo", interval_w.map(|(lo_w, _)| lo_w.into())),
         ("hi", interval_w.map(|(_, hi_w)| hi_w.into())),
     ]

@@ -1,7 +1,7 @@
 //! The rows on which plans start. The worker writes them only while a program reads them.
 
 use joulebus_bus::clock;
-use joulebus_consumer::{Budgets, Feed, OpenError, PlanStates, Planner};
+use joulebus_consumer::{Budgets, ConnectError, Feed, PlanStates, Subscriber};
 use joulebus_plan::RobotRows;
 use tokio::sync::oneshot;
 
@@ -61,7 +61,7 @@ impl PlanRows {
     }
 
     /// Answers what can be answered.
-    pub(super) fn turn(&mut self, planner: &Planner, now_ns: u64) {
+    pub(super) fn turn(&mut self, planner: &Subscriber, now_ns: u64) {
         if self.waiting.is_empty() {
             if now_ns.saturating_sub(self.asked_ns) > LEAVE_AFTER_NS {
                 self.feeds = None;
@@ -89,7 +89,7 @@ impl PlanRows {
         }
     }
 
-    fn refuse(&mut self, error: &OpenError) {
+    fn refuse(&mut self, error: &ConnectError) {
         for waiting in self.waiting.drain(..) {
             let _ = waiting.reply.send(Err(RowsError::Open(error.to_string())));
         }
@@ -97,7 +97,7 @@ impl PlanRows {
 }
 
 impl Feeds {
-    fn open(planner: &Planner) -> Result<Self, OpenError> {
+    fn open(planner: &Subscriber) -> Result<Self, ConnectError> {
         Ok(Self {
             states: planner.plan_states()?,
             budgets: planner.budgets()?,

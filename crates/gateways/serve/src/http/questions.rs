@@ -9,7 +9,9 @@ use std::time::{Duration, Instant};
 use axum::http::StatusCode;
 use joulebus_config::Config;
 use joulebus_models::load_models;
-use joulebus_plan::{AnswerReport, AnswersReport, Fleet, Question, Reply, RobotRows, Work};
+use joulebus_plan::answering::Work;
+use joulebus_plan::report::{AnswerReport, AnswersReport};
+use joulebus_plan::{Fleet, Question, Reply, RobotRows};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 
 use super::error::ApiError;

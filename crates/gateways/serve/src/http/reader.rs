@@ -11,7 +11,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use joulebus_board::{Board, OpenError, Platforms, Reading};
+use joulebus_board::{Board, Platforms, Reading};
 use joulebus_bus::{clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_connect::ConnectError;
@@ -52,9 +52,7 @@ pub(super) enum Ask {
 #[derive(Debug, thiserror::Error)]
 pub(super) enum ReaderError {
     #[error(transparent)]
-    Open(#[from] OpenError),
-    #[error(transparent)]
-    Alarms(#[from] ConnectError),
+    Connect(#[from] ConnectError),
     #[error(transparent)]
     Read(#[from] ReadError),
     #[error("cannot start a thread: {0}")]

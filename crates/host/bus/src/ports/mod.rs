@@ -4,6 +4,7 @@ mod degradation;
 mod poll;
 mod query;
 mod reader;
+mod readiness;
 mod repair;
 mod samples;
 mod service;
@@ -16,10 +17,11 @@ use joulebus_wire::{Channel, Service};
 pub use self::poll::Poller;
 pub use self::query::{OpenQuery, QueryClient, QueryError, QueryServer};
 pub use self::reader::{Frame, KeptFrame, Reader, ReceiveError};
+pub use self::readiness::Readiness;
 pub use self::samples::{FrameBuf, IncomingFrame, SampleReader, SampleWriter};
 pub use self::service::OpenError;
 pub use self::wait::{WaitError, Waiter, Waker, Woken};
-pub use self::writer::{Loan, SendError, Writer};
+pub use self::writer::{Loan, SendError, Sent, Writer};
 use crate::{Bus, Limits};
 
 impl Bus {

@@ -28,7 +28,7 @@ use super::repair::Repair;
 use super::service::{self, OpenError, QueryFactory};
 use super::wait::{WaitError, Waiter, Waker};
 use super::worn::Wear;
-use super::{ReceiveError, SendError};
+use super::{ReceiveError, SendError, Sent};
 use crate::ipc::Ipc;
 use crate::liveness::kept::Kept;
 use crate::liveness::worker_lock::{Owner, WorkerLock};
@@ -152,14 +152,14 @@ impl QueryServer {
     /// Answers a question and wakes its client. The words beyond [`ANSWER_WORDS`] are not sent.
     ///
     /// # Errors
-    /// [`SendError`]; nothing was sent, or the client was not woken and finds the answer within 100 ms.
+    /// [`SendError`]; nothing was sent.
     pub fn answer(
         &self,
         query: &OpenQuery,
         header: AnswerHeader,
         listener: u128,
         words: &[u64],
-    ) -> Result<(), SendError> {
+    ) -> Result<Sent, SendError> {
         self.member.presence.check()?;
         let words = &words[..words.len().min(ANSWER_WORDS)];
         let loan = query.request.loan_slice_uninit(words.len());
@@ -167,7 +167,10 @@ impl QueryServer {
         *response.user_header_mut() = header;
         response.send().map_err(SendError::send)?;
         let woken = self.answered.wake_one(listener, WakeEvent::Frame);
-        woken.map_err(SendError::Wake)
+        Ok(Sent {
+            readers: 1,
+            not_woken: woken.err(),
+        })
     }
 
     /// Waits for questions, at most until `deadline_ns` (monotonic), and at most 100 ms.

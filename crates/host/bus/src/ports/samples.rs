@@ -8,7 +8,7 @@ use joulebus_wire::{Sample, SampleHeader, Samples, Service, WakeEvent};
 use super::reader::{Reader, ReceiveError};
 use super::service::OpenError;
 use super::wait::Waker;
-use super::writer::{SendError, Writer};
+use super::writer::{SendError, Sent, Writer};
 use crate::ipc::Ipc;
 use crate::os::memory;
 use crate::{Bus, Limits};
@@ -207,20 +207,20 @@ impl SampleWriter {
     }
 
     /// Sends a frame of `len` samples, sample `i` being `sample(i)`, written directly to shared
-    /// memory, and wakes the worker. Returns the number of readers reached: 0 means that no worker
-    /// runs.
+    /// memory, and wakes the worker. [`Sent::readers`] is 0 if no worker runs.
     ///
     /// # Errors
-    /// [`SendError`]; [`SendError::Wake`] if the frame was sent but the worker not woken.
+    /// [`SendError`]; nothing was sent.
     pub fn send(
         &mut self,
         header: SampleHeader,
         len: usize,
         sample: impl FnMut(usize) -> Sample,
-    ) -> Result<usize, SendError> {
-        let readers = self.writer.send(header, len, sample)?;
-        self.waker.wake(WakeEvent::Frame).map_err(SendError::Wake)?;
-        Ok(readers)
+    ) -> Result<Sent, SendError> {
+        Ok(Sent {
+            readers: self.writer.send(header, len, sample)?,
+            not_woken: self.waker.wake(WakeEvent::Frame).err(),
+        })
     }
 
     /// Maximum number of samples per frame.

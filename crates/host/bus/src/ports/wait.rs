@@ -167,7 +167,7 @@ impl Waiter {
             tv_sec: 0,
             tv_nsec: sleep_ns.cast_signed() as _,
         };
-        let mine = self.descriptor();
+        let mine = self.as_fd();
         let watched = peer.map_or(mine, PeerWatch::as_fd);
         let mut polled = [
             PollFd::from_borrowed_fd(mine, PollFlags::IN),
@@ -213,8 +213,10 @@ impl Waiter {
             }
         }
     }
+}
 
-    fn descriptor(&self) -> BorrowedFd<'_> {
+impl AsFd for Waiter {
+    fn as_fd(&self) -> BorrowedFd<'_> {
         // SAFETY: the descriptor is open as long as the listener lives, and the borrow ends with
         // that of `self`; it is neither closed nor kept.
         unsafe { BorrowedFd::borrow_raw(self.listener.file_descriptor().native_handle()) }

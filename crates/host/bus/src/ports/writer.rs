@@ -229,6 +229,15 @@ impl<C: Channel> Loan<'_, C> {
     }
 }
 
+/// A frame that was sent, by a port that also wakes who reads it.
+#[derive(Debug)]
+pub struct Sent {
+    /// Number of readers reached.
+    pub readers: usize,
+    /// Why nobody was woken: readers find the frame when they look next, within 100 ms.
+    pub not_woken: Option<WaitError>,
+}
+
 /// Reason that a frame was not sent.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -256,16 +265,13 @@ pub enum SendError {
         /// The error of iceoryx2.
         reason: String,
     },
-    /// The frame was sent, but the worker was not woken.
-    #[error("the frame was sent, but {0}")]
-    Wake(WaitError),
 }
 
 impl SendError {
     /// True if every further frame will fail as well: this process must end, or join again.
     #[must_use]
     pub const fn is_final(&self) -> bool {
-        matches!(self, Self::Removed(_) | Self::Wake(WaitError::Removed(_)))
+        matches!(self, Self::Removed(_))
     }
 
     pub(super) fn loan(reason: LoanError) -> Self {

@@ -333,7 +333,7 @@ impl Ports {
                 Sample::new(i as u32, number, 1).reading(power_w, 1)
             })?;
         self.sent += 1;
-        Ok(sent.to_string())
+        Ok(sent.readers.to_string())
     }
 
     fn take(&mut self) -> Answer {

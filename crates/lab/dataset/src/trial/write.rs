@@ -9,7 +9,7 @@ use flate2::write::GzEncoder;
 use super::table::{Cell, Column, ROBOT_NAMES, TIME_NAMES, Table};
 use super::{Trial, TrialError};
 use crate::npy;
-use joulebus_predictor::canonical_f64;
+use joulebus_predictor::nan::canonical_f64;
 
 /// A row that was not read from a trial's file.
 #[derive(Debug, Clone, Copy, PartialEq)]

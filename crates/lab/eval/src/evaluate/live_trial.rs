@@ -69,6 +69,6 @@ fn quality_name(quality: Quality) -> String {
         Quality::Warmup { .. } => "Warmup".to_owned(),
         Quality::OpenLoop { .. } => "OpenLoop".to_owned(),
         Quality::Invalid(reason) => format!("Invalid({})", reason.name()),
-        Quality::Unknown => "Unknown".to_owned(),
+        _ => "Unknown".to_owned(),
     }
 }

@@ -10,15 +10,17 @@
 
 mod client;
 mod errors;
-mod planner;
+
 mod predictor;
 mod publisher;
 mod questions;
+mod subscriber;
 pub mod types;
 
 pub use client::*;
 pub use errors::*;
-pub use planner::*;
+
 pub use predictor::*;
 pub use publisher::*;
 pub use questions::*;
+pub use subscriber::*;

@@ -2,7 +2,7 @@
 
 use std::ffi::c_char;
 
-use ::joulebus_publisher::{Config, PublishError, Publisher, RobotState, Sent, clock};
+use ::joulebus_publisher::{Charger, Config, PublishError, Publisher, RobotState, Sent, clock};
 use joulebus_wire::{Sample, sample_flag};
 
 use crate::abi::types::{
@@ -143,6 +143,8 @@ fn publish(
             readers: done.readers,
             samples: done.samples,
             frame_seq: done.frame_seq,
+            woken: done.not_woken.is_none().into(),
+            reserved: 0,
         });
     }
     Ok(())
@@ -169,19 +171,24 @@ fn check(robots: &[joulebus_robot_state]) -> Result<(), Failure> {
 fn state(of: &joulebus_robot_state) -> RobotState {
     let has = |flag| of.flags & flag != 0;
     let known = |flag, value: f32| has(flag).then_some(value);
-    RobotState {
-        robot: of.robot,
-        v_mps: known(sample_flag::V, of.v_mps),
-        omega_radps: known(sample_flag::OMEGA, of.omega_radps),
-        power_w: known(sample_flag::POWER, of.power_w),
-        measured_ns: (of.measured_ns != 0).then_some(of.measured_ns),
-        voltage_v: known(sample_flag::VOLTAGE, of.voltage_v),
-        current_a: known(sample_flag::CURRENT, of.current_a),
-        held: has(sample_flag::HELD),
-        soc: known(sample_flag::SOC, of.soc),
-        return_j: known(sample_flag::RETURN, of.return_j),
-        charging: has(sample_flag::CHARGING),
-        full: has(sample_flag::FULL),
-        swapped: has(sample_flag::SWAPPED),
-    }
+    let mut state = RobotState::new(of.robot);
+    state.v_mps = known(sample_flag::V, of.v_mps);
+    state.omega_radps = known(sample_flag::OMEGA, of.omega_radps);
+    state.power_w = known(sample_flag::POWER, of.power_w);
+    state.measured_ns = (of.measured_ns != 0).then_some(of.measured_ns);
+    state.voltage_v = known(sample_flag::VOLTAGE, of.voltage_v);
+    state.current_a = known(sample_flag::CURRENT, of.current_a);
+    state.held = has(sample_flag::HELD);
+    state.soc = known(sample_flag::SOC, of.soc);
+    state.return_j = known(sample_flag::RETURN, of.return_j);
+    // A charger that says "full" is connected.
+    state.charger = if has(sample_flag::FULL) {
+        Charger::Full
+    } else if has(sample_flag::CHARGING) {
+        Charger::Charging
+    } else {
+        Charger::Disconnected
+    };
+    state.swapped = has(sample_flag::SWAPPED);
+    state
 }

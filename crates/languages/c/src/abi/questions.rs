@@ -3,13 +3,12 @@
 use std::ffi::c_char;
 use std::time::Duration;
 
-use joulebus_plan::{
-    Answer, Candidates, Caveats, MAX_STEPS, QuestionError, Row, Unknown, Verdict, Work,
-};
+use joulebus_plan::answering::Work;
+use joulebus_plan::{Answer, Candidates, Caveats, MAX_STEPS, QuestionError, Row, Unknown, Verdict};
 use joulebus_planner::{Config, Planner, ViewError};
 use joulebus_wire::AnswerRow;
 
-use crate::abi::planner::read_failed;
+use crate::abi::subscriber::read_failed;
 use crate::abi::types::{
     joulebus_answers, joulebus_error, joulebus_platform, joulebus_question, joulebus_questions,
 };

@@ -46,7 +46,7 @@ pub enum joulebus_error {
 pub struct joulebus_publisher;
 /// A reader of forecasts, diagnostics and budgets.
 #[derive(Debug)]
-pub struct joulebus_planner;
+pub struct joulebus_subscriber;
 /// A frame of forecasts that is kept.
 #[derive(Debug)]
 pub struct joulebus_frame;
@@ -66,8 +66,8 @@ pub struct joulebus_predictor;
 pub struct joulebus_robot_state {
     /// Id of the robot, unique in the fleet.
     pub robot: u32,
-    /// JOULEBUS_SAMPLE bits: which of the fields below are known, and HELD, CHARGING, FULL and SWAPPED. Others are
-    /// refused.
+    /// JOULEBUS_SAMPLE bits: which of the fields below are known, and HELD, CHARGING, FULL (which implies CHARGING) and
+    /// SWAPPED. Others are refused.
     pub flags: u32,
     /// When the power was measured, monotonic ns. 0: when the frame is published, or, for a held reading, when the
     /// repeated reading was measured.
@@ -100,6 +100,10 @@ pub struct joulebus_sent {
     pub samples: usize,
     /// Its number within this run of the source, from 0.
     pub frame_seq: u64,
+    /// 1 if the worker was woken. It takes the frame at its next tick all the same.
+    pub woken: u32,
+    /// 0.
+    pub reserved: u32,
 }
 
 /// What a publisher has done.
@@ -192,7 +196,7 @@ pub enum joulebus_end {
     Unreachable = 4,
 }
 
-/// An event of a planner.
+/// An event of a subscriber.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct joulebus_event {
@@ -206,7 +210,7 @@ pub struct joulebus_event {
     pub frame: joulebus_forecasts,
 }
 
-/// The worker, as seen by a planner.
+/// The worker, as seen by a subscriber.
 #[repr(u32)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum joulebus_worker {
@@ -220,10 +224,10 @@ pub enum joulebus_worker {
     Gone = 3,
 }
 
-/// What a planner has read.
+/// What a subscriber has read.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
-pub struct joulebus_planner_status {
+pub struct joulebus_subscriber_status {
     /// The worker, as of the last call that read.
     pub worker: joulebus_worker,
     /// How it ended.

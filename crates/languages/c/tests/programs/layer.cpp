@@ -9,6 +9,7 @@
 #include <cstring>
 #include <iostream>
 #include <joulebus.hpp>
+#include <poll.h>
 #include <thread>
 #include <vector>
 
@@ -26,9 +27,9 @@ namespace {
 
 constexpr auto patience = 120s;
 
-joulebus::Forecasts next_frame(joulebus::Planner &planner) {
+joulebus::Forecasts next_frame(joulebus::Subscriber &subscriber) {
     for (;;) {
-        auto event = planner.wait(patience).value();
+        auto event = subscriber.wait(patience).value();
         HOLDS(!std::holds_alternative<joulebus::TimedOut>(event));
         if (auto *frame = std::get_if<joulebus::Forecasts>(&event); frame && frame->size() >= 8) {
             return *frame;
@@ -67,10 +68,14 @@ void publishing(const std::string &config) {
 }
 
 void frames(const std::string &config) {
-    std::optional<joulebus::Planner> planner = joulebus::Planner::open(config).value();
-    next_frame(*planner);
-    auto kept = planner->keep().value();
-    auto frame = next_frame(*planner);
+    std::optional<joulebus::Subscriber> subscriber = joulebus::Subscriber::open(config).value();
+    next_frame(*subscriber);
+    const auto readiness = subscriber->readiness().value();
+    HOLDS(readiness.look_within <= 100ms);
+    pollfd polled{readiness.descriptor, POLLIN, 0};
+    HOLDS(poll(&polled, 1, 60000) == 1 && polled.revents == POLLIN);
+    auto kept = subscriber->take_current().value();
+    auto frame = next_frame(*subscriber);
     HOLDS(kept.header().tick < frame.header().tick);
     std::size_t count = 0;
     for (const auto &robot : frame) {
@@ -79,15 +84,15 @@ void frames(const std::string &config) {
         count++;
     }
     HOLDS(count == frame.size() && frame.rows().size() == count);
-    HOLDS(frame.find(7) == planner->robot(7).value() && frame.find(7)->robot == 7);
+    HOLDS(frame.find(7) == subscriber->robot(7).value() && frame.find(7)->robot == 7);
     HOLDS(frame.find(4000000000u) == nullptr);
-    HOLDS(planner->latest()->has_value());
-    while (!planner->budgets()->has_value() || !planner->diagnostics()->has_value()) {
+    HOLDS(subscriber->latest()->has_value());
+    while (!subscriber->budgets()->has_value() || !subscriber->diagnostics()->has_value()) {
         std::this_thread::sleep_for(2ms);
     }
-    HOLDS(planner->budgets().value()->find(7)->robot == 7);
-    HOLDS(planner->status()->worker == JOULEBUS_WORKER_ALIVE || planner->status()->worker == JOULEBUS_WORKER_STALE);
-    planner.reset();
+    HOLDS(subscriber->budgets().value()->find(7)->robot == 7);
+    HOLDS(subscriber->status()->worker == JOULEBUS_WORKER_ALIVE || subscriber->status()->worker == JOULEBUS_WORKER_STALE);
+    subscriber.reset();
     // The frame's memory stays.
     HOLDS(kept.find(7) != nullptr && kept.size() >= 8);
     auto moved = std::move(kept);
@@ -100,12 +105,12 @@ static_assert(!std::is_convertible_v<joulebus::KeptForecasts &, joulebus::Foreca
 static_assert(std::is_same_v<decltype(std::declval<joulebus::Result<joulebus::KeptForecasts>>().value()),
                              joulebus::KeptForecasts>);
 void kept_by_a_loop(const std::string &config) {
-    auto planner = joulebus::Planner::open(config).value();
-    next_frame(planner);
+    auto subscriber = joulebus::Subscriber::open(config).value();
+    next_frame(subscriber);
     std::size_t count = 0;
-    for (const auto &row : planner.keep().value()) {
+    for (const auto &row : subscriber.take_current().value()) {
         // As many frames as would take its place if it had been given back.
-        next_frame(planner);
+        next_frame(subscriber);
         HOLDS(row.robot < 4000000000u);
         count++;
     }

@@ -37,16 +37,16 @@ static joulebus_publisher *publisher(const char *name) {
     return opened;
 }
 
-static joulebus_planner *planner(void) {
-    joulebus_planner *opened = NULL;
-    OK(joulebus_planner_open(JOULEBUS_HEADER, config, "misuse", &opened));
+static joulebus_subscriber *subscriber(void) {
+    joulebus_subscriber *opened = NULL;
+    OK(joulebus_subscriber_open(JOULEBUS_HEADER, config, "misuse", &opened));
     return opened;
 }
 
-static joulebus_forecasts next_frame(joulebus_planner *from) {
+static joulebus_forecasts next_frame(joulebus_subscriber *from) {
     for (;;) {
         joulebus_event event;
-        OK(joulebus_planner_wait(from, PATIENCE_NS, &event));
+        OK(joulebus_subscriber_wait(from, PATIENCE_NS, &event));
         HOLDS(event.kind != JOULEBUS_EVENT_KIND_TIMED_OUT);
         if (event.kind == JOULEBUS_EVENT_KIND_FRAME && event.frame.count >= 8) {
             return event.frame;
@@ -56,11 +56,11 @@ static joulebus_forecasts next_frame(joulebus_planner *from) {
 
 /* Waits until the worker has dropped a sample for this reason: of a source that leaves at once it need not take any. */
 static void until_counted(uint32_t reason) {
-    joulebus_planner *seen = planner();
+    joulebus_subscriber *seen = subscriber();
     for (int frames = 0; next_frame(seen).header->samples_dropped.counts[reason] == 0; frames++) {
         HOLDS(frames < 3000);
     }
-    OK(joulebus_planner_close(seen));
+    OK(joulebus_subscriber_close(seen));
 }
 
 static void versions_and_pointers(void) {
@@ -134,13 +134,13 @@ static void closed_handles(void) {
     HOLDS(one != two);
     REFUSED(joulebus_publisher_publish(one, NULL, 0, 0, NULL), HANDLE, "the publisher is closed");
     joulebus_event event;
-    REFUSED(joulebus_planner_wait((joulebus_planner *)two, 0, &event), HANDLE, "not a planner");
+    REFUSED(joulebus_subscriber_wait((joulebus_subscriber *)two, 0, &event), HANDLE, "not a subscriber");
     int on_the_stack = 0;
     REFUSED(joulebus_publisher_close((joulebus_publisher *)&on_the_stack), HANDLE, "not a publisher");
     REFUSED(joulebus_publisher_close((joulebus_publisher *)(intptr_t)-1), HANDLE, "not a publisher");
     OK(joulebus_publisher_close(two));
     OK(joulebus_publisher_close(NULL));
-    OK(joulebus_planner_close(NULL));
+    OK(joulebus_subscriber_close(NULL));
     OK(joulebus_frame_close(NULL));
     OK(joulebus_questions_close(NULL));
     OK(joulebus_client_close(NULL));
@@ -149,7 +149,7 @@ static void closed_handles(void) {
 
 struct shared {
     joulebus_publisher *publisher;
-    joulebus_planner *planner;
+    joulebus_subscriber *subscriber;
     joulebus_frame *frame;
     joulebus_predictor *predictor;
 };
@@ -160,13 +160,13 @@ static void *in_another_thread(void *given) {
     HOLDS(joulebus_last_error() == NULL);
     REFUSED(joulebus_publisher_publish(shared->publisher, NULL, 0, 0, NULL), THREAD, "belongs to the thread");
     REFUSED(joulebus_publisher_close(shared->publisher), THREAD, "belongs to the thread");
-    REFUSED(joulebus_planner_wait(shared->planner, 0, &event), THREAD, "belongs to the thread");
-    REFUSED(joulebus_planner_close(shared->planner), THREAD, "belongs to the thread");
+    REFUSED(joulebus_subscriber_wait(shared->subscriber, 0, &event), THREAD, "belongs to the thread");
+    REFUSED(joulebus_subscriber_close(shared->subscriber), THREAD, "belongs to the thread");
     REFUSED(joulebus_frame_close(shared->frame), THREAD, "belongs to the thread");
     /* Its own are its own. */
-    joulebus_planner *own = planner();
-    OK(joulebus_planner_wait(own, 0, &event));
-    OK(joulebus_planner_close(own));
+    joulebus_subscriber *own = subscriber();
+    OK(joulebus_subscriber_wait(own, 0, &event));
+    OK(joulebus_subscriber_close(own));
     float features[13] = {0}, power_w = 0;
     for (int call = 0; call < 1000; call++) {
         OK(joulebus_predictor_predict(shared->predictor, features, 1, 13, &power_w));
@@ -180,15 +180,15 @@ static void in_a_child(struct shared *shared) {
     if (child == 0) {
         joulebus_event event;
         REFUSED(joulebus_publisher_publish(shared->publisher, NULL, 0, 0, NULL), PROCESS, "forked");
-        REFUSED(joulebus_planner_wait(shared->planner, 0, &event), PROCESS, "forked");
-        REFUSED(joulebus_planner_close(shared->planner), PROCESS, "forked");
+        REFUSED(joulebus_subscriber_wait(shared->subscriber, 0, &event), PROCESS, "forked");
+        REFUSED(joulebus_subscriber_close(shared->subscriber), PROCESS, "forked");
         REFUSED(joulebus_frame_close(shared->frame), PROCESS, "forked");
         float features[13] = {0}, power_w = 0;
         REFUSED(joulebus_predictor_predict(shared->predictor, features, 1, 13, &power_w), PROCESS, "forked");
         REFUSED(joulebus_predictor_close(shared->predictor), PROCESS, "forked");
-        joulebus_planner *own = planner();
+        joulebus_subscriber *own = subscriber();
         next_frame(own);
-        OK(joulebus_planner_close(own));
+        OK(joulebus_subscriber_close(own));
         /* Not _exit: valgrind would miss what belonged to the parent's threads. */
         execl("/bin/sh", "sh", "-c", "exit 7", (char *)NULL);
         _exit(1);
@@ -198,10 +198,10 @@ static void in_a_child(struct shared *shared) {
 }
 
 static void threads_and_processes(void) {
-    struct shared shared = {publisher("shared"), planner(), NULL, NULL};
+    struct shared shared = {publisher("shared"), subscriber(), NULL, NULL};
     OK(joulebus_predictor_open(JOULEBUS_HEADER, NULL, &shared.predictor));
-    next_frame(shared.planner);
-    OK(joulebus_planner_keep(shared.planner, &shared.frame, NULL));
+    next_frame(shared.subscriber);
+    OK(joulebus_subscriber_take_current(shared.subscriber, &shared.frame, NULL));
     pthread_t threads[4];
     for (int number = 0; number < 4; number++) {
         HOLDS(!pthread_create(&threads[number], NULL, in_another_thread, &shared));
@@ -211,37 +211,37 @@ static void threads_and_processes(void) {
     }
     in_a_child(&shared);
     /* Nobody has closed or disturbed them. */
-    next_frame(shared.planner);
+    next_frame(shared.subscriber);
     OK(joulebus_publisher_publish(shared.publisher, NULL, 0, 0, NULL));
     OK(joulebus_frame_close(shared.frame));
-    OK(joulebus_planner_close(shared.planner));
+    OK(joulebus_subscriber_close(shared.subscriber));
     OK(joulebus_publisher_close(shared.publisher));
     OK(joulebus_predictor_close(shared.predictor));
     REFUSED(joulebus_predictor_close(shared.predictor), HANDLE, "the predictor is closed");
 }
 
 static void frames(void) {
-    joulebus_planner *one = planner();
+    joulebus_subscriber *one = subscriber();
     joulebus_frame *kept[3] = {NULL};
     joulebus_forecasts views[3];
-    REFUSED(joulebus_planner_keep(one, &kept[0], NULL), NO_FRAME, "no frame to keep");
+    REFUSED(joulebus_subscriber_take_current(one, &kept[0], NULL), NO_FRAME, "no frame to take");
     const joulebus_forecast *row = NULL;
     joulebus_forecasts frame = next_frame(one);
-    OK(joulebus_planner_robot(one, 7, &row));
+    OK(joulebus_subscriber_robot(one, 7, &row));
     HOLDS(row && row->robot == 7 && row >= frame.robots && row < frame.robots + frame.count);
-    OK(joulebus_planner_robot(one, 4000000000u, &row));
+    OK(joulebus_subscriber_robot(one, 4000000000u, &row));
     HOLDS(row == NULL);
     for (int number = 0; number < 2; number++) {
-        OK(joulebus_planner_keep(one, &kept[number], &views[number]));
-        REFUSED(joulebus_planner_keep(one, &kept[2], NULL), NO_FRAME, "kept already");
+        OK(joulebus_subscriber_take_current(one, &kept[number], &views[number]));
+        REFUSED(joulebus_subscriber_take_current(one, &kept[2], NULL), NO_FRAME, "taken already");
         next_frame(one);
     }
-    OK(joulebus_planner_keep(one, &kept[2], &views[2]));
+    OK(joulebus_subscriber_take_current(one, &kept[2], &views[2]));
     HOLDS(views[0].header->tick < views[1].header->tick && views[1].header->tick < views[2].header->tick);
     /* With three, the next read that finds a frame is refused. */
     joulebus_event event = {.kind = JOULEBUS_EVENT_KIND_TIMED_OUT};
     int refused = 0;
-    while (!(refused = joulebus_planner_wait(one, PATIENCE_NS, &event)) && event.kind != JOULEBUS_EVENT_KIND_TIMED_OUT) {
+    while (!(refused = joulebus_subscriber_wait(one, PATIENCE_NS, &event)) && event.kind != JOULEBUS_EVENT_KIND_TIMED_OUT) {
     }
     REFUSED(refused, READ, "");
     OK(joulebus_frame_close(kept[1]));
@@ -249,15 +249,15 @@ static void frames(void) {
     joulebus_diagnostics diagnostics = {0};
     joulebus_budgets budgets = {0};
     while (!diagnostics.header || !budgets.header) {
-        OK(joulebus_planner_diagnostics(one, &diagnostics));
-        OK(joulebus_planner_budgets(one, &budgets));
+        OK(joulebus_subscriber_diagnostics(one, &diagnostics));
+        OK(joulebus_subscriber_budgets(one, &budgets));
         usleep(2000);
     }
     HOLDS(budgets.count >= 8 && diagnostics.count >= 8);
-    joulebus_planner_status status;
-    OK(joulebus_planner_get_status(one, &status));
+    joulebus_subscriber_status status;
+    OK(joulebus_subscriber_get_status(one, &status));
     HOLDS(status.frames >= 4 && status.workers == 1);
-    OK(joulebus_planner_close(one));
+    OK(joulebus_subscriber_close(one));
     /* The memory of what is kept stays. */
     uint64_t sum = 0;
     for (size_t at = 0; at < views[0].count; at++) {

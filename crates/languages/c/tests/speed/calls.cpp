@@ -40,7 +40,7 @@ int main(int count, char **arguments) {
         return 2;
     }
     const auto predictor = joulebus::Predictor::open().value();
-    auto planner = joulebus::Planner::open(arguments[1], "speed-c++").value();
+    auto subscriber = joulebus::Subscriber::open(arguments[1], "speed-c++").value();
     auto questions = joulebus::Questions::open(arguments[1], "speed-c++").value();
     auto publisher = joulebus::Publisher::open(arguments[1], "speed-c++").value();
     questions.wait(60s).value();
@@ -71,12 +71,12 @@ int main(int count, char **arguments) {
         {"latest",
          [&] {
              float total_w = 0.0f;
-             const auto frame = planner.latest().value();
+             const auto frame = subscriber.latest().value();
              if (!frame) {
                  return;
              }
              for (const auto &row : *frame) {
-                 total_w += joulebus::power_w(row).value_or(0.0f);
+                 total_w += joulebus::expected_w(row).value_or(0.0f);
              }
              sink = total_w;
          }},

@@ -368,8 +368,8 @@ class Publisher(_Connection):
         ids: ids of robots, each once. Columns have one element for each robot, or one number for all:
         v (m/s) and omega (rad/s) as commanded, power (W), voltage (V), current (A, positive while discharging),
         soc (0 to 1), return_j (energy needed to return, J); held (the reading repeats the one before), charging, full
-        and swapped are truth values. A NaN, or no column, means unknown. `intended_ns`: when the frame was due
-        (`time.monotonic_ns`).
+        (which implies charging) and swapped are truth values. A NaN, or no column, means unknown. `intended_ns`: when
+        the frame was due (`time.monotonic_ns`).
         """
         readers, _, _ = self._ports.publish(ids, columns, intended_ns)
         return readers

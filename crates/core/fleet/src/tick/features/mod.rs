@@ -5,7 +5,7 @@ mod block;
 mod bridge;
 mod step;
 
-use joulebus_predictor::SimdTask;
+use joulebus_predictor::simd::SimdTask;
 
 use crate::ingest::pending::PendingState;
 use crate::layout::lanes::{self, Block as _, LANES, Lanes};

@@ -1,6 +1,6 @@
 //! Budgets.
 
-use joulebus_predictor::canonical;
+use joulebus_predictor::nan::canonical;
 use joulebus_settings::{Battery, Platform};
 use joulebus_wire::{Budget, ChargeState, budget_flag};
 

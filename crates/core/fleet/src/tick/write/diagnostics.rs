@@ -3,7 +3,7 @@
 // Index loops: the compiler vectorises them.
 #![allow(clippy::needless_range_loop)]
 
-use joulebus_predictor::canonical;
+use joulebus_predictor::nan::canonical;
 use joulebus_wire::{Alarm, AlarmSet, Diagnostic, Level, diagnostic_flag};
 
 use crate::layout::lanes::{Block as _, LANES, Lanes};

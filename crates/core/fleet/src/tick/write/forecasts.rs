@@ -1,6 +1,6 @@
 //! Forecasts.
 
-use joulebus_predictor::canonical;
+use joulebus_predictor::nan::canonical;
 use joulebus_wire::{Forecast, InvalidReason, Quality, forecast_flag};
 
 use crate::ingest::admission::AdmissionState;

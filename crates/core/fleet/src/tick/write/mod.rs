@@ -10,7 +10,7 @@ pub(crate) mod plan_states;
 
 use std::slice;
 
-use joulebus_predictor::{SimdTask, prefetch};
+use joulebus_predictor::simd::{SimdTask, prefetch};
 use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState};
 
 use crate::layout::lanes::{AHEAD, LANES};

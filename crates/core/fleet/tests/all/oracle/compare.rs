@@ -122,7 +122,7 @@ fn compare_forecast(
         "robot {id} at {now_ns}: {} W, expected {power_w:?}",
         found.power_w
     );
-    prop_assert_eq!(found.power_w().is_some(), power_w.is_some());
+    prop_assert_eq!(found.expected_w().is_some(), power_w.is_some());
     if power_w.is_some() {
         // Also in open loop, and for any residuals.
         let inside = found.lo_w <= found.power_w && found.power_w <= found.hi_w;
@@ -250,7 +250,7 @@ fn compare_plan_state(
     let silent_ns = now_ns - member.received_ns;
     let model = &oracle.models[member.context];
     let start = member.robot.plan_start(model, silent_ns);
-    let start = start.filter(|_| forecast.power_w().is_some());
+    let start = start.filter(|_| forecast.expected_w().is_some());
     let Some(run) = start else {
         return Ok(());
     };

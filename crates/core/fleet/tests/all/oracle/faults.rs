@@ -239,10 +239,10 @@ fn spoil(mut sample: Sample, noise: &mut Noise) -> Sample {
         10 => sample.flags |= 1 << (8 + noise.next_u64() % 24),
         // A battery's values: sensible, absurd, and contradictory.
         15 => match noise.next_u64() % 4 {
-            0 => sample = sample.soc((noise.next_u64() % 101) as f32 / 100.0),
+            0 => sample = sample.state_of_charge((noise.next_u64() % 101) as f32 / 100.0),
             1 => sample = sample.return_energy((noise.next_u64() % 9_000) as f32),
             2 => sample = sample.with(sample_flag::CHARGING | sample_flag::FULL),
-            _ => sample = sample.soc(absurd).return_energy(-absurd),
+            _ => sample = sample.state_of_charge(absurd).return_energy(-absurd),
         },
         11 => sample.stamp_ns = noise.next_u64() >> (noise.next_u64() % 64),
         12 => sample.measured_ns = sample.stamp_ns + 1,

@@ -229,7 +229,7 @@ fn a_mixed_fleet_gives_the_bits_of_each_robot_alone_for_any_frame_length() {
                 let has_residual = diagnostic.flags & diagnostic_flag::RESIDUAL != 0;
                 let interval = live.interval_w();
                 let live_bits = [
-                    live.power_w(),
+                    live.expected_w(),
                     interval.map(|ends| ends.0),
                     interval.map(|ends| ends.1),
                     has_residual.then_some(diagnostic.residual_w),

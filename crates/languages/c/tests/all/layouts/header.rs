@@ -44,7 +44,7 @@ fn made() -> String {
         "types",
         "errors",
         "publisher",
-        "planner",
+        "subscriber",
         "questions",
         "client",
         "predictor",
@@ -58,7 +58,7 @@ fn made() -> String {
 
 const TOP: &str = "/**
  * @file
- * libjoulebus: publisher, planner, questions about plans and predictor of joulebus, a shared-memory energy broker for
+ * libjoulebus: publisher, subscriber, questions about plans and predictor of joulebus, a shared-memory energy broker for
  * robot fleets. docs/c.md has the whole picture; joulebus.hpp is a layer above for C++17.
  *
  * This file is made from the sources of joulebus-c and joulebus-wire: cargo test -p joulebus-c --test all layouts.
@@ -66,7 +66,7 @@ const TOP: &str = "/**
  * Errors. Calls return a joulebus_error; joulebus_last_error() has the message. After an error nothing is written to
  * where results go, if not said otherwise. No call aborts the program on what it is given or reads.
  *
- * Threads. A publisher, planner, frame, questions or client belongs to the thread that opened it: used by another one,
+ * Threads. A publisher, subscriber, frame, questions or client belongs to the thread that opened it: used by another one,
  * the call is refused (JOULEBUS_ERROR_THREAD), closing included. Each thread may open its own. A predictor may be used by
  * any thread. No call may be made by a signal handler; what one interrupts is not disturbed, but refuses calls on the
  * same handle.

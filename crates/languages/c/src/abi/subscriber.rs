@@ -1,33 +1,34 @@
 //! A reader of forecasts, diagnostics and budgets, in place.
 
 use std::ffi::c_char;
+use std::os::fd::AsRawFd;
 use std::ptr;
 use std::time::Duration;
 
 use joulebus_consumer::{
-    Budgets, Config, Diagnostics, End, Event, Feed, Forecasts, Frame, KeptForecasts, Planner,
-    ReadError, WorkerState,
+    Budgets, Config, Diagnostics, End, Event, Feed, Forecasts, Frame, KeptForecasts, ReadError,
+    Subscriber, WorkerState,
 };
 use joulebus_wire::{Channel, Forecast};
 
 use crate::abi::types::{
     joulebus_budgets, joulebus_diagnostics, joulebus_end, joulebus_error, joulebus_event,
-    joulebus_event_kind, joulebus_forecasts, joulebus_frame, joulebus_planner,
-    joulebus_planner_status, joulebus_worker,
+    joulebus_event_kind, joulebus_forecasts, joulebus_frame, joulebus_subscriber,
+    joulebus_subscriber_status, joulebus_worker,
 };
 use crate::failure::{Failure, entry};
 use crate::handles::{self, kind};
 use crate::memory::{out, text};
 use crate::version;
 
-/// A planner and what it has opened.
+/// A subscriber and what it has opened.
 pub(crate) struct Ports {
-    planner: Planner,
+    subscriber: Subscriber,
     diagnostics: Option<Feed<Diagnostics>>,
     budgets: Option<Feed<Budgets>>,
 }
 
-kind!(Ports, joulebus_planner, "planner", 2);
+kind!(Ports, joulebus_subscriber, "subscriber", 2);
 kind!(KeptForecasts, joulebus_frame, "frame", 3);
 
 const NO_FRAME: joulebus_forecasts = joulebus_forecasts {
@@ -38,61 +39,61 @@ const NO_FRAME: joulebus_forecasts = joulebus_forecasts {
     restarted: 0,
 };
 
-/// Joins the fleet of a config file as a planner. The worker need not run.
+/// Joins the fleet of a config file as a subscriber. The worker need not run.
 ///
 /// @param header      JOULEBUS_HEADER.
 /// @param config_path The fleet's config file.
 /// @param name        1 to 128 bytes, shown to operators; need not be unique.
-/// @param planner     The new handle.
+/// @param subscriber  The new handle.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn joulebus_planner_open(
+pub unsafe extern "C" fn joulebus_subscriber_open(
     header: *const c_char,
     config_path: *const c_char,
     name: *const c_char,
-    planner: *mut *mut joulebus_planner,
+    subscriber: *mut *mut joulebus_subscriber,
 ) -> joulebus_error {
     entry(|| {
         // SAFETY: the caller's promises, in joulebus.h.
-        let (header, config_path, name, mut planner) = unsafe {
+        let (header, config_path, name, mut subscriber) = unsafe {
             (
                 text("header", header)?,
                 text("config_path", config_path)?,
                 text("name", name)?,
-                out("planner", planner)?,
+                out("subscriber", subscriber)?,
             )
         };
         version::check(header)?;
         let connect = |text: String| Failure::new(joulebus_error::Connect, text);
         let config = Config::load(config_path).map_err(|error| connect(error.to_string()))?;
-        let ports = Planner::with_config(&config, name);
+        let ports = Subscriber::with_config(&config, name);
         let ports = Ports {
-            planner: ports.map_err(|error| connect(error.to_string()))?,
+            subscriber: ports.map_err(|error| connect(error.to_string()))?,
             diagnostics: None,
             budgets: None,
         };
-        planner.set(handles::open(ports)?);
+        subscriber.set(handles::open(ports)?);
         Ok(())
     })
 }
 
 /// Waits for a frame that was not returned before, the worker's end, a frame that is too old, or a signal. Of several
 /// frames it returns the newest; skipped ones are counted. Frames stay where they are in shared memory: the event's
-/// pointers are valid until the next call of joulebus_planner_wait, joulebus_planner_latest or joulebus_planner_close
-/// with this planner.
+/// pointers are valid until the next call of joulebus_subscriber_wait, joulebus_subscriber_latest or joulebus_subscriber_close
+/// with this subscriber.
 ///
 /// @param timeout_ns Time to wait, ns; UINT64_MAX for ever, 0 not at all.
 /// @param event      What happened.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn joulebus_planner_wait(
-    planner: *mut joulebus_planner,
+pub unsafe extern "C" fn joulebus_subscriber_wait(
+    subscriber: *mut joulebus_subscriber,
     timeout_ns: u64,
     event: *mut joulebus_event,
 ) -> joulebus_error {
     entry(|| {
         // SAFETY: the caller's promises, in joulebus.h.
         let mut event = unsafe { out("event", event) }?;
-        let found = handles::with(planner, |ports: &mut Ports| {
-            let found = ports.planner.wait_next(Duration::from_nanos(timeout_ns));
+        let found = handles::with(subscriber, |ports: &mut Ports| {
+            let found = ports.subscriber.wait_next(Duration::from_nanos(timeout_ns));
             found.map(told).map_err(|error| read_failed(&error))
         })?;
         event.set(found);
@@ -100,19 +101,52 @@ pub unsafe extern "C" fn joulebus_planner_wait(
     })
 }
 
-/// The newest frame, without waiting, whether or not it was returned before; its header is NULL until the first has
-/// arrived. Pointers are valid as of joulebus_planner_wait.
+/// A descriptor that is readable when joulebus_subscriber_wait is likely to have something to return, for event loops: a
+/// frame has arrived, or the worker's process has exited. When it is readable, call joulebus_subscriber_wait with a
+/// time of 0 until it returns JOULEBUS_EVENT_KIND_TIMED_OUT; call it as well where it has not been readable for
+/// look_within_ns, since it tells nothing of a worker that is silent, and may miss a frame that arrives while an earlier one is
+/// read. It belongs to the subscriber, and must not be closed.
+///
+/// @param descriptor     To be polled for reading only.
+/// @param look_within_ns Longest time to wait for it from now on, ns; at most 100 ms.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn joulebus_planner_latest(
-    planner: *mut joulebus_planner,
+pub unsafe extern "C" fn joulebus_subscriber_readiness(
+    subscriber: *mut joulebus_subscriber,
+    descriptor: *mut i32,
+    look_within_ns: *mut u64,
+) -> joulebus_error {
+    entry(|| {
+        // SAFETY: the caller's promises, in joulebus.h.
+        let (mut descriptor, mut look_within_ns) = unsafe {
+            (
+                out("descriptor", descriptor)?,
+                out("look_within_ns", look_within_ns)?,
+            )
+        };
+        let found = handles::with(subscriber, |ports: &mut Ports| {
+            let readiness = ports.subscriber.readiness().map_err(not_opened)?;
+            // The subscriber keeps it open.
+            Ok((readiness.as_raw_fd(), ports.subscriber.look_within()))
+        })?;
+        descriptor.set(found.0);
+        look_within_ns.set(found.1.as_nanos() as u64);
+        Ok(())
+    })
+}
+
+/// The newest frame, without waiting, whether or not it was returned before; its header is NULL until the first has
+/// arrived. Pointers are valid as of joulebus_subscriber_wait.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn joulebus_subscriber_latest(
+    subscriber: *mut joulebus_subscriber,
     frame: *mut joulebus_forecasts,
 ) -> joulebus_error {
     entry(|| {
         // SAFETY: the caller's promises, in joulebus.h.
         let mut frame = unsafe { out("frame", frame) }?;
-        let found = handles::with(planner, |ports: &mut Ports| {
+        let found = handles::with(subscriber, |ports: &mut Ports| {
             let found = ports
-                .planner
+                .subscriber
                 .latest()
                 .map_err(|error| read_failed(&error))?;
             Ok(found.as_ref().map_or(NO_FRAME, forecasts))
@@ -123,18 +157,18 @@ pub unsafe extern "C" fn joulebus_planner_latest(
 }
 
 /// One robot of the frame that was returned last, in constant time while no robots join or leave; NULL if it is not in
-/// the frame, or the frame was kept. Valid as of joulebus_planner_wait.
+/// the frame, or the frame was taken. Valid as of joulebus_subscriber_wait.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn joulebus_planner_robot(
-    planner: *mut joulebus_planner,
+pub unsafe extern "C" fn joulebus_subscriber_robot(
+    subscriber: *mut joulebus_subscriber,
     robot: u32,
     row: *mut *const Forecast,
 ) -> joulebus_error {
     entry(|| {
         // SAFETY: the caller's promises, in joulebus.h.
         let mut row = unsafe { out("row", row) }?;
-        let found = handles::with(planner, |ports: &mut Ports| {
-            let current = ports.planner.current();
+        let found = handles::with(subscriber, |ports: &mut Ports| {
+            let current = ports.subscriber.current();
             let found = current.as_ref().and_then(|frame| frame.robot(robot));
             Ok(found.map_or(ptr::null(), ptr::from_ref))
         })?;
@@ -143,15 +177,16 @@ pub unsafe extern "C" fn joulebus_planner_robot(
     })
 }
 
-/// Keeps the frame that was returned last: its pointers stay valid until joulebus_frame_close, also after the planner is
-/// closed and the worker has ended. Two may be kept; with more, reading is an error until one is closed. Without a frame,
+/// Takes the frame that was returned last out of the subscriber, to keep it: there is no current frame then until a newer one
+/// arrives. Its pointers stay valid until joulebus_frame_close, also after the subscriber is closed and the worker has ended.
+/// Two may be kept; with more, reading is an error until one is closed. Without a frame,
 /// JOULEBUS_ERROR_NO_FRAME.
 ///
 /// @param frame The new handle.
 /// @param view  The frame that is kept; NULL if it is not wanted.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn joulebus_planner_keep(
-    planner: *mut joulebus_planner,
+pub unsafe extern "C" fn joulebus_subscriber_take_current(
+    subscriber: *mut joulebus_subscriber,
     frame: *mut *mut joulebus_frame,
     view: *mut joulebus_forecasts,
 ) -> joulebus_error {
@@ -161,12 +196,12 @@ pub unsafe extern "C" fn joulebus_planner_keep(
             let view = (!view.is_null()).then(|| out("view", view));
             (out("frame", frame)?, view.transpose()?)
         };
-        let kept = handles::with(planner, |ports: &mut Ports| {
-            let seen = ports.planner.current().as_ref().map(forecasts);
-            Ok(seen.zip(ports.planner.keep()))
+        let kept = handles::with(subscriber, |ports: &mut Ports| {
+            let seen = ports.subscriber.current().as_ref().map(forecasts);
+            Ok(seen.zip(ports.subscriber.take_current()))
         })?;
         let (seen, kept) = kept.ok_or_else(|| {
-            let text = "no frame to keep: none has arrived, or it is kept already";
+            let text = "no frame to take: none has arrived, or it is taken already";
             Failure::new(joulebus_error::NoFrame, text)
         })?;
         frame.set(handles::open(kept)?);
@@ -184,19 +219,19 @@ pub extern "C" fn joulebus_frame_close(frame: *mut joulebus_frame) -> joulebus_e
 }
 
 /// The fleet's newest diagnostics, without waiting. The first call opens them: frames sent from then on are read. The
-/// header is NULL until the first has arrived. Valid until the next call of this function, or joulebus_planner_close.
+/// header is NULL until the first has arrived. Valid until the next call of this function, or joulebus_subscriber_close.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn joulebus_planner_diagnostics(
-    planner: *mut joulebus_planner,
+pub unsafe extern "C" fn joulebus_subscriber_diagnostics(
+    subscriber: *mut joulebus_subscriber,
     frame: *mut joulebus_diagnostics,
 ) -> joulebus_error {
     entry(|| {
         // SAFETY: the caller's promises, in joulebus.h.
         let mut frame = unsafe { out("frame", frame) }?;
-        let found = handles::with(planner, |ports: &mut Ports| {
+        let found = handles::with(subscriber, |ports: &mut Ports| {
             let feed = match &mut ports.diagnostics {
                 Some(feed) => feed,
-                none => none.insert(ports.planner.diagnostics().map_err(not_opened)?),
+                none => none.insert(ports.subscriber.diagnostics().map_err(not_opened)?),
             };
             let found = feed.latest().map_err(|error| read_failed(&error))?;
             Ok(parts(found))
@@ -213,19 +248,19 @@ pub unsafe extern "C" fn joulebus_planner_diagnostics(
 
 /// The fleet's newest budgets, without waiting. The first call opens them: frames sent before are read as soon as the
 /// worker sends again. The header is NULL until the first has arrived. Valid until the next call of this function, or
-/// joulebus_planner_close.
+/// joulebus_subscriber_close.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn joulebus_planner_budgets(
-    planner: *mut joulebus_planner,
+pub unsafe extern "C" fn joulebus_subscriber_budgets(
+    subscriber: *mut joulebus_subscriber,
     frame: *mut joulebus_budgets,
 ) -> joulebus_error {
     entry(|| {
         // SAFETY: the caller's promises, in joulebus.h.
         let mut frame = unsafe { out("frame", frame) }?;
-        let found = handles::with(planner, |ports: &mut Ports| {
+        let found = handles::with(subscriber, |ports: &mut Ports| {
             let feed = match &mut ports.budgets {
                 Some(feed) => feed,
-                none => none.insert(ports.planner.budgets().map_err(not_opened)?),
+                none => none.insert(ports.subscriber.budgets().map_err(not_opened)?),
             };
             let found = feed.latest().map_err(|error| read_failed(&error))?;
             Ok(parts(found))
@@ -242,15 +277,15 @@ pub unsafe extern "C" fn joulebus_planner_budgets(
 
 /// The worker as seen by the last call that read, and what was counted.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn joulebus_planner_get_status(
-    planner: *mut joulebus_planner,
-    status: *mut joulebus_planner_status,
+pub unsafe extern "C" fn joulebus_subscriber_get_status(
+    subscriber: *mut joulebus_subscriber,
+    status: *mut joulebus_subscriber_status,
 ) -> joulebus_error {
     entry(|| {
         // SAFETY: the caller's promises, in joulebus.h.
         let mut status = unsafe { out("status", status) }?;
-        status.set(handles::with(planner, |ports: &mut Ports| {
-            Ok(seen(&ports.planner))
+        status.set(handles::with(subscriber, |ports: &mut Ports| {
+            Ok(seen(&ports.subscriber))
         })?);
         Ok(())
     })
@@ -258,8 +293,10 @@ pub unsafe extern "C" fn joulebus_planner_get_status(
 
 /// Leaves the fleet. Frames that are kept stay valid. NULL is closed already.
 #[unsafe(no_mangle)]
-pub extern "C" fn joulebus_planner_close(planner: *mut joulebus_planner) -> joulebus_error {
-    entry(|| handles::close::<Ports>(planner))
+pub extern "C" fn joulebus_subscriber_close(
+    subscriber: *mut joulebus_subscriber,
+) -> joulebus_error {
+    entry(|| handles::close::<Ports>(subscriber))
 }
 
 fn told(event: Event<'_>) -> joulebus_event {
@@ -320,23 +357,23 @@ fn ended(end: End) -> joulebus_end {
     }
 }
 
-fn seen(planner: &Planner) -> joulebus_planner_status {
-    let (worker, end) = match planner.worker() {
+fn seen(subscriber: &Subscriber) -> joulebus_subscriber_status {
+    let (worker, end) = match subscriber.worker() {
         WorkerState::Waiting => (joulebus_worker::Waiting, joulebus_end::None),
         WorkerState::Alive => (joulebus_worker::Alive, joulebus_end::None),
         WorkerState::Gone(end) => (joulebus_worker::Gone, ended(end)),
         _ => (joulebus_worker::Stale, joulebus_end::None),
     };
-    let counts = planner.counts();
-    joulebus_planner_status {
+    let counts = subscriber.counts();
+    joulebus_subscriber_status {
         worker,
         end,
         frames: counts.frames,
         gaps: counts.gaps,
         ticks_missed: counts.ticks_missed,
         workers: counts.workers,
-        degraded: planner.degraded(),
-        foreign: planner.foreign(),
+        degraded: subscriber.degraded(),
+        foreign: subscriber.foreign(),
     }
 }
 

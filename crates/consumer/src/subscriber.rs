@@ -1,12 +1,12 @@
-//! The connection of a planner to its fleet.
+//! The connection of a subscriber to its fleet.
 
 use std::cell::RefCell;
-use std::fmt;
 use std::path::Path;
 use std::time::Duration;
+use std::{fmt, io};
 
 use joulebus_bus::{
-    Bus, Limits, OpenError, PeerWatch, Poller, Reader, WaitError, Waiter, Woken, clock,
+    Bus, Limits, OpenError, PeerWatch, Poller, Reader, Readiness, WaitError, Waiter, Woken, clock,
 };
 use joulebus_config::Config;
 use joulebus_connect::{ConnectError, join};
@@ -23,13 +23,24 @@ use crate::{
 /// What is done with each frame.
 type Each<'a> = &'a mut dyn FnMut(&ForecastHeader, &[Forecast]);
 
-/// A reader of forecasts: a planner, a live view, a recorder.
+/// A reader of forecasts: for planners, live views, recorders.
+///
+/// | method | waits | returns |
+/// |---|---|---|
+/// | [`wait_next`](Self::wait_next) | for something new | the newest frame, or what happened |
+/// | [`wait_each`](Self::wait_each) | for something new | the same, after a call for each frame since |
+/// | [`latest`](Self::latest) | no | the newest frame, also one that was returned before |
+/// | [`current`](Self::current) | no | the frame that was returned last, without looking for another |
+/// | [`take_current`](Self::take_current) | no | the same, which the caller keeps: `current` is then `None` |
+///
+/// [`readiness`](Self::readiness) is for programs that wait for something else as well.
 ///
 /// Stays connected while the worker ends and restarts. Belongs to one thread.
-pub struct Planner {
+pub struct Subscriber {
     reader: Reader<Forecasts>,
     waiting: Waiting,
     watch: Option<PeerWatch>,
+    readiness: Option<Readiness>,
     tracker: Tracker,
     arrival: Arrival,
     index: RefCell<RobotIndex>,
@@ -38,7 +49,7 @@ pub struct Planner {
     bus: Bus,
 }
 
-/// Longest time between two looks of a planner that polls.
+/// Longest time between two looks.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
 /// The time between two looks after which nothing that the worker sends to `config`'s fleet is overwritten before it is
@@ -49,7 +60,7 @@ pub(crate) fn look_every(config: &Config) -> Duration {
     LOOK_EVERY.min(Duration::from_nanos(buffered_ns / 4))
 }
 
-/// What a planner waits with.
+/// What a subscriber waits with.
 enum Waiting {
     /// Every tick wakes it.
     Listening(Box<Waiter>),
@@ -81,7 +92,7 @@ impl Waiting {
     }
 }
 
-/// Result of [`Planner::wait_next`].
+/// Result of [`Subscriber::wait_next`].
 #[derive(Debug, Clone, Copy)]
 #[must_use]
 #[non_exhaustive]
@@ -101,7 +112,7 @@ pub enum Event<'a> {
     TimedOut,
 }
 
-impl Planner {
+impl Subscriber {
     /// Joins the fleet of the config file at `config_path`, as `planner`. The worker need not run.
     ///
     /// # Errors
@@ -110,7 +121,7 @@ impl Planner {
         Self::with_config(&Config::load(config_path)?, "planner")
     }
 
-    /// As [`Planner::connect`], with a loaded config, and a name of 1 to 128 bytes that is shown to
+    /// As [`Subscriber::connect`], with a loaded config, and a name of 1 to 128 bytes that is shown to
     /// operators and need not be unique.
     ///
     /// # Errors
@@ -123,9 +134,9 @@ impl Planner {
         })
     }
 
-    /// As [`Planner::with_config`], for those who need forecasts only `every` so often: it looks for them instead of
+    /// As [`Subscriber::with_config`], for those who need forecasts only `every` so often: it looks for them instead of
     /// being woken by every tick, which costs the worker time. It looks more often than that where frames would be
-    /// overwritten ([`Planner::wait_each`] returns them all), and at least ten times a second. It learns of the
+    /// overwritten ([`Subscriber::wait_each`] returns them all), and at least ten times a second. It learns of the
     /// worker's exit at once, and of its silence at the next look.
     ///
     /// # Errors
@@ -154,6 +165,7 @@ impl Planner {
             reader,
             waiting,
             watch: None,
+            readiness: None,
             tracker: Tracker::new(),
             arrival: Arrival::default(),
             index: RefCell::default(),
@@ -182,7 +194,7 @@ impl Planner {
         self.wait(timeout, None)
     }
 
-    /// As [`Planner::wait_next`], and calls `each` for every frame that has arrived since the last call, oldest first: none
+    /// As [`Subscriber::wait_next`], and calls `each` for every frame that has arrived since the last call, oldest first: none
     /// of them is skipped. The event is that of the last one.
     ///
     /// # Errors
@@ -227,7 +239,7 @@ impl Planner {
     }
 
     /// The newest frame, without waiting, whether or not it was returned before: its header has the
-    /// tick, and [`Planner::worker`] tells whether to rely on it. `None` until the first has
+    /// tick, and [`Subscriber::worker`] tells whether to rely on it. `None` until the first has
     /// arrived. Allocates nothing.
     ///
     /// # Errors
@@ -246,15 +258,68 @@ impl Planner {
         Some(Frame::new(held, number, &self.index, self.arrival))
     }
 
-    /// The frame of [`Planner::current`], to keep beyond the next call, in shared memory; there is no current one
-    /// then until a newer frame arrives. Two may be kept: with more, reading is an error until one is dropped.
+    /// Takes the frame of [`Subscriber::current`] out, as [`Option::take`] does, to keep it in shared memory beyond the
+    /// next call. There is no current one then until a newer frame arrives. Two may be kept: with more,
+    /// reading is an error until one is dropped.
     #[must_use]
-    pub fn keep(&mut self) -> Option<KeptForecasts> {
+    pub fn take_current(&mut self) -> Option<KeptForecasts> {
         self.reader.take_held().map(KeptForecasts)
     }
 
-    /// The state of the worker now, as seen by the last call to [`Planner::wait_next`] or
-    /// [`Planner::latest`].
+    /// A descriptor that is readable when [`Subscriber::wait_next`] is likely to have something to return, for
+    /// `epoll`, tokio or mio. It is readable when a frame has arrived or the worker's process has exited.
+    ///
+    /// - **When it is readable**, call [`Subscriber::wait_next`] with a timeout of zero until it returns
+    ///   [`Event::TimedOut`]. It may return that at once.
+    /// - **Call it without readiness as well**, within [`Subscriber::look_within`]: the descriptor tells nothing of a
+    ///   worker that is silent ([`Event::Stale`]), nor of signals, and may miss a frame that arrives while
+    ///   an earlier one is read. Of a [polling](Subscriber::polling) subscriber it tells the worker's exit only.
+    ///
+    /// ```no_run
+    /// # use joulebus_consumer::{Event, Subscriber};
+    /// # use std::time::Duration;
+    /// # async fn example(mut subscriber: Subscriber) -> anyhow::Result<()> {
+    /// let readiness = tokio::io::unix::AsyncFd::new(subscriber.readiness()?)?;
+    /// loop {
+    ///     match subscriber.wait_next(Duration::ZERO)? {
+    ///         Event::Frame(frame) => println!("tick {}", frame.header().tick),
+    ///         Event::TimedOut => {
+    ///             let ready = tokio::time::timeout(subscriber.look_within(), readiness.readable());
+    ///             if let Ok(ready) = ready.await {
+    ///                 ready?.clear_ready();
+    ///             }
+    ///         }
+    ///         _ => println!("do not rely on forecasts"),
+    ///     }
+    /// }
+    /// # }
+    /// ```
+    ///
+    /// # Errors
+    /// The operating system's, when it has no descriptor left.
+    pub fn readiness(&mut self) -> io::Result<Readiness> {
+        if let Some(readiness) = &self.readiness {
+            return Ok(readiness.clone());
+        }
+        let readiness = match &self.waiting {
+            Waiting::Listening(waiter) => Readiness::of(waiter)?,
+            Waiting::Polling(_) => Readiness::new()?,
+        };
+        self.readiness = Some(readiness.clone());
+        self.watch_readiness();
+        Ok(readiness)
+    }
+
+    /// The longest time to wait for [`Subscriber::readiness`] before [`Subscriber::wait_next`] is called anyway. At most
+    /// 100 ms.
+    #[must_use]
+    pub fn look_within(&self) -> Duration {
+        let left_ns = self.next_look_ns().saturating_sub(clock::monotonic_ns());
+        LOOK_EVERY.min(Duration::from_nanos(left_ns))
+    }
+
+    /// The state of the worker now, as seen by the last call to [`Subscriber::wait_next`] or
+    /// [`Subscriber::latest`].
     #[must_use]
     pub fn worker(&self) -> WorkerState {
         self.tracker.state(match &self.waiting {
@@ -273,16 +338,16 @@ impl Planner {
     /// Opens a channel that the worker sends.
     ///
     /// # Errors
-    /// [`OpenError`] with the cause and the remedy.
-    pub fn feed<C: Channel>(&self) -> Result<Feed<C>, OpenError> {
-        self.bus.reader(&self.limits).map(Feed::new)
+    /// [`ConnectError`] with the cause and the remedy.
+    pub fn feed<C: Channel>(&self) -> Result<Feed<C>, ConnectError> {
+        Ok(Feed::new(self.bus.reader(&self.limits)?))
     }
 
     /// Opens the diagnostics. Frames sent from now on can be read.
     ///
     /// # Errors
-    /// [`OpenError`] with the cause and the remedy.
-    pub fn diagnostics(&self) -> Result<Feed<Diagnostics>, OpenError> {
+    /// [`ConnectError`] with the cause and the remedy.
+    pub fn diagnostics(&self) -> Result<Feed<Diagnostics>, ConnectError> {
         self.feed()
     }
 
@@ -290,8 +355,8 @@ impl Planner {
     /// updates its connections.
     ///
     /// # Errors
-    /// [`OpenError`] with the cause and the remedy.
-    pub fn budgets(&self) -> Result<Feed<Budgets>, OpenError> {
+    /// [`ConnectError`] with the cause and the remedy.
+    pub fn budgets(&self) -> Result<Feed<Budgets>, ConnectError> {
         self.feed()
     }
 
@@ -299,8 +364,8 @@ impl Planner {
     /// comes with the next tick. `joulebus-plan` computes with it.
     ///
     /// # Errors
-    /// [`OpenError`] with the cause and the remedy.
-    pub fn plan_states(&self) -> Result<Feed<PlanStates>, OpenError> {
+    /// [`ConnectError`] with the cause and the remedy.
+    pub fn plan_states(&self) -> Result<Feed<PlanStates>, ConnectError> {
         self.feed()
     }
 
@@ -308,8 +373,8 @@ impl Planner {
     /// refused. Few readers are allowed at once: recorders come first.
     ///
     /// # Errors
-    /// [`OpenError`] with the cause and the remedy.
-    pub fn queries(&self) -> Result<Feed<Queries>, OpenError> {
+    /// [`ConnectError`] with the cause and the remedy.
+    pub fn queries(&self) -> Result<Feed<Queries>, ConnectError> {
         self.feed()
     }
 
@@ -323,6 +388,13 @@ impl Planner {
     #[must_use]
     pub fn foreign(&self) -> u64 {
         self.reader.foreign()
+    }
+
+    /// Should the system have no memory for it, the worker's exit is found at the next look.
+    fn watch_readiness(&self) {
+        if let (Some(readiness), Some(watch)) = (&self.readiness, &self.watch) {
+            let _ = readiness.watch(watch);
+        }
     }
 
     fn first_look_ns(&self) -> u64 {
@@ -388,6 +460,7 @@ impl Planner {
             // If the pid has been reused meanwhile, the worker is already gone and no fresh frame
             // arrives: the frame's age shows it.
             self.watch = PeerWatch::open(header.pid);
+            self.watch_readiness();
             if let Waiting::Polling(polling) = &mut self.waiting {
                 polling.poller.watch_worker(header.pid);
             }
@@ -396,9 +469,9 @@ impl Planner {
     }
 }
 
-impl fmt::Debug for Planner {
+impl fmt::Debug for Subscriber {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.debug_struct("Planner")
+        out.debug_struct("Subscriber")
             .field("worker", &self.worker())
             .field("counts", &self.counts())
             .field("limits", &self.limits)

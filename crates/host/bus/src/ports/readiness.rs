@@ -1,0 +1,67 @@
+//! One descriptor for a waiter's events and the end of a watched process, for event loops.
+
+use std::io;
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd, RawFd};
+use std::sync::Arc;
+
+use rustix::event::epoll;
+
+use super::wait::Waiter;
+use crate::PeerWatch;
+
+/// A descriptor that is readable when events wait or a watched process is gone: an `epoll` of both, which can itself be
+/// polled. It belongs to any thread, and tells nothing after its waiter and watches are gone.
+#[derive(Debug, Clone)]
+pub struct Readiness {
+    epoll: Arc<OwnedFd>,
+}
+
+impl Readiness {
+    /// Of nothing yet.
+    ///
+    /// # Errors
+    /// The operating system's.
+    pub fn new() -> io::Result<Self> {
+        let epoll = epoll::create(epoll::CreateFlags::CLOEXEC)?;
+        Ok(Self {
+            epoll: Arc::new(epoll),
+        })
+    }
+
+    /// Of a waiter's events.
+    ///
+    /// # Errors
+    /// The operating system's.
+    pub fn of(waiter: &Waiter) -> io::Result<Self> {
+        let readiness = Self::new()?;
+        readiness.add(waiter.as_fd())?;
+        Ok(readiness)
+    }
+
+    /// Of a process as well, for as long as `peer` lives.
+    ///
+    /// # Errors
+    /// The operating system's.
+    pub fn watch(&self, peer: &PeerWatch) -> io::Result<()> {
+        self.add(peer.as_fd())
+    }
+
+    /// Closing a descriptor removes it again.
+    fn add(&self, descriptor: BorrowedFd<'_>) -> io::Result<()> {
+        let data = epoll::EventData::new_u64(0);
+        epoll::add(&self.epoll, descriptor, data, epoll::EventFlags::IN)?;
+        Ok(())
+    }
+}
+
+impl AsFd for Readiness {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.epoll.as_fd()
+    }
+}
+
+impl AsRawFd for Readiness {
+    fn as_raw_fd(&self) -> RawFd {
+        self.epoll.as_raw_fd()
+    }
+}
