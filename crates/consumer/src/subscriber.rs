@@ -185,7 +185,7 @@ impl Subscriber {
 
     /// Waits until there is a frame that was not returned before, the worker ends or is stale, a
     /// signal arrives, or `timeout` is over. Of several frames it returns the newest; skipped ones
-    /// are counted in [`Forecasts::arrival`]. A frame takes precedence over the other events.
+    /// are counted in [`Frame::arrival`]. A frame takes precedence over the other events.
     /// Allocates nothing.
     ///
     /// # Errors
