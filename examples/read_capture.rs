@@ -3,7 +3,8 @@
 
 use std::collections::BTreeMap;
 
-use joulebus_capture_format::{Message, Reader};
+use joulebus_capture_format::{Frame, Reader};
+use joulebus_wire::Forecasts;
 
 fn main() -> anyhow::Result<()> {
     let directory = tempfile::tempdir()?;
@@ -21,8 +22,8 @@ fn main() -> anyhow::Result<()> {
     while let Some(entry) = reader.next_entry()? {
         *messages.entry(entry.topic.to_string()).or_default() += 1;
         // The payloads are those of shared memory, with the same bits.
-        if let Message::Forecasts(_header, robots) = entry.message {
-            for power_w in robots.iter().filter_map(|robot| robot.expected_w()) {
+        if let Some(Frame { rows, .. }) = entry.message.frame::<Forecasts>() {
+            for power_w in rows.iter().filter_map(|robot| robot.expected_w()) {
                 sum_w += f64::from(power_w);
                 forecasts += 1;
             }

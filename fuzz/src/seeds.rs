@@ -15,7 +15,9 @@ use joulebus_model_files::{to_arrays, to_npz};
 use joulebus_predictor::FeatureSet;
 use joulebus_testkit_fleets::{MS, PERIOD_NS, Source, healthy};
 use joulebus_testkit_networks::random::network;
-use joulebus_wire::{AnswerHeader, AnswerRow, QueryRecord, SampleHeader, answer_flag, push_record};
+use joulebus_wire::{
+    AnswerHeader, AnswerRow, QueryRecord, SampleHeader, Samples, answer_flag, push_record,
+};
 use mcap::WriteOptions;
 
 use super::capture::damaged;
@@ -336,7 +338,7 @@ fn captures() -> Vec<(String, Vec<u8>)> {
             samples_before: step,
             ..Source::new(1, 10).header
         };
-        let message = Message::Samples(header, vec![healthy(1, step, step, PERIOD_NS)]);
+        let message = Message::of::<Samples>(header, vec![healthy(1, step, step, PERIOD_NS)]);
         let times = Times {
             log_ns: step,
             publish_ns: step,

@@ -20,13 +20,12 @@ const MAX_COLUMNS: usize = 100;
 
 /// Folders whose comments are still to be wrapped. The list only shrinks: the test below demands
 /// that a folder leaves it once it has no long line.
-const UNWRAPPED: [&str; 14] = [
+const UNWRAPPED: [&str; 13] = [
     "crates/capture",
     "crates/cli",
     "crates/consumer",
     "crates/core/domain",
     "crates/core/wire",
-    "crates/gateways/link",
     "crates/host/bus",
     "crates/languages/c",
     "crates/languages/python",

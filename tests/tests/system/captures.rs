@@ -7,8 +7,9 @@ use std::process::Command;
 use std::time::Duration;
 
 use joulebus_bus::clock;
-use joulebus_capture_format::{Entry, Message, ReadError, Reader};
+use joulebus_capture_format::{Entry, ReadError, Reader};
 use joulebus_tests::{Arena, Child, Dice, Setup, Spread, eventually, figure, without_loss};
+use joulebus_wire::State;
 
 /// 20 robots at 30 Hz, as in the demonstration.
 fn arena() -> Arena {
@@ -51,16 +52,10 @@ const KINDS: [&str; 6] = [
 
 /// Identity of a message.
 fn name(entry: &Entry) -> (String, u64, u64) {
-    let (run, number) = match &entry.message {
-        Message::Samples(header, _) => (header.source_epoch, header.frame_seq),
-        Message::Forecasts(header, _) => (header.worker_epoch, header.tick),
-        Message::Diagnostics(header, _) => (header.worker_epoch, header.tick),
-        Message::Budgets(header, _) => (header.worker_epoch, header.tick),
-        Message::PlanStates(header, _) => (header.worker_epoch, header.tick),
-        Message::Ticks(header, _) => (header.worker_epoch, header.tick),
-        Message::State(header, _) => (header.tick, header.offset),
-        Message::Query(query) => (query.record.begun_ns, query.record.number),
-        other => panic!("{other:?}"),
+    let place = entry.message.place().unwrap();
+    let (run, number) = match entry.message.frame::<State>() {
+        Some(piece) => (piece.header.tick, piece.header.offset),
+        None => (place.run, place.number),
     };
     (entry.topic.to_string(), run, number)
 }

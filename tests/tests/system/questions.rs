@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::fs;
 
-use joulebus_capture_format::{Message, Query, Reader};
+use joulebus_capture_format::{Query, Reader};
 use joulebus_tests::{
     Arena, AskerLine, Child, Dice, PATIENCE, Setup, Spread, alone, eventually, figure, spoilt,
 };
@@ -333,9 +333,7 @@ fn queries(file: &std::path::Path) -> Vec<Query> {
     let mut reader = Reader::open(file).unwrap();
     let mut found = Vec::new();
     while let Some(entry) = reader.next_entry().unwrap() {
-        if let Message::Query(query) = entry.message {
-            found.push(query);
-        }
+        found.extend(entry.message.take::<Query>());
     }
     found
 }
@@ -458,19 +456,22 @@ fn recorded_answers_are_computed_again_and_a_changed_one_is_found() {
         // Those at the begin may be about ticks before the first keyframe.
         let passed = std::cell::Cell::new(0);
         let place = std::cell::Cell::new(0);
-        spoilt(&file, &to, |message| match message {
+        spoilt(&file, &to, |message| {
             // Of candidates, whose last command counts, of a robot that has been read: not of a path, nor of one that
             // is answered with unknown whatever is asked.
-            Message::Query(query) if query.rows.len() > 4 && query.rows[15].mean_j.is_finite() => {
-                passed.set(passed.get() + 1);
-                let is_it = passed.get() > count("queries_outside") + 20;
-                if is_it {
-                    spoil(query);
-                    place.set(query.record.answer.tick);
-                }
-                is_it
+            let query = message.get_mut::<Query>();
+            let is_known =
+                |query: &&mut Query| query.rows.len() > 4 && query.rows[15].mean_j.is_finite();
+            let Some(query) = query.filter(is_known) else {
+                return false;
+            };
+            passed.set(passed.get() + 1);
+            let is_it = passed.get() > count("queries_outside") + 20;
+            if is_it {
+                spoil(query);
+                place.set(query.record.answer.tick);
             }
-            _ => false,
+            is_it
         });
         let ended = alone(&["replay", "--verify", to.to_str().unwrap()]);
         let report = ended.json();

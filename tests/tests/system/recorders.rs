@@ -4,8 +4,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use joulebus_capture_format::{Message, Reader};
+use joulebus_capture_format::Reader;
 use joulebus_tests::{Arena, Child, Ended, Setup, alone, eventually, program, without_loss};
+use joulebus_wire::Samples;
 use rustix::process::Signal;
 
 const ROBOTS: u32 = 12;
@@ -16,10 +17,8 @@ fn samples(file: &Path) -> u64 {
         .unwrap()
         .map(|entry| entry.unwrap().message);
     messages
-        .map(|message| match message {
-            Message::Samples(_, rows) => rows.len() as u64,
-            _ => 0,
-        })
+        .filter_map(|message| message.into_frame::<Samples>().ok())
+        .map(|frame| frame.rows.len() as u64)
         .sum()
 }
 

@@ -5,14 +5,17 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use joulebus_capture_format::{Entry, Message, Reader};
+use joulebus_capture_format::{Entry, Frame, Message, Reader};
 use joulebus_predictor::{FeatureSet, Network};
 use joulebus_testkit_networks::random;
 use joulebus_tests::{
     Arena, Child, Ended, ReaderLine, Setup, alone, eventually, program, script, spoilt,
     without_loss,
 };
-use joulebus_wire::{Diagnostic, Forecast, Quality, Sample, sample_flag};
+use joulebus_wire::{
+    Budgets, Channel, Diagnostic, Diagnostics, Forecast, Forecasts, Quality, Sample, Samples,
+    sample_flag,
+};
 use serde_json::Value;
 
 const ROBOTS: u32 = 12;
@@ -29,31 +32,32 @@ struct Heard {
     diagnostics: BTreeMap<(u32, u64), Diagnostic>,
 }
 
+/// The rows of a frame; none of another channel's.
+fn rows_of<C: Channel>(message: &Message) -> impl Iterator<Item = C::Row> {
+    let frames = message.frame::<C>().into_iter();
+    frames.flat_map(|frame| frame.rows.iter().copied())
+}
+
 fn heard(file: &Path) -> Heard {
     let mut heard = Heard::default();
     for entry in entries(file) {
-        match entry.message {
-            Message::Samples(_, rows) => heard
-                .samples
-                .extend(rows.into_iter().map(|row| ((row.robot, row.seq), row))),
-            Message::Forecasts(_, rows) => {
-                // Open-loop forecasts by the worker's clock are provisional.
-                let live = rows.into_iter().filter(|row| {
-                    matches!(
-                        row.quality(),
-                        Quality::Fresh | Quality::Held | Quality::Warmup { .. }
-                    )
-                });
-                heard
-                    .forecasts
-                    .extend(live.map(|row| ((row.robot, row.sample_seq), row)));
-            }
-            Message::Diagnostics(_, rows) => heard.diagnostics.extend(
-                rows.into_iter()
-                    .map(|row| ((row.robot, row.sample_seq), row)),
-            ),
-            _ => {}
-        }
+        let message = &entry.message;
+        let samples = rows_of::<Samples>(message).map(|row| ((row.robot, row.seq), row));
+        heard.samples.extend(samples);
+        // Open-loop forecasts by the worker's clock are provisional.
+        let live = rows_of::<Forecasts>(message).filter(|row| {
+            matches!(
+                row.quality(),
+                Quality::Fresh | Quality::Held | Quality::Warmup { .. }
+            )
+        });
+        heard
+            .forecasts
+            .extend(live.map(|row| ((row.robot, row.sample_seq), row)));
+        let diagnostics = rows_of::<Diagnostics>(message);
+        heard
+            .diagnostics
+            .extend(diagnostics.map(|row| ((row.robot, row.sample_seq), row)));
     }
     heard
 }
@@ -171,14 +175,16 @@ fn a_recorded_run_is_verified_and_a_flipped_bit_is_reported() {
         ticks.set(ticks.get() + 1);
         ticks.get() > unverified + 10
     };
-    spoilt(&file, &flipped, |message| match message {
-        Message::Forecasts(header, rows) if is_verified() && rows.len() == 12 => {
-            rows[7].hi_w = f32::from_bits(rows[7].hi_w.to_bits() ^ 1);
-            let mut place = place.borrow_mut();
-            (*place.0, *place.1) = (header.tick, rows[7].robot);
-            true
+    spoilt(&file, &flipped, |message| {
+        match message.frame_mut::<Forecasts>() {
+            Some(Frame { header, rows }) if is_verified() && rows.len() == 12 => {
+                rows[7].hi_w = f32::from_bits(rows[7].hi_w.to_bits() ^ 1);
+                let mut place = place.borrow_mut();
+                (*place.0, *place.1) = (header.tick, rows[7].robot);
+                true
+            }
+            _ => false,
         }
-        _ => false,
     });
     let ended = alone(&["replay", "--verify", flipped.to_str().unwrap()]);
     let report = ended.json();
@@ -193,12 +199,14 @@ fn a_recorded_run_is_verified_and_a_flipped_bit_is_reported() {
     assert_ne!(first["recorded"], first["computed"]);
 
     let flipped = arena.files().join("sample.mcap");
-    spoilt(&file, &flipped, |message| match message {
-        Message::Samples(header, rows) if header.frame_seq == 80 => {
-            rows[3].power_w = f32::from_bits(rows[3].power_w.to_bits() ^ (1 << 10));
-            true
+    spoilt(&file, &flipped, |message| {
+        match message.frame_mut::<Samples>() {
+            Some(Frame { header, rows }) if header.frame_seq == 80 => {
+                rows[3].power_w = f32::from_bits(rows[3].power_w.to_bits() ^ (1 << 10));
+                true
+            }
+            _ => false,
         }
-        _ => false,
     });
     let ended = alone(&["replay", "--verify", flipped.to_str().unwrap()]);
     assert_eq!(ended.code(), Some(3), "{}", ended.text());
@@ -223,10 +231,7 @@ fn a_run_with_a_model_that_reads_freshness_is_verified() {
     assert_every_tick_verified(&report);
     let mut counts = [0; 2];
     for entry in entries(&file) {
-        let Message::Forecasts(_, rows) = entry.message else {
-            continue;
-        };
-        for row in rows {
+        for row in rows_of::<Forecasts>(&entry.message) {
             let known = row.expected_w().is_some();
             match row.quality() {
                 Quality::Fresh => counts[0] += usize::from(known),
@@ -448,11 +453,9 @@ fn planners_can_be_developed_without_a_worker_and_from_the_middle() {
     recorder.end();
 
     let frames = |file: &Path| -> Vec<(u64, Vec<String>)> {
-        let frame = |entry: Entry| match entry.message {
-            Message::Forecasts(header, rows) => {
-                Some((header.tick, rows.iter().map(timeless_forecast).collect()))
-            }
-            _ => None,
+        let frame = |entry: Entry| {
+            let Frame { header, rows } = entry.message.frame::<Forecasts>()?;
+            Some((header.tick, rows.iter().map(timeless_forecast).collect()))
         };
         entries(file).into_iter().filter_map(frame).collect()
     };
@@ -468,10 +471,7 @@ fn planners_can_be_developed_without_a_worker_and_from_the_middle() {
     // Budgets from before the offset were sent first.
     let first = entries(&second)
         .into_iter()
-        .find_map(|entry| match entry.message {
-            Message::Budgets(header, _) => Some(header.tick),
-            _ => None,
-        });
+        .find_map(|entry| Some(entry.message.frame::<Budgets>()?.header.tick));
     assert!(
         first.unwrap() <= after[0].0,
         "budgets {first:?}, forecasts {}",

@@ -39,7 +39,10 @@ mod writer;
 pub use attachments::{Attached, Attachments};
 pub use clock::Clock;
 pub use inspect::values;
-pub use messages::{DecodeError, Entry, Message, MessageKind, OutOfRange, Query};
+pub use messages::{
+    Content, DecodeError, Entry, ForEachChannel, Frame, Message, MessageKind, OutOfRange, Query,
+    RobotRow,
+};
 pub use reader::{ReadError, Reader};
 pub use ros_file::{RosFile, RosTopic, RosTopicId};
 pub use writer::{

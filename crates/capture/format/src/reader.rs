@@ -53,13 +53,19 @@ struct Contents {
     schemas: HashMap<u16, Arc<str>>,
     channels: HashMap<u16, Channel>,
     attachments: Attachments,
+    /// Kinds of channels that are declared elsewhere.
+    kinds: Vec<MessageKind>,
 }
 
 struct Channel {
     topic: Arc<str>,
     fleet: Arc<str>,
     schema: Arc<str>,
+    /// None for messages of other programs.
     kind: Option<MessageKind>,
+    is_protobuf: bool,
+    /// As the file says.
+    of_fleet: Arc<str>,
 }
 
 impl Reader<File> {
@@ -99,6 +105,21 @@ impl<S: Read> Reader<S> {
             Err(error) => return Err(error),
         };
         Ok(reader)
+    }
+
+    /// Also reads messages of these kinds: those of channels that are declared elsewhere.
+    #[must_use]
+    pub fn with_kinds(mut self, kinds: impl IntoIterator<Item = MessageKind>) -> Self {
+        let Contents {
+            channels,
+            kinds: known,
+            ..
+        } = &mut self.contents;
+        known.extend(kinds);
+        channels
+            .values_mut()
+            .for_each(|channel| channel.find_kind(known));
+        self
     }
 
     /// Config, models and build, and the file's metadata; in files of other programs only those
@@ -210,7 +231,8 @@ impl Contents {
             }
             Record::Channel(channel) => {
                 let schema = self.schemas.get(&channel.schema_id).cloned();
-                let channel_of = Channel::new(&channel, schema.unwrap_or_default());
+                let schema = schema.unwrap_or_default();
+                let channel_of = Channel::new(&channel, schema, &self.kinds);
                 self.channels.insert(channel.id, channel_of);
             }
             Record::Attachment { header, data, .. } => {
@@ -240,15 +262,27 @@ impl<S: Read> Iterator for Reader<S> {
 }
 
 impl Channel {
-    fn new(channel: &mcap::records::Channel, schema: Arc<str>) -> Self {
-        let kind =
-            MessageKind::of_schema(&schema).filter(|_| channel.message_encoding == "protobuf");
-        let fleet = channel.metadata.get("fleet").filter(|_| kind.is_some());
-        Self {
+    fn new(channel: &mcap::records::Channel, schema: Arc<str>, kinds: &[MessageKind]) -> Self {
+        let fleet = channel.metadata.get("fleet").map_or("", String::as_str);
+        let mut of = Self {
             topic: channel.topic.as_str().into(),
-            fleet: fleet.map_or("", String::as_str).into(),
+            fleet: Arc::default(),
             schema,
-            kind,
+            kind: None,
+            is_protobuf: channel.message_encoding == "protobuf",
+            of_fleet: fleet.into(),
+        };
+        of.find_kind(kinds);
+        of
+    }
+
+    /// Sets the kind, if it is one of ours or one of `others`.
+    fn find_kind(&mut self, others: &[MessageKind]) {
+        let mut kinds = MessageKind::ALL.iter().chain(others);
+        let kind = kinds.find(|kind| self.is_protobuf && kind.is_schema(&self.schema));
+        self.kind = kind.copied();
+        if self.kind.is_some() {
+            self.fleet = Arc::clone(&self.of_fleet);
         }
     }
 }

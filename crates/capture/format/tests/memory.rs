@@ -10,6 +10,7 @@ use joulebus_capture_format::{
 };
 
 use fields::Bits;
+use joulebus_wire::Forecasts;
 
 /// A value in `/proc/self/status`, bytes.
 fn memory(name: &str) -> u64 {
@@ -34,9 +35,8 @@ fn a_long_capture_is_read_in_bounded_memory() {
     .unwrap();
     // 100 robots at 30 Hz, with incompressible bits.
     let mut bits = Bits(1);
-    let header = fields::forecast_header(&mut bits);
-    let rows = (0..100).map(|_| fields::forecast(&mut bits)).collect();
-    let message = Message::Forecasts(header, rows);
+    let rows = (0..100).map(|_| bits.row()).collect();
+    let message = Message::of::<Forecasts>(bits.row(), rows);
     let mut written = 0;
     while writer.bytes() < bytes {
         let times = Times {

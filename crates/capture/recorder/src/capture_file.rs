@@ -78,7 +78,7 @@ impl Write for CaptureFile {
 mod tests {
     use std::io::Read as _;
 
-    use joulebus_wire::TickHeader;
+    use joulebus_wire::{TickHeader, Ticks};
     use rustix::fs::{MemfdFlags, SealFlags, fcntl_add_seals, memfd_create};
 
     use super::*;
@@ -119,7 +119,7 @@ mod tests {
             return (0, GIVEN, false);
         };
         for number in 1..=GIVEN {
-            let message = Message::Ticks(TickHeader::default(), Vec::new());
+            let message = Message::of::<Ticks>(TickHeader::default(), Vec::new());
             let times = Times::default();
             // A failure is counted; later calls return an error again.
             let _ = writer.write("lab", times, &message);

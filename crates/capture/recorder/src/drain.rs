@@ -3,13 +3,13 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use joulebus_bus::{Bus, JoinError, OpenError, Reader, ReceiveError, Steps, clock};
+use joulebus_bus::{Bus, JoinError, Limits, OpenError, Reader, ReceiveError, Steps, clock};
 use joulebus_config::Config;
-use joulebus_wire::{Channel, records};
+use joulebus_wire::{Channel, Flow, FrameRows};
 
 use crate::item::Item;
 use crate::shared::Shared;
-use joulebus_capture_format::{Clock, Message, MessageKind, Query, Times};
+use joulebus_capture_format::{Clock, ForEachChannel, Message, MessageKind, Times};
 
 /// Maximum interval between two drains.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
@@ -31,17 +31,60 @@ pub enum DrainError {
     Open(#[from] OpenError),
 }
 
+/// A channel that is recorded.
+#[derive(Debug, Clone, Copy)]
+pub struct RecordedChannel {
+    /// Kind of its messages.
+    pub kind: MessageKind,
+    /// Whether its rows are repeated as messages of single robots, where that is asked for.
+    pub has_robots: bool,
+    open: fn(&Bus, &Limits) -> Result<Box<dyn Intake>, OpenError>,
+}
+
+impl RecordedChannel {
+    /// A channel, also one that is declared elsewhere.
+    #[must_use]
+    pub const fn of<C: Channel>(has_robots: bool) -> Self {
+        Self {
+            kind: MessageKind::of::<C>(),
+            has_robots,
+            open: |bus, limits| Ok(Box::new(bus.reader::<C>(limits)?)),
+        }
+    }
+
+    /// Those of a fleet; causes before effects.
+    #[must_use]
+    pub fn all() -> Vec<Self> {
+        struct All(Vec<RecordedChannel>);
+        impl ForEachChannel for All {
+            fn channel<C: Channel>(&mut self, has_robots: bool) {
+                self.0.push(RecordedChannel::of::<C>(has_robots));
+            }
+        }
+        let mut all = All(Vec::new());
+        MessageKind::each_channel(&mut all);
+        all.0
+    }
+}
+
+/// A port that is drained.
+trait Intake {
+    /// Receives all waiting frames.
+    fn take_all(&mut self, batch: &mut Vec<Message>) -> Result<(), ReceiveError>;
+}
+
+impl<C: Channel> Intake for Reader<C> {
+    fn take_all(&mut self, batch: &mut Vec<Message>) -> Result<(), ReceiveError> {
+        Self::take_all(self, |header, rows| {
+            Message::each_of_frame::<C>(header, rows, |message| batch.push(message));
+        })
+    }
+}
+
 /// The ports of one fleet. Belongs to the thread that opened them.
 pub(crate) struct Drain {
-    // Before the bus, because ports must be dropped first.
-    samples: Option<Reader<joulebus_wire::Samples>>,
-    forecasts: Option<Reader<joulebus_wire::Forecasts>>,
-    diagnostics: Option<Reader<joulebus_wire::Diagnostics>>,
-    budgets: Option<Reader<joulebus_wire::Budgets>>,
-    plan_states: Option<Reader<joulebus_wire::PlanStates>>,
-    ticks: Option<Reader<joulebus_wire::Ticks>>,
-    state: Option<Reader<joulebus_wire::State>>,
-    queries: Option<Reader<joulebus_wire::Queries>>,
+    /// Causes before effects. Before the bus, because ports must be dropped first.
+    ports: Vec<Box<dyn Intake>>,
     bus: Bus,
     shared: Arc<Shared>,
     fleet: Arc<str>,
@@ -53,44 +96,22 @@ pub(crate) struct Drain {
 }
 
 impl Drain {
-    /// Joins as `member`, and opens a port for each `wanted` kind.
+    /// Joins as `member`, and opens a port for each of the channels.
     pub(crate) fn open(
         config: &Config,
         member: &str,
         clock: Clock,
         shared: Arc<Shared>,
-        wanted: impl Fn(MessageKind) -> bool,
+        channels: impl Iterator<Item = RecordedChannel>,
     ) -> Result<Self, DrainError> {
         let bus = Bus::join(&config.domain()?, member)?;
         let limits = config.limits();
         // At most a quarter of the buffered frames arrives between two drains.
         let frames = limits.forecast_frames.min(limits.sample_frames) as u64;
         let most_ns = config.tick_period_ns().saturating_mul(frames) / 4;
+        let ports = channels.map(|channel| (channel.open)(&bus, &limits));
         Ok(Self {
-            samples: wanted(MessageKind::Samples)
-                .then(|| bus.reader(&limits))
-                .transpose()?,
-            forecasts: wanted(MessageKind::Forecasts)
-                .then(|| bus.reader(&limits))
-                .transpose()?,
-            diagnostics: wanted(MessageKind::Diagnostics)
-                .then(|| bus.reader(&limits))
-                .transpose()?,
-            budgets: wanted(MessageKind::Budgets)
-                .then(|| bus.reader(&limits))
-                .transpose()?,
-            plan_states: wanted(MessageKind::PlanStates)
-                .then(|| bus.reader(&limits))
-                .transpose()?,
-            ticks: wanted(MessageKind::Ticks)
-                .then(|| bus.reader(&limits))
-                .transpose()?,
-            state: wanted(MessageKind::State)
-                .then(|| bus.reader(&limits))
-                .transpose()?,
-            queries: wanted(MessageKind::Queries)
-                .then(|| bus.reader(&limits))
-                .transpose()?,
+            ports: ports.collect::<Result<_, OpenError>>()?,
             bus,
             shared,
             fleet: Arc::from(config.fleet()),
@@ -108,7 +129,7 @@ impl Drain {
             self.complain(&error);
         }
         let now_ns = self.clock.unix_ns(clock::monotonic_ns());
-        self.batch.sort_by_key(place);
+        self.batch.sort_by_cached_key(place);
         for message in self.batch.drain(..) {
             let sent_ns = message.sent_ns().map(|sent_ns| self.clock.unix_ns(sent_ns));
             // No frame was sent after now, and written times must be in order.
@@ -129,23 +150,11 @@ impl Drain {
     /// Effects are received before their causes: after a tick's journal is received, the samples
     /// that it took are received as well. A failing service does not block the others.
     fn take_all(&mut self) -> Result<(), ReceiveError> {
-        let batch = &mut self.batch;
-        let queries = take_queries(&mut self.queries, batch);
-        let state = take_all(&mut self.state, batch, Message::State);
-        let ticks = take_all(&mut self.ticks, batch, Message::Ticks);
-        let plan_states = take_all(&mut self.plan_states, batch, Message::PlanStates);
-        let budgets = take_all(&mut self.budgets, batch, Message::Budgets);
-        let diagnostics = take_all(&mut self.diagnostics, batch, Message::Diagnostics);
-        let forecasts = take_all(&mut self.forecasts, batch, Message::Forecasts);
-        let samples = take_all(&mut self.samples, batch, Message::Samples);
-        queries
-            .and(state)
-            .and(ticks)
-            .and(plan_states)
-            .and(budgets)
-            .and(diagnostics)
-            .and(forecasts)
-            .and(samples)
+        let mut taken = Ok(());
+        for port in self.ports.iter_mut().rev() {
+            taken = taken.and(port.take_all(&mut self.batch));
+        }
+        taken
     }
 
     fn complain(&mut self, error: &ReceiveError) {
@@ -170,42 +179,21 @@ impl Steps for Drain {
     }
 }
 
-/// Receives all waiting frames, if there is a reader.
-fn take_all<C: Channel>(
-    reader: &mut Option<Reader<C>>,
-    batch: &mut Vec<Message>,
-    message: impl Fn(C::Header, Vec<C::Row>) -> Message,
-) -> Result<(), ReceiveError> {
-    let Some(reader) = reader else {
-        return Ok(());
-    };
-    reader.take_all(|header, rows| batch.push(message(*header, rows.to_vec())))
-}
-
-/// Receives the records of all waiting frames, if there is a reader.
-fn take_queries(
-    reader: &mut Option<Reader<joulebus_wire::Queries>>,
-    batch: &mut Vec<Message>,
-) -> Result<(), ReceiveError> {
-    let Some(reader) = reader else {
-        return Ok(());
-    };
-    reader.take_all(|_, words| {
-        batch.extend(records(words).map(|record| Message::Query(Query::of_record(record))));
-    })
-}
-
 /// Causes are sorted before effects: samples first, then tick by tick. Otherwise messages stay in
 /// the order in which they were sent.
-fn place(message: &Message) -> (u8, u64, u64, u8) {
-    match message {
-        Message::Samples(header, _) => (0, header.sent_ns, 0, 0),
-        Message::Ticks(header, _) => (1, header.worker_epoch, header.tick, 0),
-        Message::Forecasts(header, _) => (1, header.worker_epoch, header.tick, 1),
-        Message::Diagnostics(header, _) => (1, header.worker_epoch, header.tick, 2),
-        Message::Budgets(header, _) => (1, header.worker_epoch, header.tick, 3),
-        Message::PlanStates(header, _) => (1, header.worker_epoch, header.tick, 4),
-        Message::State(header, _) => (1, header.worker_epoch, header.tick, 5),
-        _ => (2, 0, 0, 0),
+fn place(message: &Message) -> (u8, u64, u64, usize) {
+    let (Some(kind), Some(place)) = (message.kind(), message.place()) else {
+        return (2, 0, 0, 0);
+    };
+    match (kind.flow(), kind.rows()) {
+        (Flow::Sources, _) => (0, message.sent_ns().unwrap_or_default(), 0, 0),
+        (_, FrameRows::Words(_)) => (2, 0, 0, 0),
+        // The journal says what a tick took.
+        (_, FrameRows::Taken) => (1, place.run, place.number, 0),
+        _ => {
+            let known = MessageKind::OF_FLEET.iter();
+            let after = known.take_while(|known| **known != kind).count();
+            (1, place.run, place.number, 1 + after)
+        }
     }
 }

@@ -8,12 +8,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use joulebus_files::disk;
+use joulebus_wire::{Diagnostics, State};
 
 use crate::capture_file::CaptureFile;
 use crate::item::Item;
 use crate::options::{Options, Snapshot};
 use joulebus_capture_format::{
-    Attachments, Message, MessageKind, Sequences, WriteError, Writer, Written,
+    Attachments, Frame, MessageKind, Sequences, WriteError, Writer, Written,
 };
 
 /// Destination of a capture.
@@ -275,40 +276,22 @@ impl Files {
     }
 
     fn write_robots(&mut self, item: &Item) -> Result<(), WriteError> {
-        match &item.message {
-            Message::Samples(_, rows) => {
-                self.write_rows(item, rows, |row| Message::RobotSample(*row))
-            }
-            Message::Forecasts(_, rows) => {
-                self.write_rows(item, rows, |row| Message::RobotForecast(*row))
-            }
-            Message::Diagnostics(_, rows) => {
-                self.write_rows(item, rows, |row| Message::RobotDiagnostic(*row))
-            }
-            Message::Budgets(_, rows) => {
-                self.write_rows(item, rows, |row| Message::RobotBudget(*row))
-            }
-            _ => Ok(()),
+        let kind = item.message.kind();
+        let mut channels = self.options.channels.iter();
+        if !channels.any(|channel| channel.has_robots && Some(channel.kind) == kind) {
+            return Ok(());
         }
-    }
-
-    fn write_rows<T>(
-        &mut self,
-        item: &Item,
-        rows: &[T],
-        message: impl Fn(&T) -> Message,
-    ) -> Result<(), WriteError> {
-        for message in rows.iter().map(message) {
-            let (Some(kind), Some(robot)) = (message.kind(), message.robot()) else {
-                continue;
-            };
-            if self.is_chosen(item, kind, robot)
+        let mut written = Ok(());
+        item.message.each_robot(|row| {
+            if written.is_ok()
+                && let (Some(kind), Some(robot)) = (row.kind(), row.robot())
+                && self.is_chosen(item, kind, robot)
                 && let Some(open) = &mut self.open
             {
-                open.writer.write(&item.fleet, item.times, &message)?;
+                written = open.writer.write(&item.fleet, item.times, &row);
             }
-        }
-        Ok(())
+        });
+        written
     }
 
     fn is_chosen(&mut self, item: &Item, kind: MessageKind, robot: u32) -> bool {
@@ -367,7 +350,11 @@ impl KeptItems {
     fn keep(&mut self, item: Item, snapshot: Snapshot) -> bool {
         let alarm = self.raises_alarm(&item);
         let from_ns = item.times.log_ns.saturating_sub(snapshot.keep_ns);
-        if matches!(&item.message, Message::State(header, _) if header.offset == 0) {
+        if item
+            .message
+            .frame::<State>()
+            .is_some_and(|piece| piece.header.offset == 0)
+        {
             self.keyframes.push_back(item.times.log_ns);
         }
         self.bytes += item.bytes();
@@ -409,7 +396,7 @@ impl KeptItems {
     }
 
     fn raises_alarm(&mut self, item: &Item) -> bool {
-        let Message::Diagnostics(_, rows) = &item.message else {
+        let Some(Frame { rows, .. }) = item.message.frame::<Diagnostics>() else {
             return false;
         };
         let known = self.alarms.entry(Arc::clone(&item.fleet)).or_default();
@@ -426,10 +413,10 @@ impl KeptItems {
 
 #[cfg(test)]
 mod tests {
-    use joulebus_wire::{StateHeader, TickHeader};
+    use joulebus_wire::{StateHeader, TickHeader, Ticks};
 
     use super::*;
-    use joulebus_capture_format::Times;
+    use joulebus_capture_format::{Message, Times};
 
     fn item(log_ns: u64, message: Message) -> Item {
         Item {
@@ -444,8 +431,18 @@ mod tests {
 
     #[test]
     fn a_snapshot_goes_back_to_the_keyframe_before_its_window_within_its_bytes() {
-        let tick = |at_ns| item(at_ns, Message::Ticks(TickHeader::default(), Vec::new()));
-        let keyframe = |at_ns| item(at_ns, Message::State(StateHeader::default(), Vec::new()));
+        let tick = |at_ns| {
+            item(
+                at_ns,
+                Message::of::<Ticks>(TickHeader::default(), Vec::new()),
+            )
+        };
+        let keyframe = |at_ns| {
+            item(
+                at_ns,
+                Message::of::<State>(StateHeader::default(), Vec::new()),
+            )
+        };
         let each = tick(0).bytes();
         // Window of 10; keyframes at these times; capacity in items; oldest item kept at time 100.
         for (keyframes, room, oldest_ns) in [
@@ -517,7 +514,10 @@ mod tests {
         };
         let mut failed = false;
         for at_ns in 0..GIVEN {
-            let tick = item(at_ns, Message::Ticks(TickHeader::default(), Vec::new()));
+            let tick = item(
+                at_ns,
+                Message::of::<Ticks>(TickHeader::default(), Vec::new()),
+            );
             if failed {
                 files.lose(&tick);
             } else {
@@ -538,7 +538,12 @@ mod tests {
     fn a_recording_that_has_begun_passes_over_names_that_are_taken() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("run.mcap");
-        let tick = |at_ns| item(at_ns, Message::Ticks(TickHeader::default(), Vec::new()));
+        let tick = |at_ns| {
+            item(
+                at_ns,
+                Message::of::<Ticks>(TickHeader::default(), Vec::new()),
+            )
+        };
         let kept = Snapshot {
             keep_ns: 1_000,
             max_bytes: 1 << 20,

@@ -4,7 +4,9 @@
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 
-use joulebus_wire::{TickHeader, tick_flag};
+use joulebus_wire::{
+    Diagnostics, Flow, FrameRows, Place, PlanStates, Samples, TickHeader, Ticks, tick_flag,
+};
 
 use joulebus_capture_format::{Message, MessageKind};
 
@@ -63,10 +65,8 @@ impl Gaps {
     /// Determines the loss before a message of a fleet.
     pub(crate) fn look(&mut self, fleet: &Arc<str>, message: &Message) -> Found {
         self.looked += 1;
-        let never_sent = match message {
-            Message::Ticks(header, _) => self.left_out(fleet, header),
-            _ => 0,
-        };
+        let journal = message.frame::<Ticks>();
+        let never_sent = journal.map_or(0, |journal| self.left_out(fleet, &journal.header));
         Found {
             missing: self.missing_before(fleet, message),
             never_sent,
@@ -80,7 +80,12 @@ impl Gaps {
             return 0;
         }
         let epoch = header.worker_epoch;
-        let key = (Arc::clone(fleet), MessageKind::Diagnostics, 0, epoch);
+        let key = (
+            Arc::clone(fleet),
+            MessageKind::of::<Diagnostics>(),
+            0,
+            epoch,
+        );
         let Some(run) = self.runs.get_mut(&key) else {
             return 0;
         };
@@ -95,49 +100,22 @@ impl Gaps {
     }
 
     fn missing_before(&mut self, fleet: &Arc<str>, message: &Message) -> u64 {
-        let (kind, source, epoch, number, first) = match message {
-            Message::Samples(header, _) => {
-                let (source, epoch) = (header.source_id, header.source_epoch);
-                (MessageKind::Samples, source, epoch, header.frame_seq, 0)
-            }
-            Message::Forecasts(header, _) => (
-                MessageKind::Forecasts,
-                0,
-                header.worker_epoch,
-                header.tick,
-                1,
-            ),
-            Message::Diagnostics(header, _) => (
-                MessageKind::Diagnostics,
-                0,
-                header.worker_epoch,
-                header.tick,
-                1,
-            ),
-            Message::Budgets(header, _) => {
-                (MessageKind::Budgets, 0, header.worker_epoch, header.tick, 1)
-            }
-            Message::PlanStates(header, _) => (
-                MessageKind::PlanStates,
-                0,
-                header.worker_epoch,
-                header.tick,
-                1,
-            ),
-            Message::Ticks(header, _) => {
-                (MessageKind::Ticks, 0, header.worker_epoch, header.tick, 1)
-            }
-            Message::Query(query) => {
-                let record = &query.record;
-                (MessageKind::Queries, 0, record.begun_ns, record.number, 1)
-            }
-            // Pieces of a keyframe state their completeness themselves.
-            _ => return 0,
+        let (Some(kind), Some(place)) = (message.kind(), message.place()) else {
+            return 0;
         };
+        // Pieces of a keyframe state their completeness themselves.
+        if kind.rows() == FrameRows::Bytes {
+            return 0;
+        }
+        let Place { run: epoch, number } = place;
+        let samples = message.frame::<Samples>();
+        let source = samples.map_or(0, |samples| samples.header.source_id);
+        // Sources count from 0, and ticks are numbered from 1.
+        let first = u64::from(kind.flow() != Flow::Sources);
         let key = (Arc::clone(fleet), kind, source, epoch);
         if !self.runs.contains_key(&key) {
             self.forget_silent();
-            let is_on_demand = kind == MessageKind::PlanStates;
+            let is_on_demand = kind == MessageKind::of::<PlanStates>();
             let heard_from_the_start = epoch > self.known_since_ns && !is_on_demand;
             let next = if heard_from_the_start { first } else { number };
             let run = Run {
@@ -200,7 +178,7 @@ impl Run {
 
 #[cfg(test)]
 mod tests {
-    use joulebus_wire::{DiagnosticHeader, ForecastHeader, SampleHeader};
+    use joulebus_wire::{DiagnosticHeader, ForecastHeader, Forecasts, SampleHeader};
 
     use super::*;
 
@@ -211,7 +189,7 @@ mod tests {
             frame_seq,
             ..SampleHeader::default()
         };
-        Message::Samples(header, Vec::new())
+        Message::of::<Samples>(header, Vec::new())
     }
 
     fn tick(worker_epoch: u64, tick: u64) -> Message {
@@ -220,7 +198,7 @@ mod tests {
             tick,
             ..ForecastHeader::default()
         };
-        Message::Forecasts(header, Vec::new())
+        Message::of::<Forecasts>(header, Vec::new())
     }
 
     #[test]
@@ -233,7 +211,7 @@ mod tests {
                 tick,
                 ..Default::default()
             };
-            let message = Message::PlanStates(header, Vec::new());
+            let message = Message::of::<PlanStates>(header, Vec::new());
             gaps.look(&fleet, &message).missing
         };
         assert_eq!([7, 28, 29, 32, 33].map(&mut missing), [0, 0, 0, 2, 0]);
@@ -278,7 +256,7 @@ mod tests {
             tick,
             ..DiagnosticHeader::default()
         };
-        Message::Diagnostics(header, Vec::new())
+        Message::of::<Diagnostics>(header, Vec::new())
     }
 
     fn without_diagnostics(tick: u64) -> Message {
@@ -288,7 +266,7 @@ mod tests {
             flags: tick_flag::NO_DIAGNOSTICS,
             ..TickHeader::default()
         };
-        Message::Ticks(header, Vec::new())
+        Message::of::<Ticks>(header, Vec::new())
     }
 
     #[test]
@@ -360,7 +338,7 @@ mod tests {
             let mut sum = 0_i64;
             for message in &messages {
                 let found = gaps.look(&fleet, message);
-                let of_diagnostics = matches!(message, Message::Diagnostics(..));
+                let of_diagnostics = message.frame::<Diagnostics>().is_some();
                 sum += if of_diagnostics {
                     found.missing as i64
                 } else {

@@ -20,22 +20,6 @@ impl Item {
 
     /// Its approximate memory.
     pub(crate) fn bytes(&self) -> usize {
-        let rows = match &self.message {
-            Message::Samples(_, rows) => size_of_val(rows.as_slice()),
-            Message::Forecasts(_, rows) => size_of_val(rows.as_slice()),
-            Message::Diagnostics(_, rows) => size_of_val(rows.as_slice()),
-            Message::Budgets(_, rows) => size_of_val(rows.as_slice()),
-            Message::PlanStates(_, rows) => size_of_val(rows.as_slice()),
-            Message::Ticks(_, rows) => size_of_val(rows.as_slice()),
-            Message::State(_, bytes) => bytes.len(),
-            Message::Query(query) => {
-                size_of_val(query.values.as_slice())
-                    + size_of_val(query.rows.as_slice())
-                    + size_of_val(query.power_w.as_slice())
-                    + query.text.len()
-            }
-            _ => 0,
-        };
-        size_of::<Self>() + rows
+        size_of::<Self>() + self.message.memory()
     }
 }

@@ -17,6 +17,7 @@ mod gaps;
 mod item;
 mod options;
 mod queue;
+pub mod replay;
 mod shared;
 
 use std::io::Read;
@@ -27,7 +28,7 @@ use std::time::Duration;
 
 use joulebus_bus::{Background, Steps, clock};
 use joulebus_capture_format::{
-    Attachments, Clock, MAX_CHANNELS, MessageKind, ReadError, Reader, Times, WriteError,
+    Attachments, Clock, MAX_CHANNELS, ReadError, Reader, Times, WriteError,
 };
 use joulebus_config::Config;
 
@@ -37,7 +38,7 @@ use item::Item;
 use shared::Shared;
 
 pub use attachments::{AttachError, attach, host_clock};
-pub use drain::DrainError;
+pub use drain::{DrainError, RecordedChannel};
 pub use files::{Kept, Target};
 pub use options::{Options, RECORDER, Snapshot};
 pub use shared::{Lost, Summary};
@@ -158,7 +159,7 @@ impl Recorder {
         let (shared, config) = (Arc::clone(&self.shared), config.clone());
         let options = options.clone();
         self.drain = Some(Background::start("joulebus-drain", move || {
-            let wanted = |kind| options.wants(kind, config.fleet());
+            let wanted = options.wanted(config.fleet());
             Ok::<_, StartError>(Drain::open(&config, options.member, clock, shared, wanted)?)
         })?);
         Ok(())
@@ -204,7 +205,8 @@ impl Drop for Recorder {
 /// The number of channels per file is limited: checked before recording channels of all robots.
 fn check_channels(config: &Config, options: &Options) -> Result<(), StartError> {
     let robots = u64::from(config.settings().capacity);
-    let needed = MessageKind::OF_FLEET.len() as u64 + 4 * robots;
+    let each = options.channels.iter().filter(|channel| channel.has_robots);
+    let needed = options.channels.len() as u64 + each.count() as u64 * robots;
     let allowed = MAX_CHANNELS as u64;
     if options.per_robot && needed > allowed {
         return Err(StartError::TooManyChannels {

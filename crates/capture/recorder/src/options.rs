@@ -4,6 +4,9 @@ use std::fmt;
 use std::sync::Arc;
 
 use joulebus_capture_format::{CaptureSettings, MessageKind};
+use joulebus_wire::{Diagnostics, Ticks};
+
+use crate::drain::RecordedChannel;
 
 /// Name, among the members of a fleet, of processes that record it.
 pub const RECORDER: &str = "recorder";
@@ -15,6 +18,9 @@ pub struct Options {
     pub settings: CaptureSettings,
     /// Also channels for single robots, for plots.
     pub per_robot: bool,
+    /// Channels that can be recorded; causes before effects. One that is declared elsewhere is added to
+    /// [`RecordedChannel::all`].
+    pub channels: Vec<RecordedChannel>,
     /// Which topics are recorded.
     pub choose: Arc<dyn Fn(&str) -> bool + Send + Sync>,
     /// Maximum file size, bytes; then the next file begins.
@@ -37,6 +43,7 @@ impl fmt::Debug for Options {
         out.debug_struct("Options")
             .field("settings", &self.settings)
             .field("per_robot", &self.per_robot)
+            .field("channels", &self.channels)
             .field("max_file_bytes", &self.max_file_bytes)
             .field("max_file_ns", &self.max_file_ns)
             .field("resume", &self.resume)
@@ -64,6 +71,7 @@ impl Default for Options {
         Self {
             settings: CaptureSettings::default(),
             per_robot: false,
+            channels: RecordedChannel::all(),
             choose: Arc::new(|_| true),
             max_file_bytes: u64::MAX,
             max_file_ns: 3_600_000_000_000,
@@ -76,13 +84,19 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Whether any recorded topic needs a service of the fleet.
-    pub(super) fn wants(&self, kind: MessageKind, fleet: &str) -> bool {
+    /// The channels that any recorded topic of the fleet needs.
+    pub(super) fn wanted(&self, fleet: &str) -> impl Iterator<Item = RecordedChannel> {
+        let channels = self.channels.iter().copied();
+        channels.filter(move |channel| self.wants(channel.kind, fleet))
+    }
+
+    fn wants(&self, kind: MessageKind, fleet: &str) -> bool {
         let choose = &self.choose;
+        let diagnostics = MessageKind::of::<Diagnostics>();
         let on_alarm = self.snapshot.is_some_and(|snapshot| snapshot.on_alarm);
-        let alarms = on_alarm && kind == MessageKind::Diagnostics;
+        let alarms = on_alarm && kind == diagnostics;
         // The journal states which diagnostics were never sent.
-        let diagnostics = kind == MessageKind::Ticks && self.wants(MessageKind::Diagnostics, fleet);
-        choose(&kind.topic(fleet, 0)) || self.per_robot || alarms || diagnostics
+        let unsent = kind == MessageKind::of::<Ticks>() && self.wants(diagnostics, fleet);
+        choose(&kind.topic(fleet, 0)) || self.per_robot || alarms || unsent
     }
 }

@@ -13,6 +13,7 @@ use crate::item::Item;
 use crate::options::Options;
 use crate::queue::Queue;
 use joulebus_capture_format::{MessageKind, Written};
+use joulebus_wire::Diagnostics;
 
 /// Losses of a topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -91,7 +92,7 @@ impl Shared {
             gaps.0.look(&item.fleet, &item.message)
         };
         let topic = item.topic();
-        let diagnostics = MessageKind::Diagnostics.topic(&item.fleet, 0);
+        let diagnostics = MessageKind::of::<Diagnostics>().topic(&item.fleet, 0);
         let unwritten = (!self.queue.push(item)).into();
         self.count(topic, found.missing, unwritten);
         if found.never_sent > 0 {

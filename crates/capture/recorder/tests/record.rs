@@ -11,14 +11,14 @@ use std::time::{Duration, Instant};
 
 use joulebus_bus::{Bus, Domain, SampleWriter, WorkerLock, Writer as BusWriter, clock};
 use joulebus_capture_format::{
-    Attachments, CaptureSettings, Clock, Entry, Message, ReadError, Reader, Times, Writer,
+    Attachments, CaptureSettings, Clock, Entry, Frame, Message, ReadError, Reader, Times, Writer,
 };
 use joulebus_capture_recorder::{Options, Recorder, Snapshot, Summary, Target, attach, host_clock};
 use joulebus_config::Config;
 use joulebus_wire::{
     Budget, BudgetHeader, Budgets, Diagnostic, DiagnosticHeader, Diagnostics, Forecast,
     ForecastHeader, Forecasts, PlanState, PlanStateHeader, PlanStates, SCHEMA_VERSION, Sample,
-    SampleHeader, TakenFrame, TickHeader, Ticks,
+    SampleHeader, Samples, TakenFrame, TickHeader, Ticks,
 };
 
 const ROBOTS: usize = 10;
@@ -257,22 +257,18 @@ fn messages_are_written_in_order_causes_before_effects() {
     let clock = Reader::open(&path).unwrap().attachments().clock().unwrap();
     let mut frames = Vec::new();
     for entry in &found {
-        match &entry.message {
-            Message::Samples(header, rows) => {
-                frames.push((header.source_id, header.source_epoch, header.frame_seq));
-                assert_eq!(clock.monotonic_ns(entry.publish_time_ns), header.sent_ns);
-                assert_eq!(rows[0].omega_radps.to_bits(), (-0.0_f32).to_bits());
-            }
-            Message::Ticks(_, taken) => {
-                for frame in taken {
-                    let frame = (frame.source_id, frame.source_epoch, frame.frame_seq);
-                    assert!(
-                        frames.contains(&frame),
-                        "{frame:?} is taken before it is sent"
-                    );
-                }
-            }
-            _ => {}
+        if let Some(Frame { header, rows }) = entry.message.frame::<Samples>() {
+            frames.push((header.source_id, header.source_epoch, header.frame_seq));
+            assert_eq!(clock.monotonic_ns(entry.publish_time_ns), header.sent_ns);
+            assert_eq!(rows[0].omega_radps.to_bits(), (-0.0_f32).to_bits());
+        }
+        let journal = entry.message.frame::<Ticks>();
+        for frame in journal.map_or(&[][..], |journal| &journal.rows) {
+            let frame = (frame.source_id, frame.source_epoch, frame.frame_seq);
+            assert!(
+                frames.contains(&frame),
+                "{frame:?} is taken before it is sent"
+            );
         }
     }
 }
@@ -600,9 +596,9 @@ fn a_snapshot_keeps_the_last_seconds_and_saves_them_on_request_and_on_alarm() {
     let found = entries(&path);
     let span_ns = found.last().unwrap().log_time_ns - found[0].log_time_ns;
     assert!(span_ns <= 500_000_000, "{span_ns}");
-    let alarms = |entry: &Entry| match &entry.message {
-        Message::Diagnostics(_, rows) => rows[3].alarms,
-        _ => 0,
+    let alarms = |entry: &Entry| {
+        let diagnostics = entry.message.frame::<Diagnostics>();
+        diagnostics.map_or(0, |diagnostics| diagnostics.rows[3].alarms)
     };
     assert!(found.iter().any(|entry| alarms(entry) == 4));
     // An alarm that persists is not new.
@@ -656,7 +652,7 @@ fn two_fleets_are_recorded_into_one_file() {
             log_ns,
             publish_ns: log_ns,
         };
-        let message = Message::Samples(header, vec![Sample::new(9, frame_seq, 1)]);
+        let message = Message::of::<Samples>(header, vec![Sample::new(9, frame_seq, 1)]);
         writer.write("yard", times, &message).unwrap();
     }
     let (_, _, stream) = writer.finish().unwrap();

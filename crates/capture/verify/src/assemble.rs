@@ -4,12 +4,12 @@
 use std::collections::{BTreeMap, HashMap, VecDeque};
 
 use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
-    PlanStateHeader, Sample, SampleHeader, StateHeader, TakenFrame, TickHeader, tick_flag,
+    Forecasts, Place, SampleHeader, Samples, State, StateHeader, TakenFrame, Ticks,
 };
 
+use crate::output::Output;
 use crate::report::Loss;
-use joulebus_capture_format::{Message, MessageKind};
+use joulebus_capture_format::{Frame, Message, MessageKind};
 
 /// Maximum lead, in ticks, of one service over another in a capture: more than any service buffers.
 const WINDOW: u64 = 64;
@@ -23,22 +23,20 @@ const MOST_RUNS: usize = 8;
 const MOST_KEYFRAME_BYTES: u64 = 512 << 20;
 
 /// One frame of samples.
-pub(super) type SampleFrame = (SampleHeader, Vec<Sample>);
+pub(super) type SampleFrame = Frame<Samples>;
 
 /// Recorded parts of one tick.
 #[derive(Debug, Default)]
 pub(super) struct TickParts {
-    pub(super) journal: Option<(TickHeader, Vec<TakenFrame>)>,
+    pub(super) journal: Option<Frame<Ticks>>,
     /// The frames of the journal, in its order; `None` where the capture lacks one.
     pub(super) frames: Vec<Option<SampleFrame>>,
     /// Missing frames and their positions; none until the tick is the next one of its run.
     wanted: Option<HashMap<FrameKey, VecDeque<usize>>>,
     /// A frame of the journal of which the capture has several that differ.
     pub(super) ambiguous: Option<FrameKey>,
-    pub(super) forecasts: Option<(ForecastHeader, Vec<Forecast>)>,
-    pub(super) diagnostics: Option<(DiagnosticHeader, Vec<Diagnostic>)>,
-    pub(super) budgets: Option<(BudgetHeader, Vec<Budget>)>,
-    pub(super) plan_states: Option<(PlanStateHeader, Vec<PlanState>)>,
+    /// Frames of what the worker sends, each of another kind.
+    outputs: Vec<Message>,
 }
 
 /// An event in a worker's run.
@@ -59,8 +57,10 @@ pub(super) enum Event {
 }
 
 /// Converts messages to events.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Assembler {
+    /// What a worker sends in a tick.
+    outputs: Vec<Output>,
     runs: BTreeMap<u64, Run>,
     frames: FrameStore,
     /// The newest of each kind, by run; and whether it is complete.
@@ -99,36 +99,66 @@ struct FrameStore {
 pub(super) type FrameKey = (u64, u64, u64);
 
 impl Assembler {
+    pub(super) fn new(outputs: Vec<Output>) -> Self {
+        Self {
+            outputs,
+            runs: BTreeMap::new(),
+            frames: FrameStore::default(),
+            newest: HashMap::new(),
+            frame_range: HashMap::new(),
+            first: None,
+            ended: false,
+            piece: None,
+            broken_keyframes: 0,
+            events: VecDeque::new(),
+        }
+    }
+
+    /// What a worker sends in a tick.
+    pub(super) fn outputs(&self) -> &[Output] {
+        &self.outputs
+    }
+
+    /// Also assembles frames of another channel.
+    pub(super) fn add_output(&mut self, output: Output) {
+        self.outputs.push(output);
+    }
+
     /// Takes a message; other kinds are ignored.
     pub(super) fn push(&mut self, message: Message) {
-        match message {
-            Message::Samples(header, samples) => self.put(header, samples),
-            Message::Ticks(header, taken) => {
-                let place = (header.worker_epoch, header.tick);
-                let parts = self.parts(place, MessageKind::Ticks);
-                parts.journal = Some((header, taken));
-                parts.wanted = None;
-            }
-            Message::Forecasts(header, rows) => {
-                let place = (header.worker_epoch, header.tick);
-                self.parts(place, MessageKind::Forecasts).forecasts = Some((header, rows));
-            }
-            Message::Diagnostics(header, rows) => {
-                let place = (header.worker_epoch, header.tick);
-                self.parts(place, MessageKind::Diagnostics).diagnostics = Some((header, rows));
-            }
-            Message::Budgets(header, rows) => {
-                let place = (header.worker_epoch, header.tick);
-                self.parts(place, MessageKind::Budgets).budgets = Some((header, rows));
-            }
-            Message::PlanStates(header, rows) => {
-                let place = (header.worker_epoch, header.tick);
-                self.parts(place, MessageKind::PlanStates).plan_states = Some((header, rows));
-            }
-            Message::State(header, bytes) => self.add_piece(header, &bytes),
-            _ => return,
+        if self.take(message).is_ok() {
+            self.release(false);
         }
-        self.release(false);
+    }
+
+    fn take(&mut self, message: Message) -> Result<(), Message> {
+        let message = match message.into_frame::<Samples>() {
+            Ok(samples) => return Ok(self.put(samples)),
+            Err(message) => message,
+        };
+        let message = match message.into_frame::<State>() {
+            Ok(piece) => return Ok(self.add_piece(piece.header, &piece.rows)),
+            Err(message) => message,
+        };
+        let (Some(kind), Some(Place { run, number })) = (message.kind(), message.place()) else {
+            return Err(message);
+        };
+        let message = match message.into_frame::<Ticks>() {
+            Ok(journal) => {
+                let parts = self.parts((run, number), kind);
+                parts.journal = Some(journal);
+                parts.wanted = None;
+                return Ok(());
+            }
+            Err(message) => message,
+        };
+        if !self.outputs.iter().any(|output| output.kind == kind) {
+            return Err(message);
+        }
+        let outputs = &mut self.parts((run, number), kind).outputs;
+        outputs.retain(|before| before.kind() != Some(kind));
+        outputs.push(message);
+        Ok(())
     }
 
     /// Ends the input: releases the waiting parts.
@@ -177,7 +207,7 @@ impl Assembler {
     /// Whether the run has ended, and `tick` is among its last.
     fn is_over(&self, run: u64, tick: u64) -> bool {
         let newest = |kind| self.newest.get(&(run, kind)).copied().unwrap_or_default();
-        let last = newest(MessageKind::Ticks).max(newest(MessageKind::Forecasts));
+        let last = newest(MessageKind::of::<Ticks>()).max(newest(MessageKind::of::<Forecasts>()));
         let is_newest = self
             .runs
             .keys()
@@ -201,12 +231,13 @@ impl Assembler {
         run.ticks.entry(tick).or_default()
     }
 
-    fn put(&mut self, header: SampleHeader, samples: Vec<Sample>) {
+    fn put(&mut self, frame: SampleFrame) {
+        let header = &frame.header;
         let key = (header.source_id, header.source_epoch);
         let seq = header.frame_seq;
         let range = self.frame_range.entry(key).or_insert((seq, seq));
         *range = (seq.min(range.0), seq.max(range.1));
-        let key = key_of(&header);
+        let key = key_of(header);
         let mut next = self
             .runs
             .values_mut()
@@ -214,8 +245,8 @@ impl Assembler {
         let place =
             next.find_map(|mut tick| tick.get_mut().place_of(key).map(|place| (tick, place)));
         match place {
-            Some((tick, place)) => tick.into_mut().frames[place] = Some((header, samples)),
-            None => self.frames.put(header, samples),
+            Some((tick, place)) => tick.into_mut().frames[place] = Some(frame),
+            None => self.frames.put(frame),
         }
     }
 
@@ -264,7 +295,7 @@ impl Assembler {
             while let Some(mut head) = run.ticks.first_entry() {
                 self.frames.fill(head.get_mut());
                 let (tick, parts) = (*head.key(), head.get());
-                if !parts.is_complete() && !over && run.newest < tick + WINDOW {
+                if !parts.is_complete(&self.outputs) && !over && run.newest < tick + WINDOW {
                     break;
                 }
                 let mut parts = Box::new(head.remove());
@@ -282,17 +313,20 @@ impl Assembler {
 }
 
 impl TickParts {
-    fn is_complete(&self) -> bool {
-        let Some((header, _)) = &self.journal else {
+    fn is_complete(&self, outputs: &[Output]) -> bool {
+        let Some(journal) = &self.journal else {
             return false;
         };
-        let sheds = header.flags & tick_flag::NO_DIAGNOSTICS != 0;
-        let plans = header.flags & tick_flag::PLAN_STATES != 0;
+        let mut outputs = outputs.iter();
         self.wanted.as_ref().is_some_and(HashMap::is_empty)
-            && self.forecasts.is_some()
-            && (self.diagnostics.is_some() || sheds)
-            && self.budgets.is_some()
-            && (self.plan_states.is_some() || !plans)
+            && outputs.all(|output| {
+                !(output.is_sent)(&journal.header) || self.output(output.kind).is_some()
+            })
+    }
+
+    /// The frame of this kind.
+    pub(super) fn output(&self, kind: MessageKind) -> Option<&Message> {
+        self.outputs.iter().find(|frame| frame.kind() == Some(kind))
     }
 
     /// Position of a frame that the tick is waiting for.
@@ -309,26 +343,9 @@ impl TickParts {
     /// Approximate memory of the parts, bytes.
     pub(super) fn bytes(&self) -> usize {
         let frames = self.frames.iter().flatten();
-        size_of::<Self>()
-            + frames
-                .map(|(_, samples)| size_of_val(samples.as_slice()))
-                .sum::<usize>()
-            + self
-                .forecasts
-                .as_ref()
-                .map_or(0, |(_, rows)| size_of_val(rows.as_slice()))
-            + self
-                .diagnostics
-                .as_ref()
-                .map_or(0, |(_, rows)| size_of_val(rows.as_slice()))
-            + self
-                .budgets
-                .as_ref()
-                .map_or(0, |(_, rows)| size_of_val(rows.as_slice()))
-            + self
-                .plan_states
-                .as_ref()
-                .map_or(0, |(_, rows)| size_of_val(rows.as_slice()))
+        let samples = frames.map(|frame| size_of_val(frame.rows.as_slice()));
+        let outputs = self.outputs.iter().map(Message::memory);
+        size_of::<Self>() + samples.chain(outputs).sum::<usize>()
     }
 }
 
@@ -336,23 +353,14 @@ const fn key_of(header: &SampleHeader) -> FrameKey {
     (header.source_id, header.source_epoch, header.frame_seq)
 }
 
-fn bytes_of(samples: &[Sample]) -> &[u8] {
-    bytemuck::cast_slice(samples)
-}
-
-/// Whether two frames have the same bits: NaN does not equal itself.
-fn is_same(one: &SampleFrame, other: &SampleFrame) -> bool {
-    one.0 == other.0 && bytes_of(&one.1) == bytes_of(&other.1)
-}
-
 impl FrameStore {
-    fn put(&mut self, header: SampleHeader, samples: Vec<Sample>) {
-        let key = key_of(&header);
+    fn put(&mut self, frame: SampleFrame) {
+        let key = key_of(&frame.header);
         self.held += 1;
-        self.samples += samples.len();
+        self.samples += frame.rows.len();
         self.order.push_back((self.next, key));
         let waiting = self.frames.entry(key).or_default();
-        waiting.push_back((self.next, (header, samples)));
+        waiting.push_back((self.next, frame));
         self.next += 1;
         while self.held > MOST_FRAMES || (self.samples > MOST_SAMPLES && self.held > 1) {
             let Some((number, oldest)) = self.order.pop_front() else {
@@ -384,7 +392,7 @@ impl FrameStore {
         }
         let (_, frame) = frame?;
         self.held -= 1;
-        self.samples -= frame.1.len();
+        self.samples -= frame.rows.len();
         Some(frame)
     }
 
@@ -394,12 +402,12 @@ impl FrameStore {
         let mut first = None;
         let mut seen: HashMap<FrameKey, &SampleFrame> = HashMap::new();
         for frame in frames.iter().flatten() {
-            let key = key_of(&frame.0);
+            let key = key_of(&frame.header);
             let waiting = self.frames.get(&key).into_iter().flatten();
             let mut others = waiting
                 .map(|(_, other)| other)
                 .chain(seen.insert(key, frame));
-            if others.any(|other| !is_same(frame, other)) {
+            if others.any(|other| *frame != *other) {
                 first.get_or_insert(key);
                 while self.get(key).is_some() {
                     self.untaken += 1;
@@ -412,9 +420,10 @@ impl FrameStore {
     /// Adds the available frames in a tick's journal, once; frames that arrive later are added one
     /// by one.
     fn fill(&mut self, parts: &mut TickParts) {
-        let (None, Some((_, taken))) = (&parts.wanted, &parts.journal) else {
+        let (None, Some(journal)) = (&parts.wanted, &parts.journal) else {
             return;
         };
+        let taken = &journal.rows;
         let mut wanted: HashMap<FrameKey, VecDeque<usize>> = HashMap::new();
         parts.frames.resize_with(taken.len(), || None);
         for (place, taken) in taken.iter().enumerate() {
@@ -433,6 +442,10 @@ impl FrameStore {
 
 #[cfg(test)]
 mod tests {
+    use joulebus_wire::{
+        BudgetHeader, Budgets, DiagnosticHeader, Diagnostics, ForecastHeader, TickHeader,
+    };
+
     use super::*;
 
     fn frame(frame_seq: u64) -> Message {
@@ -440,7 +453,7 @@ mod tests {
             frame_seq,
             ..SampleHeader::default()
         };
-        Message::Samples(header, Vec::new())
+        Message::of::<Samples>(header, Vec::new())
     }
 
     fn journal(worker_epoch: u64, tick: u64, frames: impl Iterator<Item = u64>) -> Message {
@@ -457,7 +470,7 @@ mod tests {
             samples: 0,
             truncated: 0,
         });
-        Message::Ticks(header, taken.collect())
+        Message::of::<Ticks>(header, taken.collect())
     }
 
     fn outputs(worker_epoch: u64, tick: u64) -> [Message; 3] {
@@ -477,9 +490,9 @@ mod tests {
             ..BudgetHeader::default()
         };
         [
-            Message::Forecasts(forecasts, Vec::new()),
-            Message::Diagnostics(diagnostics, Vec::new()),
-            Message::Budgets(budgets, Vec::new()),
+            Message::of::<Forecasts>(forecasts, Vec::new()),
+            Message::of::<Diagnostics>(diagnostics, Vec::new()),
+            Message::of::<Budgets>(budgets, Vec::new()),
         ]
     }
 
@@ -515,7 +528,7 @@ mod tests {
         ];
         let messages = [first, frame(5), frame(6), frame(6), second];
         for order in orders {
-            let mut assembler = Assembler::default();
+            let mut assembler = Assembler::new(Output::all());
             for at in order {
                 assembler.push(messages[*at].clone());
             }
@@ -538,7 +551,7 @@ mod tests {
 
     #[test]
     fn a_tick_that_lacks_many_frames_does_not_slow_later_messages() {
-        let mut assembler = Assembler::default();
+        let mut assembler = Assembler::new(Output::all());
         assembler.push(journal(1, 1, 0..MANY));
         for seq in 0..MANY {
             assembler.push(frame(MANY + seq));
@@ -554,7 +567,7 @@ mod tests {
 
     #[test]
     fn the_number_of_unfinished_runs_is_bounded() {
-        let mut assembler = Assembler::default();
+        let mut assembler = Assembler::new(Output::all());
         let mut found = 0;
         for run in 1..=MANY {
             assembler.push(journal(run, 1, [7].into_iter()));
@@ -569,10 +582,7 @@ mod tests {
         let mut store = FrameStore::default();
         let key = (0, 0, 7);
         for _ in 0..MANY {
-            let Message::Samples(header, samples) = frame(7) else {
-                panic!("a frame");
-            };
-            store.put(header, samples);
+            store.put(frame(7).into_frame().unwrap());
             assert!(store.get(key).is_some());
             assert!(store.order.len() <= 2 * MOST_FRAMES);
         }

@@ -8,6 +8,7 @@
 
 mod assemble;
 mod compare;
+mod output;
 mod queries;
 mod report;
 mod what_if;
@@ -17,14 +18,14 @@ use std::collections::{BTreeMap, VecDeque};
 use joulebus_fleet::{Fleet, FleetState};
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, SettingsError};
-use joulebus_wire::{ForecastHeader, PlanStateHeader, TakenFrame, TickHeader, tick_flag};
+use joulebus_wire::{ForecastHeader, TakenFrame, TickHeader, Ticks, tick_flag};
 
 use assemble::{Assembler, Event, SampleFrame, TickParts};
-use compare::FieldDifference;
-use joulebus_capture_format::{Entry, Message, MessageKind};
+use joulebus_capture_format::{Entry, MessageKind, Query};
 use queries::Queries;
 
 pub use compare::Value;
+pub use output::{Output, RecomputedTick};
 pub use report::{Difference, Loss, Verification};
 pub use what_if::{Comparison, ModelScores, RobotComparison, WhatIf};
 
@@ -64,25 +65,35 @@ impl Verifier {
     /// As [`Fleet::new`].
     pub fn new(settings: FleetSettings, models: Vec<Model>) -> Result<Self, SettingsError> {
         let queries = Queries::new(&settings, &models);
+        let (outputs, mut report) = (Output::all(), Verification::default());
+        outputs.iter().for_each(|output| report.expect(output.kind));
         Ok(Self {
             queries,
             fleet: Fleet::new(settings, models)?,
             at: None,
-            assembler: Assembler::default(),
+            assembler: Assembler::new(outputs),
             waiting: VecDeque::new(),
             waiting_bytes: 0,
             keyframes: BTreeMap::new(),
             sequences: BTreeMap::new(),
-            report: Verification::default(),
+            report,
         })
+    }
+
+    /// Also compares a channel that is declared elsewhere.
+    #[must_use]
+    pub fn with_output(mut self, output: Output) -> Self {
+        self.report.expect(output.kind);
+        self.assembler.add_output(output);
+        self
     }
 
     /// Takes the next message of the fleet's channels; of split files in their order.
     pub fn push(&mut self, entry: Entry) {
         self.count(&entry);
-        match entry.message {
-            Message::Query(query) => self.queries.take(query, &entry.fleet, &mut self.report),
-            message => self.assembler.push(message),
+        match entry.message.take::<Query>() {
+            Ok(query) => self.queries.take(query, &entry.fleet, &mut self.report),
+            Err(message) => self.assembler.push(message),
         }
         self.work();
     }
@@ -262,13 +273,11 @@ impl Verifier {
     /// Missing inputs of a tick.
     fn lack(&self, next: &Waiting) -> Option<Loss> {
         let place = (next.worker_epoch, next.tick);
-        let Some((header, taken)) = &next.parts.journal else {
-            return Some(
-                self.assembler
-                    .lack(place, MessageKind::Ticks, Loss::Journal),
-            );
+        let Some(journal) = &next.parts.journal else {
+            let kind = MessageKind::of::<Ticks>();
+            return Some(self.assembler.lack(place, kind, Loss::Journal));
         };
-        if header.unlisted > 0 {
+        if journal.header.unlisted > 0 {
             return Some(Loss::Unlisted);
         }
         if let Some((source_id, _, frame_seq)) = next.parts.ambiguous {
@@ -277,13 +286,13 @@ impl Verifier {
                 frame_seq,
             });
         }
-        let mut frames = taken.iter().zip(&next.parts.frames);
+        let mut frames = journal.rows.iter().zip(&next.parts.frames);
         frames.find_map(|(taken, frame)| match frame {
             None => Some(self.assembler.lack_of_frame(place, taken)),
-            Some((_, samples)) => {
+            Some(frame) => {
                 let sent = u64::from(taken.samples) + u64::from(taken.truncated);
                 // The recorder missed the one that the worker took.
-                (samples.len() as u64 != sent).then_some(Loss::Ambiguous {
+                (frame.rows.len() as u64 != sent).then_some(Loss::Ambiguous {
                     source_id: taken.source_id,
                     frame_seq: taken.frame_seq,
                 })
@@ -295,45 +304,35 @@ impl Verifier {
         let place = (next.worker_epoch, next.tick);
         let lack = self.lack(&next);
         let parts = *next.parts;
-        let (None, Some((header, taken))) = (lack, &parts.journal) else {
+        let (None, Some(journal)) = (lack, &parts.journal) else {
             self.at = None;
             return self.report.lose(place, lack.unwrap_or(Loss::Journal));
         };
         self.at = Some(place);
         self.keyframes = self.keyframes.split_off(&(place.0, place.1 + 1));
-        let mut comparison = TickComparison {
-            report: &mut self.report,
-            place,
+        take(&mut self.fleet, &journal.rows, &parts.frames);
+        let journal = &journal.header;
+        let intake = &tick(&mut self.fleet, journal);
+        let (fleet, report) = (&self.fleet, &mut self.report);
+        report.verified(fleet.len());
+        let computed = RecomputedTick {
+            fleet,
+            journal,
+            intake,
         };
-        take(&mut self.fleet, taken, &parts.frames);
-        let sheds = header.flags & tick_flag::NO_DIAGNOSTICS != 0;
-        let plans = header.flags & tick_flag::PLAN_STATES != 0;
-        let header = tick(&mut self.fleet, header);
-        comparison.report.verified(self.fleet.len());
-        comparison.forecasts(&self.fleet, &header, &parts);
-        comparison.diagnostics(&self.fleet, &parts);
-        comparison.budgets(&self.fleet, &parts);
-        comparison.plan_states(&self.fleet, &header, &parts);
-        self.queries
-            .ticked(place, &self.fleet, plans, &mut self.report);
-        let assembler = &self.assembler;
-        for (kind, is_there) in [
-            (MessageKind::Forecasts, parts.forecasts.is_some()),
-            // Under overload the worker omits them, and reports so.
-            (
-                MessageKind::Diagnostics,
-                parts.diagnostics.is_some() || sheds,
-            ),
-            (MessageKind::Budgets, parts.budgets.is_some()),
-            // The worker writes them while somebody reads them, and reports so.
-            (
-                MessageKind::PlanStates,
-                parts.plan_states.is_some() || !plans,
-            ),
-        ] {
-            if !is_there {
-                let loss = assembler.lack(place, kind, Loss::Output);
-                self.report.lack_output(kind, place, loss);
+        for output in self.assembler.outputs() {
+            if let Some(recorded) = parts.output(output.kind) {
+                output.compare(computed, recorded, &mut |what, robot, difference| {
+                    report.differ(place, what, robot, difference);
+                });
+            }
+        }
+        let plans = journal.flags & tick_flag::PLAN_STATES != 0;
+        self.queries.ticked(place, fleet, plans, report);
+        for output in self.assembler.outputs() {
+            if parts.output(output.kind).is_none() && (output.is_sent)(journal) {
+                let loss = self.assembler.lack(place, output.kind, Loss::Output);
+                report.lack_output(output.kind, place, loss);
             }
         }
     }
@@ -342,11 +341,11 @@ impl Verifier {
 /// Takes the frames like the worker.
 fn take(fleet: &mut Fleet, taken: &[TakenFrame], frames: &[Option<SampleFrame>]) {
     for (taken, frame) in taken.iter().zip(frames) {
-        let Some((header, samples)) = frame else {
+        let Some(frame) = frame else {
             continue;
         };
-        let looked_at = samples.len().min(taken.samples as usize);
-        fleet.take(header, &samples[..looked_at], taken.taken_ns);
+        let looked_at = frame.rows.len().min(taken.samples as usize);
+        fleet.take(&frame.header, &frame.rows[..looked_at], taken.taken_ns);
     }
 }
 
@@ -366,101 +365,5 @@ fn tick(fleet: &mut Fleet, journal: &TickHeader) -> ForecastHeader {
         samples_accepted: fleet.accepted(),
         samples_dropped: fleet.drops(),
         ..ForecastHeader::default()
-    }
-}
-
-/// Compares the outputs of one tick.
-struct TickComparison<'a> {
-    report: &'a mut Verification,
-    place: (u64, u64),
-}
-
-impl TickComparison<'_> {
-    fn differs(&mut self, what: &'static str, robot: Option<u32>, difference: FieldDifference) {
-        self.report.differ(self.place, what, robot, difference);
-    }
-
-    fn forecasts(&mut self, fleet: &Fleet, computed: &ForecastHeader, parts: &TickParts) {
-        let Some((header, rows)) = &parts.forecasts else {
-            return;
-        };
-        compare::intakes(header, computed, |difference| {
-            self.differs("forecasts", None, difference);
-        });
-        self.length("forecasts", rows.len(), fleet);
-        for (place, recorded) in rows.iter().enumerate().take(fleet.len()) {
-            let computed = fleet.forecast(place);
-            compare::forecasts(recorded, &computed, |difference| {
-                self.differs("forecast", Some(computed.robot), difference);
-            });
-        }
-    }
-
-    fn diagnostics(&mut self, fleet: &Fleet, parts: &TickParts) {
-        let Some((header, rows)) = &parts.diagnostics else {
-            return;
-        };
-        let refusals = fleet.refusals();
-        for (place, (recorded, computed)) in header.refused.iter().zip(&refusals).enumerate() {
-            if recorded != computed {
-                let robots = (recorded.robot, computed.robot);
-                let values = (Value::from(robots.0), Value::from(robots.1));
-                let robot = Some(refusals[place].robot);
-                self.differs("diagnostics", robot, ("refused robots", values.0, values.1));
-            }
-        }
-        self.length("diagnostics", rows.len(), fleet);
-        for (place, recorded) in rows.iter().enumerate().take(fleet.len()) {
-            let computed = fleet.diagnostic(place);
-            compare::diagnostics(recorded, &computed, |difference| {
-                self.differs("diagnostic", Some(computed.robot), difference);
-            });
-        }
-    }
-
-    fn budgets(&mut self, fleet: &Fleet, parts: &TickParts) {
-        let Some((_, rows)) = &parts.budgets else {
-            return;
-        };
-        self.length("budgets", rows.len(), fleet);
-        for (place, recorded) in rows.iter().enumerate().take(fleet.len()) {
-            let computed = fleet.budget(place);
-            compare::budgets(recorded, &computed, |difference| {
-                self.differs("budget", Some(computed.robot), difference);
-            });
-        }
-    }
-
-    fn plan_states(&mut self, fleet: &Fleet, computed: &ForecastHeader, parts: &TickParts) {
-        let Some((header, rows)) = &parts.plan_states else {
-            return;
-        };
-        let computed = PlanStateHeader {
-            settings_hash: fleet.settings_hash(),
-            model_hash: computed.model_hash,
-            models: fleet.model_hashes(),
-            compute_start_ns: computed.compute_start_ns,
-            ..PlanStateHeader::default()
-        };
-        compare::plan_state_headers(header, &computed, |difference| {
-            self.differs("plan_states", None, difference);
-        });
-        self.length("plan_states", rows.len(), fleet);
-        for (place, recorded) in rows.iter().enumerate().take(fleet.len()) {
-            let computed = fleet.plan_state(place);
-            compare::plan_states(recorded, &computed, |difference| {
-                self.differs("plan_state", Some(computed.robot), difference);
-            });
-        }
-    }
-
-    fn length(&mut self, what: &'static str, recorded: usize, fleet: &Fleet) {
-        if recorded != fleet.len() {
-            let values = (
-                Value::from(recorded as u64),
-                Value::from(fleet.len() as u64),
-            );
-            self.differs(what, None, ("robots", values.0, values.1));
-        }
     }
 }

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use joulebus_fleet::StateError;
+use joulebus_wire::PlanStates;
 use serde::Serialize;
 
 use crate::compare::FieldDifference;
@@ -77,9 +78,9 @@ pub struct Verification {
     /// Whether the verification has begun.
     #[serde(skip)]
     pub(super) has_begun: bool,
-    /// Which of [`OUTPUTS`] are recorded.
+    /// What a worker sends, and whether it is recorded.
     #[serde(skip)]
-    seen: [bool; OUTPUTS.len()],
+    outputs: Vec<(MessageKind, bool)>,
 }
 
 /// One value that differs.
@@ -150,9 +151,15 @@ impl Verification {
     }
 
     pub(super) fn note_kind(&mut self, kind: MessageKind) {
-        if let Some(place) = OUTPUTS.iter().position(|output| *output == kind) {
-            self.seen[place] = true;
+        let mut outputs = self.outputs.iter_mut();
+        if let Some((_, seen)) = outputs.find(|(output, _)| *output == kind) {
+            *seen = true;
         }
+    }
+
+    /// Frames of this kind are expected.
+    pub(super) fn expect(&mut self, kind: MessageKind) {
+        self.outputs.push((kind, false));
     }
 
     pub(super) fn note_tick(&mut self, (worker_epoch, _): (u64, u64)) {
@@ -173,7 +180,7 @@ impl Verification {
     pub(super) fn differ(
         &mut self,
         (worker_epoch, tick): (u64, u64),
-        what: &'static str,
+        what: &str,
         robot: Option<u32>,
         (field, recorded, computed): FieldDifference,
     ) {
@@ -234,11 +241,11 @@ impl Verification {
     pub(super) fn close(&mut self) {
         let (first, last) = self.times.unwrap_or_default();
         self.recorded_s = last.saturating_sub(first) as f64 / 1e9;
-        for (kind, seen) in OUTPUTS.into_iter().zip(self.seen) {
+        for (kind, seen) in std::mem::take(&mut self.outputs) {
             if !seen {
                 let missing = self.outputs_missing.remove(kind.name());
                 // Plan states are sent only while somebody reads them.
-                if kind != MessageKind::PlanStates || missing.is_some() {
+                if kind != MessageKind::of::<PlanStates>() || missing.is_some() {
                     self.not_recorded.push(kind.name());
                 }
             }
@@ -249,13 +256,6 @@ impl Verification {
         }
     }
 }
-
-const OUTPUTS: [MessageKind; 4] = [
-    MessageKind::Forecasts,
-    MessageKind::Diagnostics,
-    MessageKind::Budgets,
-    MessageKind::PlanStates,
-];
 
 impl fmt::Display for Loss {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {

@@ -10,7 +10,8 @@ use joulebus_wire::{Alarm, AlarmSet, Diagnostic, tick_flag};
 use serde::{Serialize, Serializer};
 
 use crate::assemble::{Assembler, Event, TickParts};
-use joulebus_capture_format::Entry;
+use crate::output::Output;
+use joulebus_capture_format::{Entry, Frame};
 
 /// Runs the samples of a capture through two fleets that differ only in their models. Both begin
 /// without state; the journal assigns frames to ticks.
@@ -108,7 +109,7 @@ impl WhatIf {
             })
         };
         Ok(Self {
-            assembler: Assembler::default(),
+            assembler: Assembler::new(Output::all()),
             recorded: run(settings.clone(), models)?,
             other: run(settings, others)?,
             ticks: 0,
@@ -158,16 +159,14 @@ impl WhatIf {
 
 impl ModelRun {
     fn tick(&mut self, parts: &TickParts) {
-        let Some((header, taken)) = &parts.journal else {
+        let Some(Frame {
+            header,
+            rows: taken,
+        }) = &parts.journal
+        else {
             return;
         };
-        for (taken, frame) in taken.iter().zip(&parts.frames) {
-            if let Some((header, samples)) = frame {
-                let looked_at = samples.len().min(taken.samples as usize);
-                let samples = &samples[..looked_at];
-                self.fleet.take(header, samples, taken.taken_ns);
-            }
-        }
+        crate::take(&mut self.fleet, taken, &parts.frames);
         let missed = header.flags & tick_flag::DEADLINE_MISSED != 0;
         self.fleet.tick(header.start_ns, missed);
         for place in 0..self.fleet.len() {

@@ -6,10 +6,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context as _;
-use joulebus_capture_format::{Entry, Message, ReadError, Reader};
+use joulebus_capture_format::{Entry, Frame, ReadError, Reader};
 use joulebus_consumer::{AlarmChange, AlarmHistory, Change, FleetAlarm};
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
+use joulebus_wire::Diagnostics;
 use serde::Serialize;
 
 use super::{Lasted, s_between};
@@ -98,7 +99,7 @@ impl Found {
     }
 
     fn take(&mut self, entry: &Entry) {
-        let Message::Diagnostics(header, robots) = &entry.message else {
+        let Some(Frame { header, rows }) = entry.message.frame::<Diagnostics>() else {
             return;
         };
         let at_ns = entry.publish_time_ns;
@@ -106,7 +107,7 @@ impl Found {
         self.span_ns = Some((from_ns.min(at_ns), to_ns.max(at_ns)));
         let history = self.fleets.entry(Arc::clone(&entry.fleet)).or_default();
         let episodes = &mut self.episodes;
-        history.take(header, robots, at_ns, |change| {
+        history.take(header, rows, at_ns, |change| {
             if change.change != Change::Raised {
                 episodes.push(Episode::new(&entry.fleet, &change));
             }

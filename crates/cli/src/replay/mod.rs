@@ -3,8 +3,6 @@
 mod files;
 mod pace;
 mod play;
-mod ports;
-mod rebase;
 mod report;
 mod span;
 mod verify;
@@ -14,10 +12,12 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use joulebus_capture_format::MessageKind;
+use joulebus_capture_recorder::replay::PlayedChannel;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 
 use joulebus_source::rate::{Passes, Rate, seconds};
+use joulebus_wire::Samples;
 
 /// Play a capture into shared memory, or recompute its forecasts and compare them bit by bit
 #[derive(Debug, clap::Args)]
@@ -87,21 +87,14 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
 }
 
-/// Services that can be played.
-const PLAYED: [MessageKind; 5] = [
-    MessageKind::Samples,
-    MessageKind::Forecasts,
-    MessageKind::Diagnostics,
-    MessageKind::Budgets,
-    MessageKind::PlanStates,
-];
-
 /// Parses the name of a service or its whole topic.
 fn service(text: &str) -> Result<MessageKind, String> {
     let name = text.rsplit('/').next().unwrap_or(text);
-    let found = PLAYED.into_iter().find(|kind| kind.name() == name);
-    let names = PLAYED.map(MessageKind::name).join(", ");
-    found.ok_or_else(|| format!("{text:?} is not one of {names}"))
+    let played: Vec<MessageKind> = PlayedChannel::all().into_iter().map(|it| it.kind).collect();
+    let found = played.iter().find(|kind| kind.name() == name);
+    let names: Vec<&str> = played.iter().map(|kind| kind.name()).collect();
+    let wrong = || format!("{text:?} is not one of {}", names.join(", "));
+    found.copied().ok_or_else(wrong)
 }
 
 /// A fleet name in the capture and the name it is played under.
@@ -154,7 +147,7 @@ impl Args {
     /// The services to play.
     fn kinds(&self) -> Vec<MessageKind> {
         if self.topics.is_empty() {
-            vec![MessageKind::Samples]
+            vec![MessageKind::of::<Samples>()]
         } else {
             self.topics.clone()
         }
@@ -163,6 +156,8 @@ impl Args {
 
 #[cfg(test)]
 mod tests {
+    use joulebus_wire::Budgets;
+
     use super::*;
 
     #[test]
@@ -187,8 +182,11 @@ mod tests {
 
     #[test]
     fn services_are_given_by_name_or_topic() {
-        assert_eq!(service("samples"), Ok(MessageKind::Samples));
-        assert_eq!(service("joulebus/lab/budgets"), Ok(MessageKind::Budgets));
+        assert_eq!(service("samples"), Ok(MessageKind::of::<Samples>()));
+        assert_eq!(
+            service("joulebus/lab/budgets"),
+            Ok(MessageKind::of::<Budgets>())
+        );
         assert!(service("state").unwrap_err().contains("samples, forecasts"));
     }
 }

@@ -5,17 +5,16 @@ use std::time::Duration;
 
 use joulebus_bus::{Domain, clock, set_timer_slack};
 use joulebus_capture_format::{Clock, Entry, MessageKind};
+use joulebus_capture_recorder::replay::{Moment, PlayedChannel, Rebase, ReplayPorts, now};
 use joulebus_config::{Config, is_below};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
-use joulebus_wire::Sample;
+use joulebus_wire::{Flow as WireFlow, Forecasts, Sample, Samples};
 
 use super::Args;
 use super::files::Files;
 use super::pace::Pace;
-use super::ports::{Ports, Sent, now};
-use super::rebase::{Moment, Rebase};
 use super::report::PlayReport;
 use super::span::Place;
 use joulebus_source::flow::{Flow, SendWindow};
@@ -67,7 +66,7 @@ fn check_root(root: &Path) -> Result<(), UsageError> {
 }
 
 struct Player {
-    ports: Ports,
+    ports: ReplayPorts,
     /// Flow control by the worker's forecasts; only when samples are played.
     flow: Option<Flow>,
     /// True if the sending rate is limited by the worker's answers.
@@ -82,27 +81,24 @@ struct Player {
     report: PlayReport,
 }
 
-/// The newest frame of each service before the offset: the state that planners need first.
+/// The newest frame of each of the worker's services before the offset: the state that planners need first.
 #[derive(Default)]
-struct Before {
-    entries: [Option<Entry>; 4],
-}
+struct Before(Vec<Entry>);
 
 impl Before {
     fn keep(&mut self, entry: Entry) {
-        let place = match entry.message.kind() {
-            Some(MessageKind::Budgets) => 0,
-            Some(MessageKind::PlanStates) => 1,
-            Some(MessageKind::Diagnostics) => 2,
-            Some(MessageKind::Forecasts) => 3,
-            _ => return,
-        };
-        self.entries[place] = Some(entry);
+        let kind = entry.message.kind();
+        if kind.is_some_and(|kind| matches!(kind.flow(), WireFlow::Planners { .. })) {
+            self.0.retain(|before| before.message.kind() != kind);
+            self.0.push(entry);
+        }
     }
 
-    /// Budgets first: a planner woken by forecasts finds them.
+    /// Forecasts last: a planner that they wake finds the others.
     fn take(&mut self) -> impl Iterator<Item = Entry> {
-        std::mem::take(&mut self.entries).into_iter().flatten()
+        let mut entries = std::mem::take(&mut self.0);
+        entries.sort_by_key(|entry| entry.message.frame::<Forecasts>().is_some());
+        entries.into_iter()
     }
 }
 
@@ -116,10 +112,10 @@ impl Player {
         };
         let domain = Domain::new(&played_as, config.root(), config.prefix())?;
         let (limits, kinds) = (config.limits(), args.kinds());
-        let ports = Ports::open(&domain, &limits, &kinds)?;
+        let ports = ReplayPorts::open(&domain, &limits, &PlayedChannel::all(), &kinds)?;
         let follows = args.rate.is_faster_than_recorded();
         // When the replay takes the worker's place there is no other worker to follow.
-        let to_worker = kinds == [MessageKind::Samples];
+        let to_worker = kinds == [MessageKind::of::<Samples>()];
         let window = Window::new(
             DEFAULT_WINDOW.min(config.buffer_frames()),
             usize::from(config.settings().intake.max_samples_per_tick),
@@ -266,12 +262,10 @@ impl Player {
 
     /// Sends a message once the worker has capacity; false at a signal.
     fn send(&mut self, entry: Entry, kind: MessageKind, stop: &Stop) -> anyhow::Result<bool> {
-        if let joulebus_capture_format::Message::Samples(header, samples) = &entry.message {
-            let epoch = self
-                .rebase
-                .as_ref()
-                .map(|rebase| rebase.epoch(header.source_epoch));
-            if !self.wait_for_capacity(epoch.unwrap_or_default(), samples, stop)? {
+        if let Some(frame) = entry.message.frame::<Samples>() {
+            let rebase = self.rebase.as_ref();
+            let epoch = rebase.map(|rebase| rebase.epoch(frame.header.source_epoch));
+            if !self.wait_for_capacity(epoch.unwrap_or_default(), &frame.rows, stop)? {
                 return Ok(false);
             }
         }
@@ -302,25 +296,22 @@ impl Player {
     }
 
     /// Returns true if the message was sent.
-    fn deliver(&mut self, entry: Entry) -> anyhow::Result<bool> {
+    fn deliver(&mut self, mut entry: Entry) -> anyhow::Result<bool> {
         let Some(rebase) = &mut self.rebase else {
             return Ok(false);
         };
-        match self.ports.send(entry.message, rebase, self.slower) {
-            Ok(Sent::Samples(samples)) => {
-                self.report.samples += samples.len() as u64;
-                if let Some(flow) = self.flow.as_mut().filter(|_| self.follows) {
-                    flow.sent(&samples);
-                }
-                Ok(true)
-            }
-            Ok(Sent::Other) => Ok(true),
-            Err(error) => {
-                self.report.frames_failed += 1;
-                tracing::warn!(%error, "a frame was not sent");
-                Ok(false)
+        if let Err(error) = self.ports.send(&mut entry.message, rebase, self.slower) {
+            self.report.frames_failed += 1;
+            tracing::warn!(%error, "a frame was not sent");
+            return Ok(false);
+        }
+        if let Some(frame) = entry.message.frame::<Samples>() {
+            self.report.samples += frame.rows.len() as u64;
+            if let Some(flow) = self.flow.as_mut().filter(|_| self.follows) {
+                flow.sent(&frame.rows);
             }
         }
+        Ok(true)
     }
 
     fn report(mut self, files: &Files) -> PlayReport {

@@ -9,6 +9,7 @@ use std::time::Duration;
 use joulebus_bus::Domain;
 use joulebus_config::Demo as DemoConfig;
 use joulebus_testkit::{Child, end_signals, eventually, left_behind};
+use joulebus_wire::Samples;
 use rustix::fs::{FlockOperation, flock};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
@@ -179,9 +180,8 @@ fn the_capture_contains_all_samples_sent() {
     let mut messages = 0;
     for entry in joulebus_capture_format::Reader::open(&file).unwrap() {
         messages += 1;
-        if let joulebus_capture_format::Message::Samples(_, rows) = entry.unwrap().message {
-            samples += rows.len() as u64;
-        }
+        let frame = entry.unwrap().message.into_frame::<Samples>();
+        samples += frame.map_or(0, |frame| frame.rows.len() as u64);
     }
     assert_eq!(samples, count(&summary["samples"]["sent"]));
     assert_eq!(messages, count(&summary["capture"]["messages"]));

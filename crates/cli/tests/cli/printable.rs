@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::Output;
 
 use joulebus_capture_format::{Attachments, CaptureSettings, Message, Times, Writer};
-use joulebus_wire::{Sample, SampleHeader};
+use joulebus_wire::{Sample, SampleHeader, Samples};
 
 use crate::fleet::{Fleet, output};
 
@@ -37,7 +37,7 @@ fn capture(folder: &Path) -> String {
         &attachments,
     )
     .unwrap();
-    let message = Message::Samples(SampleHeader::default(), vec![Sample::new(0, 0, 0)]);
+    let message = Message::of::<Samples>(SampleHeader::default(), vec![Sample::new(0, 0, 0)]);
     writer.write(EVIL, Times::default(), &message).unwrap();
     writer.finish().unwrap();
     path.display().to_string()

@@ -18,9 +18,9 @@ pub mod declare {
 /// A type that may lie in shared memory: every bit pattern is valid, it has no padding, and its
 /// layout is the same in every process. Implemented for every payload and header of this crate, and
 /// for bytes.
-pub trait Payload: Pod + ZeroCopySend + Debug + Default {}
+pub trait Payload: Pod + ZeroCopySend + Debug + Default + Send + Sync {}
 
-impl<T: Pod + ZeroCopySend + Debug + Default> Payload for T {}
+impl<T: Pod + ZeroCopySend + Debug + Default + Send + Sync> Payload for T {}
 
 /// A struct that `rows!` declares, with the table of its fields.
 pub trait Row: Payload {

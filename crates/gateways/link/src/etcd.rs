@@ -16,18 +16,18 @@ use ureq::Agent;
 use ureq::tls::{Certificate, ClientCert, PemItem, PrivateKey, RootCerts, TlsConfig, parse_pem};
 
 use crate::config::LeaseSettings;
-use crate::protocol::lease::{Call, Holder, Reply, Seen};
+use crate::protocol::lease::{Call, Holder, Reply, StoreView};
 
 /// A call may take this share of the lease's time to live, divided among all members.
 const CALL_DIVISOR: u32 = 3;
 /// Minimum time for a member to answer.
-const LEAST_TIME: Duration = Duration::from_millis(100);
+const MIN_CALL_TIMEOUT: Duration = Duration::from_millis(100);
 /// Minimum time between two logged failures.
-const TOLD_EVERY: Duration = Duration::from_secs(10);
+const LOG_INTERVAL: Duration = Duration::from_secs(10);
 /// Maximum size of an answer, bytes.
-const MOST_BYTES: u64 = 64 << 10;
-const MOST_CERTIFICATE_BYTES: u64 = 1 << 20;
-const MOST_SECRET_BYTES: u64 = 4_096;
+const MAX_BYTES: u64 = 64 << 10;
+const MAX_CERTIFICATE_BYTES: u64 = 1 << 20;
+const MAX_SECRET_BYTES: u64 = 4_096;
 const NANOSECONDS: u64 = 1_000_000_000;
 
 /// The etcd client of one candidate for one shard.
@@ -41,12 +41,12 @@ pub(crate) struct Etcd {
     /// Base64 names of the three keys.
     holder: String,
     term: String,
-    wish: String,
+    requested: String,
     own: String,
     user: Option<(String, String)>,
     token: Option<String>,
     /// The failure that was logged last, and when.
-    told: Option<(String, Instant)>,
+    last_failure: Option<(String, Instant)>,
 }
 
 /// The value of the holder's key.
@@ -146,7 +146,7 @@ impl Etcd {
     ) -> anyhow::Result<Self> {
         let key = |name: &str| BASE64.encode(format!("{}{fleet}/{shard}/{name}", settings.prefix));
         let user = settings.user.as_ref().map(|(user, path)| {
-            let password = joulebus_files::read_secret(path, MOST_SECRET_BYTES)?;
+            let password = joulebus_files::read_secret(path, MAX_SECRET_BYTES)?;
             let password = password.lines().next().unwrap_or_default().to_owned();
             Ok::<_, std::io::Error>((user.clone(), password))
         });
@@ -157,14 +157,14 @@ impl Etcd {
             endpoints: settings.endpoints.clone(),
             at: 0,
             ttl_s: settings.ttl_s,
-            limit: (ttl / CALL_DIVISOR / members).max(LEAST_TIME),
+            limit: (ttl / CALL_DIVISOR / members).max(MIN_CALL_TIMEOUT),
             holder: key("holder"),
             term: key("term"),
-            wish: key("wish"),
+            requested: key("wish"),
             own: own.to_owned(),
             user: user.transpose().context("the password of etcd's user")?,
             token: None,
-            told: None,
+            last_failure: None,
         })
     }
 
@@ -175,26 +175,28 @@ impl Etcd {
     pub(crate) fn call(&mut self, call: &Call) -> Reply {
         match self.try_call(call) {
             Ok(reply) => {
-                if self.told.take().is_some() {
+                if self.last_failure.take().is_some() {
                     tracing::info!("etcd answers again");
                 }
                 reply
             }
             Err(error) => {
-                self.tell(format!("{error:#}"));
+                self.log_failure(format!("{error:#}"));
                 Reply::Failed
             }
         }
     }
 
-    fn tell(&mut self, error: String) {
-        let is_told = self
-            .told
+    fn log_failure(&mut self, error: String) {
+        let is_logged = self
+            .last_failure
             .as_ref()
-            .is_some_and(|(told, at)| *told == error || at.elapsed() < TOLD_EVERY);
-        if !is_told {
+            .is_some_and(|(last_failure, at)| {
+                *last_failure == error || at.elapsed() < LOG_INTERVAL
+            });
+        if !is_logged {
             tracing::warn!("etcd does not answer: {error}");
-            self.told = Some((error, Instant::now()));
+            self.last_failure = Some((error, Instant::now()));
         }
     }
 
@@ -214,7 +216,7 @@ impl Etcd {
                 let ttl_ns = renewed.result.ttl_s.0.saturating_mul(NANOSECONDS);
                 Ok(Reply::Renewed { ttl_ns })
             }
-            Call::Look => self.look().map(Reply::Seen),
+            Call::Look => self.look().map(Reply::StoreView),
             Call::Acquire {
                 lease,
                 term,
@@ -228,9 +230,9 @@ impl Etcd {
     }
 
     /// Reads all three keys in one transaction, so from a quorum and at one revision.
-    fn look(&mut self) -> anyhow::Result<Seen> {
+    fn look(&mut self) -> anyhow::Result<StoreView> {
         let range = |key: &str| json!({"requestRange": {"key": key}});
-        let all = [&self.holder, &self.term, &self.wish].map(|key| range(key));
+        let all = [&self.holder, &self.term, &self.requested].map(|key| range(key));
         let done: Done = self.post("kv/txn", &json!({"success": all}))?;
         let mut ranges = done.responses.into_iter().map(|it| it.response_range);
         let mut key = || -> anyhow::Result<Option<KeyValue>> {
@@ -238,7 +240,7 @@ impl Etcd {
             let range = range.ok_or_else(|| anyhow!("an answer is missing"))?;
             Ok(range.kvs.into_iter().next())
         };
-        let (holder, term, wish) = (key()?, key()?, key()?);
+        let (holder, term, requested) = (key()?, key()?, key()?);
         let holder = holder.map(|it| {
             let value: HolderValue =
                 serde_json::from_str(&it.text()?).context("the holder's key")?;
@@ -256,11 +258,11 @@ impl Etcd {
             );
             Ok(term)
         };
-        Ok(Seen {
+        Ok(StoreView {
             holder: holder.transpose()?,
             term: term.as_ref().map_or(Ok(0), number)?,
             term_revision: term.map_or(0, |it| it.mod_revision.0),
-            wish: wish.map(|it| it.text()).transpose()?,
+            requested: requested.map(|it| it.text()).transpose()?,
         })
     }
 
@@ -278,7 +280,7 @@ impl Etcd {
             "success": [
                 {"requestPut": {"key": self.holder, "value": value, "lease": lease.to_string()}},
                 {"requestPut": {"key": self.term, "value": BASE64.encode(term.to_string())}},
-                {"requestDeleteRange": {"key": self.wish}},
+                {"requestDeleteRange": {"key": self.requested}},
             ],
         }))
     }
@@ -287,8 +289,8 @@ impl Etcd {
     ///
     /// # Errors
     /// No member answers.
-    pub(crate) fn wish(&mut self) -> anyhow::Result<()> {
-        let body = json!({"key": self.wish, "value": BASE64.encode(&self.own)});
+    pub(crate) fn request_leader(&mut self) -> anyhow::Result<()> {
+        let body = json!({"key": self.requested, "value": BASE64.encode(&self.own)});
         self.post::<Value>("kv/put", &body).map(drop)
     }
 
@@ -332,7 +334,7 @@ impl Etcd {
         let text = answer
             .body_mut()
             .with_config()
-            .limit(MOST_BYTES)
+            .limit(MAX_BYTES)
             .read_to_string()?;
         if !answer.status().is_success() {
             bail!("{}: {}", answer.status(), text.trim());
@@ -345,7 +347,7 @@ fn agent(settings: &LeaseSettings) -> anyhow::Result<Agent> {
     let roots = settings.ca.as_deref().map(certificates).transpose()?;
     let roots = roots.map_or(RootCerts::WebPki, |found| RootCerts::new_with_certs(&found));
     let own = settings.own.as_ref().map(|(certificate, key)| {
-        let pem = joulebus_files::read_secret(key, MOST_CERTIFICATE_BYTES)?;
+        let pem = joulebus_files::read_secret(key, MAX_CERTIFICATE_BYTES)?;
         let key = PrivateKey::from_pem(pem.as_bytes())?;
         Ok::<_, anyhow::Error>(ClientCert::new_with_certs(&certificates(certificate)?, key))
     });
@@ -363,7 +365,7 @@ fn agent(settings: &LeaseSettings) -> anyhow::Result<Agent> {
 /// Reads the certificates of a PEM file.
 fn certificates(path: &Path) -> anyhow::Result<Vec<Certificate<'static>>> {
     let named = || path.display().to_string();
-    let bytes = joulebus_files::read(path, MOST_CERTIFICATE_BYTES).with_context(named)?;
+    let bytes = joulebus_files::read(path, MAX_CERTIFICATE_BYTES).with_context(named)?;
     let mut found = Vec::new();
     for item in parse_pem(&bytes) {
         if let PemItem::Certificate(certificate) = item.with_context(named)? {
@@ -557,7 +559,7 @@ mod tests {
             "responses":[{"responseRange":{"count":"0"}},{"responseRange":{}},{"response_range":{}}]}"#;
         assert_eq!(
             answer(&Call::Look, &ok(body), b"").0,
-            Reply::Seen(Seen::default())
+            Reply::StoreView(StoreView::default())
         );
         let gone = r#"{"result":{"header":{},"ID":"7"}}"#;
         assert_eq!(

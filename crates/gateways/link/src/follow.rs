@@ -1,4 +1,5 @@
-//! The thread of a planners' host: puts what workers elsewhere write into this host's shared memory, in a worker's place.
+//! The thread of a planners' host: writes the frames of workers elsewhere into this host's shared
+//! memory, in a worker's place.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,23 +12,26 @@ use joulebus_connect::join;
 use joulebus_wire::WakeEvent;
 
 use crate::config::{Follow, Settings};
-use crate::gathered::Gathered;
-use crate::network::{Bytes, Event, Inbox, Kind, Network, longest_bytes};
-use crate::outlets::{Outlets, PassError};
+use crate::ingress::{Ingress, IngressRecord};
+use crate::network::{Bytes, Event, Inbox, Kind, Network, max_message_bytes};
 use crate::protocol::carried::Carried;
-use crate::protocol::lease::MOST_TTL_S;
+use crate::protocol::lease::MAX_TTL_S;
 use crate::protocol::message::Worker;
 use crate::protocol::receiver::Accepted;
-use crate::taking::{TakenRecord, Taking};
+use crate::shard_merger::ShardMerger;
+use crate::worker_ports::{PassError, WorkerPorts};
 
-/// Longest sleep: how late a stop, a silence or a new reader of plan states may be noticed.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
-/// The same after a message: longer than the period of most fleets, so that the next message is what ends the sleep.
+/// Maximum sleep: the delay until a stop, a silence or a new reader of plan states is noticed.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
+/// Maximum sleep after a message. It exceeds the period of most fleets, so that the next message
+/// ends the sleep.
 const AFTER_MESSAGE: Duration = Duration::from_millis(40);
-/// The same while frames of several shards are gathered: a shard that is late holds the others up by as much.
-const GATHER_EVERY: Duration = Duration::from_millis(5);
-/// A term in which nobody has sent for so long fences nobody: longer than the longest lease, so that no older one lasts.
-const FORGOTTEN_AFTER_NS: u64 = 2 * MOST_TTL_S as u64 * 1_000_000_000;
+/// Maximum sleep while frames of several shards are merged. A late shard delays the others by as
+/// much.
+const MERGE_INTERVAL: Duration = Duration::from_millis(5);
+/// Time without frames after which a term no longer fences off earlier ones. It exceeds the longest
+/// lease, so no earlier lease is left.
+const TERM_TIMEOUT_NS: u64 = 2 * MAX_TTL_S as u64 * 1_000_000_000;
 
 /// Follows until `stop`. Calls `ready` when the outputs can be read.
 ///
@@ -38,39 +42,39 @@ pub(crate) fn run(
     (network, lock): (&Arc<Network>, &WorkerLock),
     stop: &AtomicBool,
     ready: impl FnOnce(),
-) -> anyhow::Result<Vec<TakenRecord>> {
+) -> anyhow::Result<Vec<IngressRecord>> {
     let mut bus = join(config, "link")?;
     bus.needs_lock(lock);
-    let mut inbox = Inbox::new(longest_bytes(config.limits().capacity));
+    let mut inbox = Inbox::new(max_message_bytes(config.limits().capacity));
     let shards = open(config, settings, follow, network, &mut inbox)?;
     let every = follow.selection.every;
-    let gathered = match &settings.shards {
-        Some(map) if shards.len() > 1 => Some(Gathered::new(map, config, every)),
+    let shard_merger = match &settings.shards {
+        Some(map) if shards.len() > 1 => Some(ShardMerger::new(map, config, every)),
         _ => None,
     };
     let mut following = Following {
-        outlets: Outlets::open(&bus, config, every)?,
+        worker_ports: WorkerPorts::open(&bus, config, every)?,
         shards,
-        gathered,
-        asks: follow.selection.services,
+        shard_merger,
+        requested: follow.selection.services,
         has_message: false,
-        told: Worker::Unknown,
+        reported: Worker::Unknown,
     };
     ready();
     while !stop.load(Ordering::Relaxed) {
         bus.check()?;
-        following.turn(&inbox)?;
+        following.poll(&inbox)?;
     }
-    following.outlets.planners.wake(WakeEvent::Ended)?;
-    let takings = following.shards.iter().flat_map(|shard| &shard.takings);
-    let mut records: Vec<TakenRecord> = takings.map(Taking::record).collect();
+    following.worker_ports.planners.wake(WakeEvent::Ended)?;
+    let ingresses = following.shards.iter().flat_map(|shard| &shard.ingresses);
+    let mut records: Vec<IngressRecord> = ingresses.map(Ingress::record).collect();
     if let Some(first) = records.first_mut() {
         first.received.lost += inbox.overflowed();
     }
     Ok(records)
 }
 
-/// Asks every link that may speak for a shard.
+/// Opens a stream from every candidate of every shard.
 fn open(
     config: &Config,
     settings: &Settings,
@@ -82,9 +86,9 @@ fn open(
     let most = limits.capacity.max(limits.listed_frames());
     let mut shards = Vec::new();
     for workers in &follow.workers {
-        let mut takings = Vec::new();
+        let mut ingresses = Vec::new();
         for worker in workers {
-            takings.push(Taking::open(
+            ingresses.push(Ingress::open(
                 network,
                 (Kind::Outputs, worker),
                 (settings.fleet(config), most),
@@ -93,46 +97,47 @@ fn open(
             )?);
         }
         shards.push(ShardFeed {
-            takings,
-            speaker: 0,
-            highest: Highest::default(),
-            told: Worker::Unknown,
+            ingresses,
+            leader: 0,
+            highest: HighestTerm::default(),
+            reported: Worker::Unknown,
         });
     }
     Ok(shards)
 }
 
-/// What comes from those that may speak for a shard, or for a fleet that is not split.
+/// The streams of one shard's candidates, or of the worker of a fleet without shards.
 struct ShardFeed {
-    takings: Vec<Taking>,
-    /// The one whose frames are passed on.
-    speaker: usize,
-    highest: Highest,
-    /// State of the worker that was told last.
-    told: Worker,
+    ingresses: Vec<Ingress>,
+    /// Index of the leader, whose frames are passed on.
+    leader: usize,
+    highest: HighestTerm,
+    /// The worker's state that was logged last.
+    reported: Worker,
 }
 
-/// The greatest term in which a shard's workers have sent: one that has been followed by another is not heard any more.
+/// The highest term in which a shard's candidates have sent. It fences off the leaders of earlier
+/// terms.
 #[derive(Debug, Clone, Copy, Default)]
-struct Highest {
+struct HighestTerm {
     term: u64,
-    /// When somebody sent in it last, monotonic ns.
+    /// When a candidate last sent in it, monotonic ns.
     at_ns: u64,
 }
 
-impl Highest {
-    /// The term below which nobody is heard at `now_ns`. Where nobody has sent in it for longer than any lease lasts, the
-    /// store and all candidates may have forgotten it.
+impl HighestTerm {
+    /// The term below which frames are dropped at `now_ns`. If no candidate has sent in it for
+    /// longer than any lease lasts, the store and all candidates may have lost it.
     const fn at(self, now_ns: u64) -> u64 {
-        if now_ns.saturating_sub(self.at_ns) > FORGOTTEN_AFTER_NS {
+        if now_ns.saturating_sub(self.at_ns) > TERM_TIMEOUT_NS {
             0
         } else {
             self.term
         }
     }
 
-    /// Somebody sends in `term`: whether that is one in which nobody has sent.
-    const fn sends(&mut self, term: u64, now_ns: u64) -> bool {
+    /// Notes a frame of `term`. Returns whether the term is new.
+    const fn observe_frame(&mut self, term: u64, now_ns: u64) -> bool {
         let highest = self.at(now_ns);
         if term >= highest {
             (self.term, self.at_ns) = (term, now_ns);
@@ -140,9 +145,9 @@ impl Highest {
         term > highest
     }
 
-    /// The worker of `term` serves, as its link says: of one of which every so many ticks is asked for, frames may be further
-    /// apart than a term is remembered.
-    const fn serves(&mut self, term: u64, now_ns: u64) {
+    /// Notes that the leader of `term` is alive, according to its link. With decimation, frames may
+    /// be farther apart than a term is remembered.
+    const fn observe_leader(&mut self, term: u64, now_ns: u64) {
         if term == self.term && term == self.at(now_ns) {
             self.at_ns = now_ns;
         }
@@ -150,11 +155,11 @@ impl Highest {
 }
 
 impl ShardFeed {
-    /// The state of its worker; unknown while nothing comes.
+    /// The state of the shard's worker. Unknown while nothing arrives.
     fn worker(&mut self) -> Worker {
-        let receiver = self.takings[self.speaker].receiver();
+        let receiver = self.ingresses[self.leader].receiver();
         match receiver.worker() {
-            _ if !receiver.is_heard() => Worker::Unknown,
+            _ if !receiver.is_sending() => Worker::Unknown,
             Worker::Alive if receiver.term() < self.highest.at(clock::monotonic_ns()) => {
                 Worker::Unknown
             }
@@ -162,70 +167,72 @@ impl ShardFeed {
         }
     }
 
-    /// Another speaks where the one that spoke has ended or is not heard.
+    /// Chooses another leader if the present one has ended or is out of reach.
     fn choose(&mut self) {
+        // Keep a leader that is alive, so that candidates do not alternate.
         if self.worker() == Worker::Alive {
             return;
         }
         let highest = self.highest.at(clock::monotonic_ns());
-        let is_alive = |taking: &mut Taking| {
-            let receiver = taking.receiver();
+        let is_alive = |ingress: &mut Ingress| {
+            let receiver = ingress.receiver();
             let is_fenced = receiver.term() < highest;
-            receiver.is_heard() && receiver.worker() == Worker::Alive && !is_fenced
+            receiver.is_sending() && receiver.worker() == Worker::Alive && !is_fenced
         };
-        if let Some(alive) = self.takings.iter_mut().position(is_alive) {
-            self.speaker = alive;
+        if let Some(alive) = self.ingresses.iter_mut().position(is_alive) {
+            self.leader = alive;
         }
     }
 
-    /// Says once what its worker does now.
-    fn tell(&mut self) {
+    /// Logs a change of the worker's state.
+    fn report(&mut self) {
         let worker = self.worker();
-        if worker == self.told {
+        if worker == self.reported {
             return;
         }
-        let from = self.takings[self.speaker].from();
+        let from = self.ingresses[self.leader].from();
         match worker {
             Worker::Alive => tracing::info!("the worker of {from} sends"),
             Worker::Gone => tracing::warn!("the worker of {from} has ended"),
             Worker::Stale => tracing::warn!("the worker of {from} is silent"),
             Worker::Unknown => tracing::warn!("nothing comes from {from}"),
         }
-        self.told = worker;
+        self.reported = worker;
     }
 }
 
 struct Following {
-    outlets: Outlets,
+    worker_ports: WorkerPorts,
     shards: Vec<ShardFeed>,
-    /// Where frames of several workers become one.
-    gathered: Option<Gathered>,
-    /// Services that the file names.
-    asks: u32,
-    /// The last turn took a message.
+    /// Merges the frames of several workers.
+    shard_merger: Option<ShardMerger>,
+    /// Services that the link's file names.
+    requested: u32,
+    /// The last poll took a message.
     has_message: bool,
-    /// State of the fleet's workers that planners here have been told last.
-    told: Worker,
+    /// The state of the fleet's workers that planners here know.
+    reported: Worker,
 }
 
 impl Following {
-    fn turn(&mut self, inbox: &Inbox) -> anyhow::Result<()> {
-        // Sent only while somebody reads them, as the worker itself does.
+    fn poll(&mut self, inbox: &Inbox) -> anyhow::Result<()> {
+        // Plan states are requested only while a planner reads them, as the worker itself writes
+        // them.
         let plans = Carried::PLAN_STATES.bit();
-        let is_read = self.outlets.plan_states.readers() > 0;
+        let is_read = self.worker_ports.plan_states.readers() > 0;
         let services = if is_read {
-            self.asks
+            self.requested
         } else {
-            self.asks & !plans
+            self.requested & !plans
         };
-        for taking in self.takings() {
-            taking.receiver().select(services);
-            taking.ask();
+        for ingress in self.ingresses() {
+            ingress.receiver().select(services);
+            ingress.request_if_due();
         }
-        let wait = match self.gathered {
-            Some(_) => GATHER_EVERY,
+        let wait = match self.shard_merger {
+            Some(_) => MERGE_INTERVAL,
             None if self.has_message => AFTER_MESSAGE,
-            None => LOOK_EVERY,
+            None => POLL_INTERVAL,
         };
         self.has_message = false;
         match inbox.next(wait) {
@@ -238,8 +245,8 @@ impl Following {
                 self.message(&from, &bytes, arrived_ns)?;
             }
             Ok(Event::Lost { name }) => {
-                for taking in self.takings().filter(|taking| *taking.from() == *name) {
-                    taking.receiver().lost();
+                for ingress in self.ingresses().filter(|ingress| *ingress.from() == *name) {
+                    ingress.receiver().lost();
                 }
             }
             Err(RecvTimeoutError::Timeout) => {}
@@ -247,58 +254,62 @@ impl Following {
         }
         let now_ns = clock::monotonic_ns();
         for shard in &mut self.shards {
-            for taking in &mut shard.takings {
-                taking.receiver().falls_silent(now_ns);
+            for ingress in &mut shard.ingresses {
+                ingress.receiver().becomes_silent(now_ns);
             }
             shard.choose();
-            shard.tell();
+            shard.report();
         }
-        if let Some(gathered) = &mut self.gathered {
-            let speaks = self
+        if let Some(shard_merger) = &mut self.shard_merger {
+            let has_worker = self
                 .shards
                 .iter_mut()
                 .map(|it| it.worker() == Worker::Alive);
-            let speaks: Vec<bool> = speaks.collect();
-            let written = gathered.write(&mut self.outlets, &speaks);
+            let has_worker: Vec<bool> = has_worker.collect();
+            let written = shard_merger.write(&mut self.worker_ports, &has_worker);
             is_final(written)?;
         }
-        self.tell()
+        self.report()
     }
 
-    fn takings(&mut self) -> impl Iterator<Item = &mut Taking> {
-        self.shards.iter_mut().flat_map(|shard| &mut shard.takings)
+    fn ingresses(&mut self) -> impl Iterator<Item = &mut Ingress> {
+        self.shards
+            .iter_mut()
+            .flat_map(|shard| &mut shard.ingresses)
     }
 
-    /// Takes a message of the link `from`.
+    /// Handles a message of the link `from`.
     fn message(&mut self, from: &str, bytes: &Bytes, arrived_ns: u64) -> Result<(), SendError> {
         let Self {
-            outlets,
+            worker_ports,
             shards,
-            gathered,
+            shard_merger,
             ..
         } = self;
         let mut ended = Ok(());
         for (at, shard) in shards.iter_mut().enumerate() {
             let ShardFeed {
-                takings,
-                speaker,
+                ingresses,
+                leader,
                 highest,
                 ..
             } = shard;
-            let Some(place) = takings.iter().position(|taking| taking.from() == from) else {
+            let Some(place) = ingresses.iter().position(|ingress| ingress.from() == from) else {
                 continue;
             };
             let mut is_fenced = false;
-            takings[place].message(bytes, arrived_ns, |accepted: Accepted<'_>| {
-                if highest.sends(accepted.term, arrived_ns) {
-                    *speaker = place;
+            ingresses[place].message(bytes, arrived_ns, |accepted: Accepted<'_>| {
+                // A frame of a new term makes its sender the leader at once.
+                if highest.observe_frame(accepted.term, arrived_ns) {
+                    *leader = place;
                 }
+                // Another candidate has led since, so this one's frames are out of date.
                 is_fenced = accepted.term < highest.at(arrived_ns);
-                let speaks = place == *speaker && !is_fenced;
-                let passed = match gathered {
-                    _ if !speaks => Ok(()),
-                    Some(gathered) => gathered.put(at, &accepted),
-                    None => outlets.pass_on(&accepted),
+                let is_leader = place == *leader && !is_fenced;
+                let passed = match shard_merger {
+                    _ if !is_leader => Ok(()),
+                    Some(shard_merger) => shard_merger.put(at, &accepted),
+                    None => worker_ports.pass_on(&accepted),
                 };
                 passed.map_err(|error| {
                     let shown = error.to_string();
@@ -310,17 +321,18 @@ impl Following {
                     ("not passed on", shown)
                 })
             });
-            takings[place].fenced += u64::from(is_fenced);
-            let receiver = takings[place].receiver();
-            if receiver.is_heard() && receiver.worker() == Worker::Alive {
-                highest.serves(receiver.term(), arrived_ns);
+            ingresses[place].fenced += u64::from(is_fenced);
+            let receiver = ingresses[place].receiver();
+            if receiver.is_sending() && receiver.worker() == Worker::Alive {
+                highest.observe_leader(receiver.term(), arrived_ns);
             }
         }
         ended
     }
 
-    /// Planners are told once that nothing is to be expected of any worker, and why.
-    fn tell(&mut self) -> anyhow::Result<()> {
+    /// Wakes planners once when no worker is left, with the reason.
+    fn report(&mut self) -> anyhow::Result<()> {
+        // Alive if any shard's worker is alive, and unknown only if all are.
         let mut states = self.shards.iter_mut().map(ShardFeed::worker);
         let worker = states
             .by_ref()
@@ -329,7 +341,7 @@ impl Following {
                 (Worker::Unknown, state) => state,
                 (all, _) => all,
             });
-        if worker == self.told {
+        if worker == self.reported {
             return Ok(());
         }
         let event = match worker {
@@ -338,14 +350,14 @@ impl Following {
             Worker::Unknown => Some(WakeEvent::Unreachable),
         };
         if let Some(event) = event {
-            self.outlets.planners.wake(event)?;
+            self.worker_ports.planners.wake(event)?;
         }
-        self.told = worker;
+        self.reported = worker;
         Ok(())
     }
 }
 
-/// Errors that end the link; others were of one frame.
+/// Returns errors that end the link. Others concern only one frame.
 fn is_final(sent: Result<(), SendError>) -> Result<(), SendError> {
     match sent {
         Err(error) if error.is_final() => Err(error),
@@ -364,41 +376,41 @@ mod tests {
     #[test]
     fn an_older_term_is_fenced_until_nobody_has_sent_in_the_later_one_for_longer_than_a_lease_lasts()
      {
-        let mut highest = Highest::default();
-        assert!(!highest.sends(0, 1), "of the only worker");
-        assert!(highest.sends(3, 5));
+        let mut highest = HighestTerm::default();
+        assert!(!highest.observe_frame(0, 1), "of the only worker");
+        assert!(highest.observe_frame(3, 5));
         for (term, now_ns) in [(3, 6), (2, 7), (0, 8)] {
-            assert!(!highest.sends(term, now_ns));
+            assert!(!highest.observe_frame(term, now_ns));
             assert_eq!(highest.at(now_ns), 3);
         }
-        assert!(highest.sends(4, 9));
-        // What an older one sends does not keep the fence up.
-        let later_ns = 9 + FORGOTTEN_AFTER_NS;
-        assert!(!highest.sends(3, later_ns));
+        assert!(highest.observe_frame(4, 9));
+        // A frame of an earlier term does not extend the fence.
+        let later_ns = 9 + TERM_TIMEOUT_NS;
+        assert!(!highest.observe_frame(3, later_ns));
         assert_eq!(highest.at(later_ns), 4);
         assert_eq!(highest.at(later_ns + 1), 0);
-        assert!(highest.sends(1, later_ns + 1));
+        assert!(highest.observe_frame(1, later_ns + 1));
         assert_eq!(highest.at(later_ns + 2), 1);
     }
 
     #[test]
     fn a_term_is_remembered_while_its_worker_serves_however_rarely_its_frames_come() {
-        let mut highest = Highest::default();
-        assert!(highest.sends(3, 0));
-        // Statuses come ten times a second, and frames not for an hour.
+        let mut highest = HighestTerm::default();
+        assert!(highest.observe_frame(3, 0));
+        // Statuses come ten times a second, but no frame for an hour.
         for now_ns in (0..3_600_000_000_000).step_by(100_000_000) {
-            highest.serves(3, now_ns);
-            // One that nobody follows does not keep the fence up, nor take it down.
-            highest.serves(2, now_ns);
+            highest.observe_leader(3, now_ns);
+            // The status of an earlier term neither extends the fence nor removes it.
+            highest.observe_leader(2, now_ns);
             assert_eq!(highest.at(now_ns), 3);
         }
         let last_ns = 3_600_000_000_000 - 100_000_000;
-        assert!(!highest.sends(2, last_ns + FORGOTTEN_AFTER_NS));
-        assert_eq!(highest.at(last_ns + FORGOTTEN_AFTER_NS + 1), 0);
-        // What was forgotten does not come back by a status.
+        assert!(!highest.observe_frame(2, last_ns + TERM_TIMEOUT_NS));
+        assert_eq!(highest.at(last_ns + TERM_TIMEOUT_NS + 1), 0);
+        // A status does not restore a term that has timed out.
         for term in [3, 0] {
-            highest.serves(term, last_ns + FORGOTTEN_AFTER_NS + 1);
+            highest.observe_leader(term, last_ns + TERM_TIMEOUT_NS + 1);
         }
-        assert_eq!(highest.at(last_ns + FORGOTTEN_AFTER_NS + 1), 0);
+        assert_eq!(highest.at(last_ns + TERM_TIMEOUT_NS + 1), 0);
     }
 }

@@ -1,4 +1,5 @@
-//! The thread of the worker's host that publishes the samples of other hosts, each source under its own identity.
+//! The thread of the worker's host that publishes the samples of other hosts, each source under its
+//! own identity.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -12,20 +13,21 @@ use joulebus_connect::join;
 use joulebus_wire::{Sample, SampleHeader, fnv1a};
 
 use crate::config::{Settings, Take};
-use crate::network::{Event, Inbox, Kind, Network, longest_bytes};
+use crate::ingress::{Ingress, IngressRecord};
+use crate::network::{Event, Inbox, Kind, Network, max_message_bytes};
 use crate::protocol::carried::Carried;
 use crate::protocol::receiver::Accepted;
 use crate::protocol::selection::Selection;
 use crate::protocol::shift::shift;
-use crate::taking::{TakenRecord, Taking};
 
-/// Longest sleep: how late a stop or a silence may be noticed.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// Maximum sleep: the delay until a stop or a silence is noticed.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
-/// The same after a message: longer than the period of most sources, so that the next message is what ends the sleep.
+/// Maximum sleep after a message. It exceeds the period of most sources, so that the next message
+/// ends the sleep.
 const AFTER_MESSAGE: Duration = Duration::from_millis(40);
 
-/// Takes until `stop`. Calls `ready` when the fleet is joined.
+/// Takes samples until `stop`. Calls `ready` when the fleet is joined.
 ///
 /// # Errors
 /// The fleet cannot be joined, its files were removed, or the network is refused.
@@ -34,33 +36,33 @@ pub(crate) fn run(
     network: &Arc<Network>,
     stop: &AtomicBool,
     ready: impl FnOnce(),
-) -> anyhow::Result<Vec<TakenRecord>> {
+) -> anyhow::Result<Vec<IngressRecord>> {
     let limits = config.limits();
     let bus = join(config, "link")?;
     let mut writer = bus.sample_writer(&limits, limits.capacity)?;
-    let mut inbox = Inbox::new(longest_bytes(limits.capacity));
-    let (mut hosts, mut told) = (BTreeMap::new(), BTreeSet::new());
+    let mut inbox = Inbox::new(max_message_bytes(limits.capacity));
+    let (mut hosts, mut reported) = (BTreeMap::new(), BTreeSet::new());
     for take in takes {
         let selection = Selection::new(Carried::SAMPLES.bit(), 1, take.robots.ranges().to_vec());
         let of_fleet = (settings.fleet(config), limits.capacity);
         let from = (Kind::Samples, take.from.as_str());
-        let taking = Taking::open(network, from, of_fleet, selection, &mut inbox)?;
-        hosts.insert(take.from.as_str(), (taking, &take.robots));
+        let ingress = Ingress::open(network, from, of_fleet, selection, &mut inbox)?;
+        hosts.insert(take.from.as_str(), (ingress, &take.robots));
     }
     ready();
-    let mut wait = LOOK_EVERY;
+    let mut wait = POLL_INTERVAL;
     while !stop.load(Ordering::Relaxed) {
         bus.check()?;
-        for (taking, _) in hosts.values_mut() {
-            taking.ask();
-            if taking.receiver().falls_silent(clock::monotonic_ns()) {
-                tracing::warn!("no samples come from {}", taking.from());
+        for (ingress, _) in hosts.values_mut() {
+            ingress.request_if_due();
+            if ingress.receiver().becomes_silent(clock::monotonic_ns()) {
+                tracing::warn!("no samples come from {}", ingress.from());
             }
         }
         let event = inbox.next(wait);
         wait = match event {
             Ok(Event::Message { .. }) => AFTER_MESSAGE,
-            _ => LOOK_EVERY,
+            _ => POLL_INTERVAL,
         };
         match event {
             Ok(Event::Message {
@@ -68,11 +70,11 @@ pub(crate) fn run(
                 bytes,
                 arrived_ns,
             }) => {
-                let Some((taking, robots)) = hosts.get_mut(&*from) else {
+                let Some((ingress, robots)) = hosts.get_mut(&*from) else {
                     continue;
                 };
                 let (mut ended, mut foreign) = (Ok(()), None);
-                taking.message(&bytes, arrived_ns, |accepted| {
+                ingress.message(&bytes, arrived_ns, |accepted| {
                     let has = |robot| {
                         let (is_taken, is_here) =
                             (robots.has_robot(robot), settings.has_robot(robot));
@@ -90,15 +92,15 @@ pub(crate) fn run(
                     })
                 });
                 ended?;
-                if let Some(robot) = foreign.filter(|_| told.insert(from.clone())) {
+                if let Some(robot) = foreign.filter(|_| reported.insert(from.clone())) {
                     tracing::warn!(
                         "{from} sends samples of robot {robot}, which is not among its `robots` in this link's file: such are left out"
                     );
                 }
             }
             Ok(Event::Lost { name }) => {
-                if let Some((taking, _)) = hosts.get_mut(&*name)
-                    && taking.receiver().lost()
+                if let Some((ingress, _)) = hosts.get_mut(&*name)
+                    && ingress.receiver().lost()
                 {
                     tracing::warn!("the link of {name} is gone");
                 }
@@ -107,15 +109,18 @@ pub(crate) fn run(
             Err(RecvTimeoutError::Disconnected) => anyhow::bail!("the network has ended"),
         }
     }
-    let mut records: Vec<TakenRecord> = hosts.values().map(|(taking, _)| taking.record()).collect();
+    let mut records: Vec<IngressRecord> = hosts
+        .values()
+        .map(|(ingress, _)| ingress.record())
+        .collect();
     if let Some(first) = records.first_mut() {
         first.received.lost += inbox.overflowed();
     }
     Ok(records)
 }
 
-/// Publishes a frame as its source did, with the times of this host and the id that the source has here. Robots that are not
-/// that host's, or not of this shard, are left out: a host speaks for its own.
+/// Publishes a frame with the times of this host and the source's id on this host. Robots that
+/// belong to another host or shard are dropped, because a host may send only its own.
 fn publish(
     writer: &mut SampleWriter,
     (from, accepted): (&str, &Accepted<'_>),
@@ -134,8 +139,8 @@ fn publish(
     writer.send(header, kept.len(), |at| kept[at]).map(drop)
 }
 
-/// The id of a source of the link `from`: of two sources of one name on two hosts neither replaces the other, and no host speaks
-/// in the name of another's source.
+/// The id on this host of a source of the link `from`. Two sources of one name on two hosts
+/// therefore do not replace each other, and no host can publish as another's source.
 fn source_here(from: &str, source: u64) -> u64 {
     fnv1a(from.bytes().chain(source.to_le_bytes()))
 }

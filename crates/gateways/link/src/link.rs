@@ -20,17 +20,17 @@ use joulebus_standby::Places;
 use serde::Serialize;
 
 use crate::config::{Mode, Settings, Side};
-use crate::giving::GivenRecord;
-use crate::network::{Network, NetworkError, longest_bytes, longest_state_bytes};
+use crate::egress::EgressRecord;
+use crate::ingress::IngressRecord;
+use crate::leadership::Leadership;
+use crate::network::{Network, NetworkError, max_message_bytes, max_state_message_bytes};
 use crate::refusals::Refusals;
-use crate::taking::TakenRecord;
-use crate::turn::Turn;
-use crate::{follow, forward, intake, one_thread, outputs, standby, take_over};
+use crate::{follow, forward, intake, outputs, standby, take_over, tls_workaround};
 
 /// Interval between checks for a stop. The main thread does nothing else.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 /// Pause before the next attempt to reach a router.
-const ROUTER_AGAIN_NS: u64 = 500_000_000;
+const RETRY_ROUTER_NS: u64 = 500_000_000;
 /// Nice value of all threads, so that the worker and its sources run first.
 const NICE: u8 = 5;
 
@@ -39,8 +39,8 @@ const NICE: u8 = 5;
 struct LinkReport {
     fleet: String,
     link: String,
-    given: Vec<GivenRecord>,
-    taken: Vec<TakenRecord>,
+    given: Vec<EgressRecord>,
+    taken: Vec<IngressRecord>,
     /// Refused requests, by reason.
     refused: Refusals,
 }
@@ -77,7 +77,7 @@ pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcom
     }
     if settings.network.tls.is_some() && !args.take_over {
         // Restart before signals are caught. A signal in between then still ends the program.
-        one_thread::begin();
+        tls_workaround::begin();
     }
     let stop = Stop::on_signals()?;
     if args.take_over {
@@ -89,7 +89,7 @@ pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcom
         return Ok(Outcome::Done);
     };
     while !stop.is_asked() && !link.threads.iter().any(JoinHandle::is_finished) {
-        thread::sleep(LOOK_EVERY);
+        thread::sleep(POLL_INTERVAL);
     }
     let report = link.finish(&config, &settings)?;
     let lost = report.is_lossy();
@@ -157,23 +157,23 @@ fn open(
 ) -> anyhow::Result<Option<Network>> {
     let of = (config.fleet(), settings.name.as_str());
     let capacity = config.limits().capacity;
-    let longest_bytes = match settings.standby {
-        Some(_) => longest_state_bytes(capacity),
-        None => longest_bytes(capacity),
+    let max_message_bytes = match settings.standby {
+        Some(_) => max_state_message_bytes(capacity),
+        None => max_message_bytes(capacity),
     };
     let candidates = settings.standby.iter().flat_map(|it| &it.others);
     let candidates: Vec<&str> = candidates.map(|(_, name)| name.as_str()).collect();
     let hosts = takes.map(|takes| (takes, candidates.as_slice()));
-    let mut is_told = false;
+    let mut is_logged = false;
     while !stop.is_asked() {
-        match Network::open(&settings.network, of, hosts, longest_bytes) {
+        match Network::open(&settings.network, of, hosts, max_message_bytes) {
             Err(NetworkError::Open { .. }) if settings.network.mode == Mode::Client => {
-                if !is_told {
+                if !is_logged {
                     let router = settings.network.connect.join(", ");
                     tracing::warn!("no router answers at {router}: waiting for one");
                 }
-                is_told = true;
-                stop.sleep_until(clock::monotonic_ns() + ROUTER_AGAIN_NS);
+                is_logged = true;
+                stop.sleep_until(clock::monotonic_ns() + RETRY_ROUTER_NS);
             }
             opened => return Ok(Some(opened?)),
         }
@@ -184,8 +184,8 @@ fn open(
 /// The part of the report from one thread.
 #[derive(Debug, Default)]
 struct Done {
-    given: Vec<GivenRecord>,
-    taken: Vec<TakenRecord>,
+    given: Vec<EgressRecord>,
+    taken: Vec<IngressRecord>,
     refused: Refusals,
 }
 
@@ -248,14 +248,14 @@ impl Link {
         takes: &[crate::config::Take],
         network: &Arc<Network>,
     ) -> anyhow::Result<()> {
-        let turn = match &settings.standby {
+        let leadership = match &settings.standby {
             Some(standby) => Some(self.start_standby((config, settings), standby, network)?),
             None => None,
         };
         let (of, over) = (config.clone(), Arc::clone(network));
         let fleet = settings.fleet(config);
         self.spawn("joulebus-outputs", move |stop, ready| {
-            let over = (&over, turn.as_deref());
+            let over = (&over, leadership.as_deref());
             let (given, refused) = outputs::run((&of, fleet), over, stop, ready)?;
             Ok(Done {
                 given,
@@ -283,11 +283,11 @@ impl Link {
         (config, settings): (&Config, &Settings),
         standby: &crate::config::Standby,
         network: &Arc<Network>,
-    ) -> anyhow::Result<Arc<Turn>> {
-        let (turn, permit) = Turn::resume(Places::of(config))?;
-        let turn = Arc::new(turn);
+    ) -> anyhow::Result<Arc<Leadership>> {
+        let (leadership, permit) = Leadership::resume(Places::of(config))?;
+        let leadership = Arc::new(leadership);
         let (of, with, over) = (config.clone(), settings.clone(), Arc::clone(network));
-        let (its, of_shard) = (Arc::clone(&turn), standby.clone());
+        let (its, of_shard) = (Arc::clone(&leadership), standby.clone());
         self.spawn("joulebus-standby", move |stop, ready| {
             let taken = standby::follow((&of, &with, &of_shard), (&over, &its), stop, ready)?;
             Ok(Done {
@@ -297,14 +297,14 @@ impl Link {
         })?;
         if let Some(lease) = standby.lease.clone() {
             let (of, with) = (config.clone(), settings.clone());
-            let (its, of_shard) = (Arc::clone(&turn), standby.clone());
+            let (its, of_shard) = (Arc::clone(&leadership), standby.clone());
             self.spawn("joulebus-lease", move |stop, ready| {
                 let by = (&of_shard, &lease);
                 standby::hold((&of, &with), by, (&its, permit), stop, ready)?;
                 Ok(Done::default())
             })?;
         }
-        Ok(turn)
+        Ok(leadership)
     }
 
     fn start_following(
@@ -353,11 +353,11 @@ impl Link {
         let (ready, joined) = sync_channel(1);
         let stop = Arc::clone(&self.stop);
         let thread = thread::Builder::new().name(name.to_owned()).spawn(move || {
-            let tell = move || {
+            let signal_ready = move || {
                 // The caller of `spawn` waits for this.
                 let _ = ready.send(());
             };
-            work(&stop, Box::new(tell))
+            work(&stop, Box::new(signal_ready))
         });
         let thread = thread.with_context(|| format!("cannot start the thread {name}"))?;
         if joined.recv().is_err() {
@@ -407,7 +407,7 @@ impl LinkReport {
                 .clone()
                 .any(|it| it.sent.dropped > 0 || it.sent.unheard > 0)
             || self.taken.iter().any(
-                |TakenRecord {
+                |IngressRecord {
                      received, refused, ..
                  }| {
                     received.lost > 0
@@ -422,7 +422,7 @@ impl LinkReport {
 impl fmt::Display for LinkReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(out, "link {} of fleet {}", self.link, self.fleet)?;
-        for GivenRecord { to, sent } in &self.given {
+        for EgressRecord { to, sent } in &self.given {
             writeln!(
                 out,
                 "gave {to} {} frames, {} bytes; {} left out for newer ones, {} not acknowledged",
@@ -483,7 +483,7 @@ impl fmt::Display for CheckReport {
         )?;
         for (shard, robots) in &self.shards {
             let own = if self.speaks_for.as_ref() == Some(shard) {
-                ", for which it speaks"
+                ", whose worker this is"
             } else {
                 ""
             };

@@ -6,24 +6,24 @@
 
 mod arguments;
 mod config;
+mod egress;
 mod etcd;
 mod follow;
 mod forward;
-mod gathered;
-mod giving;
+mod ingress;
 mod intake;
+mod leadership;
 mod link;
 mod network;
-mod one_thread;
-mod outlets;
 mod outputs;
 mod protocol;
 mod refusals;
+mod shard_merger;
 mod standby;
 mod take_over;
-mod taking;
-mod turn;
+mod tls_workaround;
 mod wall_clock;
+mod worker_ports;
 
 use std::process::ExitCode;
 

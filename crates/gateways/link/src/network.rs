@@ -23,31 +23,31 @@ use crate::protocol::carried::Carried;
 use crate::wall_clock::WallClock;
 
 /// Maximum number of queued messages for a thread. Beyond it new messages are dropped and counted.
-const MOST_WAITING: usize = 256;
+const MAX_QUEUED: usize = 256;
 /// Maximum size of the queue, in messages of maximum length.
-const MOST_LONGEST: usize = 4;
+const MAX_QUEUED_LONGEST: usize = 4;
 /// Timeout of a silent peer, ms. It is shorter than the silence that a link reports, and longer
 /// than usual interruptions of a network.
-const LEASE_MS: u64 = 1_000;
+const PEER_TIMEOUT_MS: u64 = 1_000;
 /// How long a message waits for room in the transmit queue before it is dropped, µs. A message of
 /// many batches waits ten times as long.
-const WAIT_US: u64 = 50_000;
+const SEND_TIMEOUT_US: u64 = 50_000;
 /// Timeout of a client's attempt to reach a router, ms.
-const ROUTER_WITHIN_MS: i64 = 1_000;
+const ROUTER_TIMEOUT_MS: i64 = 1_000;
 /// Maximum size of a message's and its frame's headers, bytes.
-const LONGEST_HEADER: usize = 4_096;
+const MAX_HEADER_BYTES: usize = 4_096;
 
 /// Maximum message size in a fleet of that capacity, bytes.
-pub(crate) fn longest_bytes(capacity: usize) -> usize {
+pub(crate) fn max_message_bytes(capacity: usize) -> usize {
     let rows = Carried::all().map(|service| service.sizes().1);
     let longest = rows.max().unwrap_or_default();
-    LONGEST_HEADER + capacity.saturating_mul(longest)
+    MAX_HEADER_BYTES + capacity.saturating_mul(longest)
 }
 
-/// Same as [`longest_bytes`], including a worker's state.
-pub(crate) fn longest_state_bytes(capacity: usize) -> usize {
-    let state = LONGEST_HEADER.saturating_add(Carried::STATE.most(capacity));
-    state.max(longest_bytes(capacity))
+/// Same as [`max_message_bytes`], including a worker's state.
+pub(crate) fn max_state_message_bytes(capacity: usize) -> usize {
+    let state = MAX_HEADER_BYTES.saturating_add(Carried::STATE.most(capacity));
+    state.max(max_message_bytes(capacity))
 }
 
 /// What a stream carries. It is a part of the keys, so that access rules can distinguish the
@@ -118,13 +118,13 @@ struct Counts {
 }
 
 impl Inbox {
-    /// `longest_bytes` is the maximum size of an expected message.
-    pub(crate) fn new(longest_bytes: usize) -> Self {
-        let (sender, receiver) = sync_channel(MOST_WAITING);
+    /// `max_message_bytes` is the maximum size of an expected message.
+    pub(crate) fn new(max_message_bytes: usize) -> Self {
+        let (sender, receiver) = sync_channel(MAX_QUEUED);
         let entry = Entry {
             sender,
             counts: Arc::default(),
-            most_bytes: longest_bytes.saturating_mul(MOST_LONGEST),
+            most_bytes: max_message_bytes.saturating_mul(MAX_QUEUED_LONGEST),
         };
         Self {
             entry,
@@ -208,9 +208,9 @@ impl Network {
         settings: &NetworkSettings,
         (fleet, name): (&str, &str),
         hosts: Option<(&[&str], &[&str])>,
-        longest_bytes: usize,
+        max_message_bytes: usize,
     ) -> Result<Self, NetworkError> {
-        let mut config = configured(settings, longest_bytes)?;
+        let mut config = configured(settings, max_message_bytes)?;
         if let Some(hosts) = hosts
             && settings.tls.is_some()
             && settings.mode == Mode::Peer
@@ -354,7 +354,7 @@ fn last_part(sample: &Sample) -> Option<Arc<str>> {
 /// environment variable changes them.
 fn configured(
     settings: &NetworkSettings,
-    longest_bytes: usize,
+    max_message_bytes: usize,
 ) -> Result<zenoh::Config, NetworkError> {
     let mut config = zenoh::Config::default();
     let mut set = |key: &str, value: serde_json::Value| insert(&mut config, key, &value);
@@ -368,7 +368,7 @@ fn configured(
     // ten seconds.
     let is_client = settings.mode == Mode::Client;
     let within_ms = match (is_client, settings.listen.is_empty()) {
-        (true, _) => ROUTER_WITHIN_MS,
+        (true, _) => ROUTER_TIMEOUT_MS,
         (false, true) => -1,
         (false, false) => 0,
     };
@@ -384,16 +384,19 @@ fn configured(
     let nobody = json!({"peer": [], "router": [], "client": []});
     set("scouting/gossip/target", nobody.clone())?;
     set("scouting/gossip/autoconnect", nobody)?;
-    set("transport/link/tx/lease", json!(LEASE_MS))?;
-    set("transport/link/rx/max_message_size", json!(longest_bytes))?;
+    set("transport/link/tx/lease", json!(PEER_TIMEOUT_MS))?;
+    set(
+        "transport/link/rx/max_message_size",
+        json!(max_message_bytes),
+    )?;
     // Few frames of a link are in flight. They need room even while a thread of zenoh gets no
     // processor, and a long frame takes many batches.
     set("transport/link/tx/queue/size/data", json!(16))?;
     let drop = "transport/link/tx/queue/congestion_control/drop";
-    set(&format!("{drop}/wait_before_drop"), json!(WAIT_US))?;
+    set(&format!("{drop}/wait_before_drop"), json!(SEND_TIMEOUT_US))?;
     set(
         &format!("{drop}/max_wait_before_drop_fragments"),
-        json!(10 * WAIT_US),
+        json!(10 * SEND_TIMEOUT_US),
     )?;
     if let Some(tls) = &settings.tls {
         set("transport/link/tls/root_ca_certificate", json!(tls.ca))?;

@@ -1,4 +1,4 @@
-//! The thread of the worker's host that reads as a planner does, and gives what it reads to other hosts.
+//! The thread of the worker's host that reads as a planner, and sends the frames to other hosts.
 
 use std::fmt::Display;
 use std::os::unix::fs::MetadataExt as _;
@@ -16,73 +16,73 @@ use joulebus_consumer::{
 use joulebus_standby::SavedState;
 use joulebus_wire::{Channel, FrameHeader as _, Place, SCHEMA_VERSION, StateHeader, Ticks};
 
-use crate::giving::{GivenRecord, Giving};
+use crate::egress::{Egress, EgressRecord};
+use crate::leadership::Leadership;
 use crate::network::{Kind, Network};
 use crate::protocol::carried::Carried;
-use crate::protocol::message::{FleetId, Voice, Worker};
+use crate::protocol::message::{FleetId, LeaderStatus, Worker};
 use crate::protocol::stream::LocalFrame;
 use crate::refusals::Refusals;
-use crate::turn::Turn;
 
-/// Longest sleep: how late a request or a stop may be noticed.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
-/// The same after a frame, where nothing waits for a request: longer than the period of most fleets, so that the next frame
-/// is what ends the sleep.
+/// Maximum sleep: the delay until a request or a stop is noticed.
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
+/// Maximum sleep after a frame if no frame waits for a request. It exceeds the period of most
+/// fleets, so that the next frame ends the sleep.
 const AFTER_FRAME: Duration = Duration::from_millis(40);
-/// Pause before a feed that could not be opened is tried again.
-const OPEN_EVERY_NS: u64 = 1_000_000_000;
-/// Pause after a frame of forecasts before what the worker writes behind it is looked for.
+/// Pause before the next attempt to open a feed.
+const RETRY_OPEN_NS: u64 = 1_000_000_000;
+/// Pause between a frame of forecasts and the frames that the worker writes after it.
 const BEHIND: Duration = Duration::from_millis(1);
-/// What the worker writes behind its forecasts.
+/// The services that the worker writes after its forecasts.
 const BEHIND_FORECASTS: [Carried; 4] = [
     Carried::DIAGNOSTICS,
     Carried::BUDGETS,
     Carried::PLAN_STATES,
     Carried::TICKS,
 ];
-/// How often is looked for a newer state of the worker, which writes one a second.
-const STATE_EVERY_NS: u64 = 100_000_000;
-/// Frames in a row without a permit after which a worker is told to be none that stands by: one whose permit has ended sends
-/// for 50 ms at most.
+/// Interval of checks for a newer state of the worker, which writes one a second.
+const STATE_POLL_INTERVAL_NS: u64 = 100_000_000;
+/// Number of consecutive frames without a permit after which the worker is reported as started
+/// without `--standby`. A worker whose permit has ended sends for 50 ms at most.
 const UNPERMITTED: u32 = 100;
 
-/// Gives until `stop`. Calls `ready` when the fleet is joined.
+/// Sends until `stop`. Calls `ready` when the fleet is joined.
 ///
 /// # Errors
 /// The fleet cannot be joined, its files were removed, or the network is refused.
 pub(crate) fn run(
     (config, fleet): (&Config, FleetId),
-    (network, turn): (&Arc<Network>, Option<&Turn>),
+    (network, leadership): (&Arc<Network>, Option<&Leadership>),
     stop: &AtomicBool,
     ready: impl FnOnce(),
-) -> anyhow::Result<(Vec<GivenRecord>, Refusals)> {
+) -> anyhow::Result<(Vec<EgressRecord>, Refusals)> {
     let mut planner = Subscriber::with_config(config, "link")?;
-    let mut giving = Giving::open(network, Kind::Outputs, None, fleet)?;
+    let mut egress = Egress::open(network, Kind::Outputs, None, fleet)?;
     let mut feeds = Feeds::new(config);
-    let mut state = turn.map(StateFeed::new);
+    let mut state = leadership.map(StateFeed::new);
     ready();
-    let mut wait = LOOK_EVERY;
+    let mut wait = POLL_INTERVAL;
     let mut unpermitted = 0_u32;
     while !stop.load(Ordering::Relaxed) {
-        let told = giving.voice;
+        let before = egress.leader;
         wait = match planner.wait_next(wait) {
             Ok(Event::Frame(frame)) => {
-                giving.voice = voice(Worker::Alive, turn);
-                let is_permitted = turn.is_none() || giving.voice.term > 0;
+                egress.leader = leader_status(Worker::Alive, leadership);
+                let is_permitted = leadership.is_none() || egress.leader.term > 0;
                 unpermitted = if is_permitted { 0 } else { unpermitted + 1 };
                 if unpermitted == UNPERMITTED {
                     tracing::error!(
-                        "the worker of this host serves without a permit, and other hosts do not hear it: start it with --standby"
+                        "the worker of this host serves without a permit, and other hosts ignore it: start it with --standby"
                     );
                 }
                 if is_permitted {
-                    if let Some(turn) = turn {
-                        turn.worker_works();
+                    if let Some(leadership) = leadership {
+                        leadership.worker_active();
                     }
-                    // What has been acknowledged meanwhile makes room for this one.
-                    giving.take()?;
+                    // Acknowledgements that have arrived make room for this frame.
+                    egress.take()?;
                     let header = frame.header();
-                    giving.offer(LocalFrame {
+                    egress.offer(LocalFrame {
                         service: Carried::FORECASTS,
                         source: 0,
                         tick: header.tick,
@@ -90,20 +90,20 @@ pub(crate) fn run(
                         elements: cast_slice(frame.robots()),
                     });
                 }
-                if BEHIND_FORECASTS.iter().any(|it| giving.wants(*it)) {
+                if BEHIND_FORECASTS.iter().any(|it| egress.wants(*it)) {
                     BEHIND
-                } else if giving.waits() {
-                    LOOK_EVERY
+                } else if egress.waits() {
+                    POLL_INTERVAL
                 } else {
                     AFTER_FRAME
                 }
             }
-            Ok(_) => LOOK_EVERY,
-            // Connections that failed are made again.
+            Ok(_) => POLL_INTERVAL,
+            // Failed connections are made again.
             Err(ReadError::Receive(error)) => {
                 tracing::debug!(%error, "forecasts cannot be read");
-                std::thread::sleep(LOOK_EVERY);
-                LOOK_EVERY
+                std::thread::sleep(POLL_INTERVAL);
+                POLL_INTERVAL
             }
             Err(error) => return Err(error.into()),
         };
@@ -113,82 +113,84 @@ pub(crate) fn run(
             WorkerState::Gone(_) => Worker::Gone,
             _ => Worker::Stale,
         };
-        giving.voice = voice(worker, turn);
-        giving.turn()?;
-        if turn.is_none() || giving.voice.term > 0 {
-            feeds.give(&planner, &mut giving)?;
+        egress.leader = leader_status(worker, leadership);
+        egress.poll()?;
+        if leadership.is_none() || egress.leader.term > 0 {
+            feeds.give(&planner, &mut egress)?;
         }
         if let Some(state) = &mut state {
-            state.give(&mut giving);
+            state.give(&mut egress);
         }
-        let is_over =
-            |voice: Voice| voice.worker == Worker::Gone || (turn.is_some() && voice.term == 0);
-        if is_over(giving.voice) && !is_over(told) {
-            giving.tell();
+        let is_over = |leader: LeaderStatus| {
+            leader.worker == Worker::Gone || (leadership.is_some() && leader.term == 0)
+        };
+        if is_over(egress.leader) && !is_over(before) {
+            egress.send_status();
         }
     }
-    Ok((giving.records(), giving.refused))
+    Ok((egress.records(), egress.refused))
 }
 
-/// What is told of the worker: one that may not serve now has no term, and those of other hosts do not hear it.
-fn voice(worker: Worker, turn: Option<&Turn>) -> Voice {
-    let Some(turn) = turn else {
+/// The status of this host's worker for its receivers. A worker that may not lead now has no term,
+/// and other hosts ignore it.
+fn leader_status(worker: Worker, leadership: Option<&Leadership>) -> LeaderStatus {
+    let Some(leadership) = leadership else {
         return worker.into();
     };
-    // Of one that was to end and has not yet, too: another waits for that.
-    Voice {
+    // Also while the old leader is shutting down: its successor waits for it.
+    LeaderStatus {
         worker,
-        term: turn.term(),
-        heard: turn.heard(),
+        term: leadership.term(),
+        highest_term: leadership.highest_term(),
     }
 }
 
-/// The state of the worker, for those that stand by.
+/// The worker's state, for the standbys.
 struct StateFeed<'a> {
-    turn: &'a Turn,
+    leadership: &'a Leadership,
     look_ns: u64,
-    /// The file of the one that was given last: its number, and when it was written, s and ns.
-    given: Option<(u64, i64, i64)>,
-    is_told: bool,
+    /// The file that was sent last: its inode, and its time of modification, s and ns.
+    sent: Option<(u64, i64, i64)>,
+    is_logged: bool,
 }
 
 impl<'a> StateFeed<'a> {
-    const fn new(turn: &'a Turn) -> Self {
+    const fn new(leadership: &'a Leadership) -> Self {
         Self {
-            turn,
+            leadership,
             look_ns: 0,
-            given: None,
-            is_told: false,
+            sent: None,
+            is_logged: false,
         }
     }
 
-    fn give(&mut self, giving: &mut Giving) {
+    fn give(&mut self, egress: &mut Egress) {
         let now_ns = clock::monotonic_ns();
-        if now_ns < self.look_ns || giving.voice.term == 0 || !giving.wants(Carried::STATE) {
+        if now_ns < self.look_ns || egress.leader.term == 0 || !egress.wants(Carried::STATE) {
             return;
         }
-        self.look_ns = now_ns + STATE_EVERY_NS;
-        let path = &self.turn.places().keyframe;
+        self.look_ns = now_ns + STATE_POLL_INTERVAL_NS;
+        let path = &self.leadership.places().keyframe;
         let Ok(about) = joulebus_files::look(path) else {
             return;
         };
         let file = (about.ino(), about.mtime(), about.mtime_nsec());
-        if self.given == Some(file) {
+        if self.sent == Some(file) {
             return;
         }
         let saved = match SavedState::read(path) {
-            Ok(Some(saved)) if saved.term == giving.voice.term => saved,
-            // Of a worker before.
+            Ok(Some(saved)) if saved.term == egress.leader.term => saved,
+            // The state of an earlier worker.
             Ok(_) => return,
             Err(error) => {
-                if !self.is_told {
+                if !self.is_logged {
                     tracing::warn!("those that stand by get no state: {error}");
                 }
-                self.is_told = true;
+                self.is_logged = true;
                 return;
             }
         };
-        (self.given, self.is_told) = (Some(file), false);
+        (self.sent, self.is_logged) = (Some(file), false);
         let header = StateHeader {
             schema: SCHEMA_VERSION,
             pid: process_id(),
@@ -197,7 +199,7 @@ impl<'a> StateFeed<'a> {
             sent_ns: now_ns,
             ..StateHeader::default()
         };
-        giving.offer(LocalFrame {
+        egress.offer(LocalFrame {
             service: Carried::STATE,
             source: 0,
             tick: 0,
@@ -207,16 +209,17 @@ impl<'a> StateFeed<'a> {
     }
 }
 
-/// What the worker writes behind its forecasts: read while somebody asks for it.
+/// The services that the worker writes after its forecasts. They are read only while a receiver
+/// requests them.
 struct Feeds<'a> {
     config: &'a Config,
     diagnostics: Wanted<Feed<Diagnostics>>,
     budgets: Wanted<Feed<Budgets>>,
     plan_states: Wanted<Feed<PlanStates>>,
-    // The port before the membership.
+    // Declared in this order: the port is dropped before the membership.
     ticks: Wanted<(Reader<Ticks>, Bus)>,
     /// The last frame of each feed.
-    given: [Place; 3],
+    sent: [Place; 3],
 }
 
 impl<'a> Feeds<'a> {
@@ -227,25 +230,25 @@ impl<'a> Feeds<'a> {
             budgets: Wanted::new("budgets"),
             plan_states: Wanted::new("plan states"),
             ticks: Wanted::new("the journal"),
-            given: [Place { run: 0, number: 0 }; 3],
+            sent: [Place { run: 0, number: 0 }; 3],
         }
     }
 
-    fn give(&mut self, planner: &Subscriber, giving: &mut Giving) -> anyhow::Result<()> {
-        let [of_diagnostics, of_budgets, of_plan_states] = &mut self.given;
+    fn give(&mut self, planner: &Subscriber, egress: &mut Egress) -> anyhow::Result<()> {
+        let [of_diagnostics, of_budgets, of_plan_states] = &mut self.sent;
         let feed = (Carried::DIAGNOSTICS, &mut self.diagnostics);
-        pass(feed, of_diagnostics, giving, planner)?;
+        pass(feed, of_diagnostics, egress, planner)?;
         let feed = (Carried::BUDGETS, &mut self.budgets);
-        pass(feed, of_budgets, giving, planner)?;
+        pass(feed, of_budgets, egress, planner)?;
         let feed = (Carried::PLAN_STATES, &mut self.plan_states);
-        pass(feed, of_plan_states, giving, planner)?;
-        self.ticks(giving);
+        pass(feed, of_plan_states, egress, planner)?;
+        self.ticks(egress);
         Ok(())
     }
 
-    fn ticks(&mut self, giving: &mut Giving) {
+    fn ticks(&mut self, egress: &mut Egress) {
         let config = self.config;
-        self.ticks.keep(giving.wants(Carried::TICKS), || {
+        self.ticks.keep(egress.wants(Carried::TICKS), || {
             let bus = join(config, "link-journal")?;
             let reader = bus.reader::<Ticks>(&config.limits())?;
             Ok::<_, anyhow::Error>((reader, bus))
@@ -254,7 +257,7 @@ impl<'a> Feeds<'a> {
             return;
         };
         let taken = reader.take_all(|header, frames| {
-            giving.offer(LocalFrame {
+            egress.offer(LocalFrame {
                 service: Carried::TICKS,
                 source: 0,
                 tick: header.tick,
@@ -263,17 +266,18 @@ impl<'a> Feeds<'a> {
             });
         });
         if let Err(error) = taken {
-            self.ticks.fails(&error);
+            self.ticks.log_failure(&error);
         }
     }
 }
 
-/// A feed that is open while somebody wants it. What fails is said once, and tried again: readers come and go.
+/// A feed that is open while a receiver requests it. A failure is logged once and retried, because
+/// readers come and go.
 struct Wanted<F> {
     what: &'static str,
     feed: Option<F>,
     again_ns: u64,
-    is_told: bool,
+    is_logged: bool,
 }
 
 impl<F> Wanted<F> {
@@ -282,7 +286,7 @@ impl<F> Wanted<F> {
             what,
             feed: None,
             again_ns: 0,
-            is_told: false,
+            is_logged: false,
         }
     }
 
@@ -296,27 +300,27 @@ impl<F> Wanted<F> {
         }
         match open() {
             Ok(feed) => self.feed = Some(feed),
-            Err(error) => self.fails(&error),
+            Err(error) => self.log_failure(&error),
         }
     }
 
-    fn fails(&mut self, error: &dyn Display) {
-        if !self.is_told {
+    fn log_failure(&mut self, error: &dyn Display) {
+        if !self.is_logged {
             tracing::warn!("{} cannot be read: {error}", self.what);
         }
-        self.is_told = true;
-        self.again_ns = clock::monotonic_ns() + OPEN_EVERY_NS;
+        self.is_logged = true;
+        self.again_ns = clock::monotonic_ns() + RETRY_OPEN_NS;
     }
 }
 
-/// Gives the newest frame, unless it was given.
+/// Sends the newest frame, unless it was sent before.
 fn pass<C: Channel>(
     (service, wanted): (Carried, &mut Wanted<Feed<C>>),
-    given: &mut Place,
-    giving: &mut Giving,
+    sent: &mut Place,
+    egress: &mut Egress,
     planner: &Subscriber,
 ) -> Result<(), ReadError> {
-    wanted.keep(giving.wants(service), || planner.feed());
+    wanted.keep(egress.wants(service), || planner.feed());
     let Some(feed) = &mut wanted.feed else {
         return Ok(());
     };
@@ -324,17 +328,17 @@ fn pass<C: Channel>(
         Ok(Some(frame)) => frame,
         Ok(None) => return Ok(()),
         Err(ReadError::Receive(error)) => {
-            wanted.fails(&error);
+            wanted.log_failure(&error);
             return Ok(());
         }
         Err(error) => return Err(error),
     };
     let place = frame.header().place();
-    if place == *given {
+    if place == *sent {
         return Ok(());
     }
-    *given = place;
-    giving.offer(LocalFrame {
+    *sent = place;
+    egress.offer(LocalFrame {
         service,
         source: 0,
         tick: place.number,

@@ -16,25 +16,25 @@ use joulebus_wire::StateHeader;
 
 use crate::config::{LeaseSettings, Settings, Standby};
 use crate::etcd::Etcd;
-use crate::network::{Event, Inbox, Kind, Network, longest_state_bytes};
+use crate::ingress::{Ingress, IngressRecord};
+use crate::leadership::Leadership;
+use crate::network::{Event, Inbox, Kind, Network, max_state_message_bytes};
 use crate::protocol::carried::Carried;
-use crate::protocol::lease::{Candidate, Next, Right};
+use crate::protocol::lease::{Candidate, LeaderLease, Next};
 use crate::protocol::message::Worker;
 use crate::protocol::receiver::Accepted;
 use crate::protocol::selection::Selection;
 use crate::protocol::shift::shift;
-use crate::taking::{TakenRecord, Taking};
-use crate::turn::Turn;
 
 /// Maximum sleep: the delay until a stop, a request or a later term is noticed.
-const LOOK_EVERY: Duration = Duration::from_millis(20);
+const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// Interval of checks whether the worker lives.
-const WORKER_EVERY_NS: u64 = 200_000_000;
+const WORKER_POLL_INTERVAL_NS: u64 = 200_000_000;
 /// Time after which an absent worker is not expected back. A leader that has sent nothing for
-/// `HANGS_NS` and for `HANGS_TICKS` ticks hangs.
-const AWAY_NS: u64 = 2_000_000_000;
-const HANGS_NS: u64 = 5_000_000_000;
-const HANGS_TICKS: u64 = 5;
+/// `HANG_TIMEOUT_NS` and for `HANG_TIMEOUT_TICKS` ticks hangs.
+const RESTART_TIMEOUT_NS: u64 = 2_000_000_000;
+const HANG_TIMEOUT_NS: u64 = 5_000_000_000;
+const HANG_TIMEOUT_TICKS: u64 = 5;
 /// Nanoseconds in a second.
 const NANOSECONDS: u64 = 1_000_000_000;
 
@@ -45,40 +45,43 @@ const NANOSECONDS: u64 = 1_000_000_000;
 pub(crate) fn hold(
     (config, settings): (&Config, &Settings),
     (standby, lease): (&Standby, &LeaseSettings),
-    (turn, permit): (&Turn, Option<Permit>),
+    (leadership, permit): (&Leadership, Option<Permit>),
     stop: &AtomicBool,
     ready: impl FnOnce(),
 ) -> anyhow::Result<()> {
     let mut etcd = Etcd::new(lease, (config.fleet(), &standby.shard, &settings.name))?;
-    let right = permit.and_then(|permit| {
+    let leader_lease = permit.and_then(|permit| {
         let until_ns = permit.until_ns?;
         let (term, lease) = (permit.term, permit.lease);
-        Some(Right {
+        Some(LeaderLease {
             term,
             until_ns,
             lease,
         })
     });
-    if right.is_none() {
+    if leader_lease.is_none() {
         // An operator's permit, from a time without a lease.
-        turn.withdraw()?;
+        leadership.withdraw()?;
     }
     let ttl_ns = u64::from(lease.ttl_s) * NANOSECONDS;
-    let mut candidate = Candidate::new(&settings.name, standby.rank, ttl_ns, right);
-    let mut holding = Holding { turn, right };
+    let mut candidate = Candidate::new(&settings.name, standby.rank, ttl_ns, leader_lease);
+    let mut permit_writer = PermitWriter {
+        leadership,
+        leader_lease,
+    };
     let mut holder = None;
-    let hangs_ns = HANGS_NS.max(HANGS_TICKS * config.tick_period_ns());
-    let mut worker = HostsWorker::new(config.domain()?, hangs_ns);
+    let hang_timeout_ns = HANG_TIMEOUT_NS.max(HANG_TIMEOUT_TICKS * config.tick_period_ns());
+    let mut worker = LocalWorker::new(config.domain()?, hang_timeout_ns);
     ready();
     while !stop.load(Ordering::Relaxed) {
-        candidate.hears(turn.heard());
-        candidate.is_able(worker.is_able(turn));
+        candidate.observe_term(leadership.highest_term());
+        candidate.is_able(worker.is_able(leadership));
         // Boot time counts suspension: a lease also ends while this host is suspended.
         let now_ns = clock::boot_ns();
         match candidate.next(now_ns) {
             Next::Wait(until_ns) => {
                 thread::sleep(
-                    LOOK_EVERY.min(Duration::from_nanos(until_ns.saturating_sub(now_ns))),
+                    POLL_INTERVAL.min(Duration::from_nanos(until_ns.saturating_sub(now_ns))),
                 );
             }
             Next::Call(call) => {
@@ -87,7 +90,7 @@ pub(crate) fn hold(
                 candidate.answered(&call, reply, (asked_ns, clock::boot_ns()));
             }
         }
-        holding.follow(candidate.right(clock::boot_ns()));
+        permit_writer.follow(candidate.leader_lease(clock::boot_ns()));
         let found = candidate.holder().map(|it| it.name.clone());
         if found != holder {
             match &found {
@@ -101,20 +104,20 @@ pub(crate) fn hold(
 }
 
 /// Whether the worker of this host can lead.
-struct HostsWorker {
+struct LocalWorker {
     domain: Domain,
-    hangs_ns: u64,
+    hang_timeout_ns: u64,
     look_ns: u64,
     /// When its lock was last seen held, monotonic ns.
     seen_ns: Option<u64>,
     is_able: bool,
 }
 
-impl HostsWorker {
-    const fn new(domain: Domain, hangs_ns: u64) -> Self {
+impl LocalWorker {
+    const fn new(domain: Domain, hang_timeout_ns: u64) -> Self {
         Self {
             domain,
-            hangs_ns,
+            hang_timeout_ns,
             look_ns: 0,
             seen_ns: None,
             is_able: false,
@@ -123,18 +126,18 @@ impl HostsWorker {
 
     /// Whether the worker lives and, as leader, sends. A worker that restarts counts as able for a
     /// while.
-    fn is_able(&mut self, turn: &Turn) -> bool {
+    fn is_able(&mut self, leadership: &Leadership) -> bool {
         let now_ns = clock::monotonic_ns();
         if now_ns >= self.look_ns {
-            self.look_ns = now_ns + WORKER_EVERY_NS;
+            self.look_ns = now_ns + WORKER_POLL_INTERVAL_NS;
             match WorkerLock::owner(&self.domain) {
                 Ok(Some(_)) => self.seen_ns = Some(now_ns),
                 Ok(None) => {}
                 Err(error) => tracing::debug!(%error, "the worker's lock cannot be read"),
             }
             let away_ns = self.seen_ns.map(|seen_ns| now_ns - seen_ns);
-            let hangs = turn.term() > 0 && turn.idle_ns() > self.hangs_ns;
-            let is_able = away_ns.is_some_and(|away_ns| away_ns <= AWAY_NS) && !hangs;
+            let hangs = leadership.term() > 0 && leadership.idle_ns() > self.hang_timeout_ns;
+            let is_able = away_ns.is_some_and(|away_ns| away_ns <= RESTART_TIMEOUT_NS) && !hangs;
             if self.is_able && !is_able {
                 let what = if hangs { "sends nothing" } else { "is gone" };
                 tracing::warn!("the worker of this host {what}: another may serve");
@@ -146,25 +149,25 @@ impl HostsWorker {
 }
 
 /// Writes the worker's permit as the lease changes.
-struct Holding<'a> {
-    turn: &'a Turn,
-    right: Option<Right>,
+struct PermitWriter<'a> {
+    leadership: &'a Leadership,
+    leader_lease: Option<LeaderLease>,
 }
 
-impl Holding<'_> {
-    fn follow(&mut self, right: Option<Right>) {
-        if right == self.right {
+impl PermitWriter<'_> {
+    fn follow(&mut self, leader_lease: Option<LeaderLease>) {
+        if leader_lease == self.leader_lease {
             return;
         }
-        let done = match right {
-            Some(right) => self.turn.grant(&Permit {
-                term: right.term,
-                until_ns: Some(right.until_ns),
-                lease: right.lease,
+        let done = match leader_lease {
+            Some(leader_lease) => self.leadership.grant(&Permit {
+                term: leader_lease.term,
+                until_ns: Some(leader_lease.until_ns),
+                lease: leader_lease.lease,
             }),
-            None => self.turn.withdraw(),
+            None => self.leadership.withdraw(),
         };
-        match (done, self.right, right) {
+        match (done, self.leader_lease, leader_lease) {
             // The permit is written again with the next renewal.
             (Err(error), ..) => {
                 tracing::error!("{error}");
@@ -181,7 +184,7 @@ impl Holding<'_> {
             }
             _ => {}
         }
-        self.right = right;
+        self.leader_lease = leader_lease;
     }
 }
 
@@ -194,22 +197,22 @@ impl Holding<'_> {
 /// The network is refused.
 pub(crate) fn follow(
     (config, settings, standby): (&Config, &Settings, &Standby),
-    (network, turn): (&Arc<Network>, &Turn),
+    (network, leadership): (&Arc<Network>, &Leadership),
     stop: &AtomicBool,
     ready: impl FnOnce(),
-) -> anyhow::Result<Vec<TakenRecord>> {
+) -> anyhow::Result<Vec<IngressRecord>> {
     let capacity = config.limits().capacity;
-    let mut inbox = Inbox::new(longest_state_bytes(capacity));
+    let mut inbox = Inbox::new(max_state_message_bytes(capacity));
     let mut others = Vec::new();
     for (rank, other) in &standby.others {
         let of_fleet = (settings.fleet(config), capacity);
         let selection = Selection::new(0, 1, Vec::new());
         let from = (Kind::Outputs, other.as_str());
-        let taking = Taking::open(network, from, of_fleet, selection, &mut inbox)?;
-        others.push((*rank, taking));
+        let ingress = Ingress::open(network, from, of_fleet, selection, &mut inbox)?;
+        others.push((*rank, ingress));
     }
     let mut following = Following {
-        turn,
+        leadership,
         others,
         rank: standby.rank,
         is_by_hand: standby.lease.is_none(),
@@ -217,10 +220,10 @@ pub(crate) fn follow(
     };
     ready();
     while !stop.load(Ordering::Relaxed) {
-        following.turn(&inbox)?;
+        following.poll(&inbox)?;
     }
-    let records = following.others.iter().map(|(_, taking)| taking.record());
-    let mut records: Vec<TakenRecord> = records.collect();
+    let records = following.others.iter().map(|(_, ingress)| ingress.record());
+    let mut records: Vec<IngressRecord> = records.collect();
     if let Some(first) = records.first_mut() {
         first.received.lost += inbox.overflowed();
     }
@@ -228,9 +231,9 @@ pub(crate) fn follow(
 }
 
 struct Following<'a> {
-    turn: &'a Turn,
+    leadership: &'a Leadership,
     /// The other candidates' streams with their ranks.
-    others: Vec<(usize, Taking)>,
+    others: Vec<(usize, Ingress)>,
     rank: usize,
     /// An operator chooses the leader.
     is_by_hand: bool,
@@ -240,44 +243,45 @@ struct Following<'a> {
 }
 
 impl Following<'_> {
-    fn turn(&mut self, inbox: &Inbox) -> anyhow::Result<()> {
-        let services = match self.turn.term() {
+    fn poll(&mut self, inbox: &Inbox) -> anyhow::Result<()> {
+        let services = match self.leadership.term() {
             0 => Carried::STATE.bit(),
             _ => 0,
         };
-        for (_, taking) in &mut self.others {
-            taking.receiver().select(services);
-            taking.ask();
+        for (_, ingress) in &mut self.others {
+            ingress.receiver().select(services);
+            ingress.request_if_due();
         }
-        match inbox.next(LOOK_EVERY) {
+        match inbox.next(POLL_INTERVAL) {
             Ok(Event::Message {
                 from,
                 bytes,
                 arrived_ns,
             }) => {
-                let turn = self.turn;
-                let taking = self.others.iter_mut().find(|(_, it)| *it.from() == *from);
-                if let Some((rank, taking)) = taking {
-                    taking.message(&bytes, arrived_ns, |accepted| {
-                        keep(turn, &accepted).map_err(|error| ("not kept", format!("{error:#}")))
+                let leadership = self.leadership;
+                let ingress = self.others.iter_mut().find(|(_, it)| *it.from() == *from);
+                if let Some((rank, ingress)) = ingress {
+                    ingress.message(&bytes, arrived_ns, |accepted| {
+                        keep(leadership, &accepted)
+                            .map_err(|error| ("not kept", format!("{error:#}")))
                     });
-                    let (rank, receiver) = (*rank, taking.receiver());
-                    let (term, heard) = (receiver.term(), receiver.heard_term());
-                    self.hears(rank, (term, heard))?;
+                    let (rank, receiver) = (*rank, ingress.receiver());
+                    let (term, highest_term) = (receiver.term(), receiver.highest_term());
+                    self.observe_term(rank, (term, highest_term))?;
                 }
             }
             Ok(Event::Lost { name }) => {
-                for (_, taking) in self.others.iter_mut().filter(|(_, it)| *it.from() == *name) {
-                    taking.receiver().lost();
+                for (_, ingress) in self.others.iter_mut().filter(|(_, it)| *it.from() == *name) {
+                    ingress.receiver().lost();
                 }
             }
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => anyhow::bail!("the network has ended"),
         }
         let now_ns = clock::monotonic_ns();
-        for (_, taking) in &mut self.others {
-            if taking.receiver().falls_silent(now_ns) {
-                tracing::warn!("nothing comes from {}", taking.from());
+        for (_, ingress) in &mut self.others {
+            if ingress.receiver().becomes_silent(now_ns) {
+                tracing::warn!("nothing comes from {}", ingress.from());
             }
         }
         if self.is_by_hand {
@@ -288,17 +292,17 @@ impl Following<'_> {
 
     /// Handles what the candidate of this rank reports: `term`, in which it leads (0 if it does
     /// not), and the highest term that it knows of or claims.
-    fn hears(&self, rank: usize, (term, heard): (u64, u64)) -> anyhow::Result<()> {
-        let own = self.turn.term();
-        self.turn.hear(heard);
+    fn observe_term(&self, rank: usize, (term, highest_term): (u64, u64)) -> anyhow::Result<()> {
+        let own = self.leadership.term();
+        self.leadership.observe_term(highest_term);
         // If operators permitted two candidates the same term, the first in the list stays. A lease
         // permits a term to one candidate, and its thread notices later terms by itself.
-        let gives_way = heard > own || (term == own && rank < self.rank);
+        let gives_way = highest_term > own || (term == own && rank < self.rank);
         if own > 0 && gives_way && self.is_by_hand {
             tracing::warn!(
-                "another worker is to serve in term {heard}: this host's, of term {own}, ends"
+                "another worker is to serve in term {highest_term}: this host's, of term {own}, ends"
             );
-            self.turn.withdraw()?;
+            self.leadership.withdraw()?;
         }
         Ok(())
     }
@@ -308,31 +312,31 @@ impl Following<'_> {
     ///
     /// A candidate out of reach may still lead for the hosts beside it. Only a lease prevents that.
     fn obey(&mut self) -> anyhow::Result<()> {
-        let request = &self.turn.places().request;
+        let request = &self.leadership.places().request;
         if !request.exists() {
             self.claim = 0;
             return Ok(());
         }
-        if self.turn.term() == 0 {
-            if self.claim == 0 || self.claim < self.turn.heard() {
-                let heard = self.turn.heard();
-                let Some(claim) = heard.checked_add(1) else {
+        if self.leadership.term() == 0 {
+            if self.claim == 0 || self.claim < self.leadership.highest_term() {
+                let highest_term = self.leadership.highest_term();
+                let Some(claim) = highest_term.checked_add(1) else {
                     tracing::error!(
-                        "after term {heard} there is none: stop all links of this shard, and start them again"
+                        "after term {highest_term} there is none: stop all links of this shard, and start them again"
                     );
                     return remove(request);
                 };
                 self.claim = claim;
-                self.turn.hear(self.claim);
+                self.leadership.observe_term(self.claim);
             }
-            let speaks = |(_, taking): &mut (usize, Taking)| {
-                let receiver = taking.receiver();
-                receiver.is_heard() && (receiver.term() > 0 || receiver.worker() == Worker::Alive)
+            let leads = |(_, ingress): &mut (usize, Ingress)| {
+                let receiver = ingress.receiver();
+                receiver.is_sending() && (receiver.term() > 0 || receiver.worker() == Worker::Alive)
             };
-            if self.others.iter_mut().any(speaks) {
+            if self.others.iter_mut().any(leads) {
                 return Ok(());
             }
-            self.turn.grant(&Permit {
+            self.leadership.grant(&Permit {
                 term: self.claim,
                 until_ns: None,
                 lease: 0,
@@ -348,9 +352,9 @@ fn remove(request: &Path) -> anyhow::Result<()> {
 }
 
 /// Saves the leader's state for the worker of this host.
-fn keep(turn: &Turn, accepted: &Accepted<'_>) -> anyhow::Result<()> {
+fn keep(leadership: &Leadership, accepted: &Accepted<'_>) -> anyhow::Result<()> {
     let frame = &accepted.frame;
-    if frame.service != Carried::STATE || turn.term() > 0 {
+    if frame.service != Carried::STATE || leadership.term() > 0 {
         return Ok(());
     }
     let mut header: StateHeader = frame.header();
@@ -366,13 +370,13 @@ fn keep(turn: &Turn, accepted: &Accepted<'_>) -> anyhow::Result<()> {
     let ahead_ns = header.taken_ns.saturating_sub(clock::monotonic_ns());
     anyhow::ensure!(ahead_ns == 0, "a state was taken {ahead_ns} ns from now");
     anyhow::ensure!(
-        accepted.term > 0 && accepted.term >= turn.heard(),
+        accepted.term > 0 && accepted.term >= leadership.highest_term(),
         "a state of term {}, although one serves, or has, in term {}",
         accepted.term,
-        turn.heard()
+        leadership.highest_term()
     );
     let offset_ns = i64::try_from(accepted.offset_ns).context("the clocks are too far apart")?;
     let of = (accepted.term, header.taken_ns, offset_ns);
-    SavedState::write(&turn.places().replica, of, bytes)?;
+    SavedState::write(&leadership.places().replica, of, bytes)?;
     Ok(())
 }

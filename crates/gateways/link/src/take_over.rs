@@ -14,9 +14,9 @@ use crate::config::Settings;
 use crate::etcd::Etcd;
 
 /// Timeout of the answer by this host's link. With a lease twice its time to live is added.
-const ANSWER_NS: u64 = 5_000_000_000;
+const ANSWER_TIMEOUT_NS: u64 = 5_000_000_000;
 const NANOSECONDS: u64 = 1_000_000_000;
-const LOOK_EVERY: Duration = Duration::from_millis(50);
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Requests leadership and waits until this host leads.
 ///
@@ -40,15 +40,15 @@ pub(crate) fn run(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::
         Ok(permit.filter(|_| !places.request.exists()))
     };
     let within_ns = match &standby.lease {
-        _ if serves()?.is_some() => ANSWER_NS,
+        _ if serves()?.is_some() => ANSWER_TIMEOUT_NS,
         Some(lease) => {
             let mut etcd = Etcd::new(lease, (config.fleet(), shard, &settings.name))?;
-            etcd.wish().context("etcd does not answer")?;
-            ANSWER_NS + 2 * u64::from(lease.ttl_s) * NANOSECONDS
+            etcd.request_leader().context("etcd does not answer")?;
+            ANSWER_TIMEOUT_NS + 2 * u64::from(lease.ttl_s) * NANOSECONDS
         }
         None => {
             File::create(&places.request).with_context(|| format!("{:?}", places.request))?;
-            ANSWER_NS
+            ANSWER_TIMEOUT_NS
         }
     };
     let until_ns = clock::monotonic_ns() + within_ns;
@@ -65,6 +65,6 @@ pub(crate) fn run(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::
             let _ = std::fs::remove_file(&places.request);
             bail!("this host does not serve shard {shard} yet: does its link run?");
         }
-        std::thread::sleep(LOOK_EVERY);
+        std::thread::sleep(POLL_INTERVAL);
     }
 }

@@ -4,13 +4,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use joulebus_bus::clock;
 
-use crate::protocol::wall::{Kept, Reading, Wall};
+use crate::protocol::wall::{Reading, RealtimeClock, Wall};
 
 /// Interval between queries of the kernel.
-const LOOK_EVERY_NS: u64 = 100_000_000;
+const POLL_INTERVAL_NS: u64 = 100_000_000;
 /// Maximum error, as the kernel states it, of a clock that counts as synchronised. linuxptp states
 /// 0 every second, and the kernel adds 500 µs a second.
-const MOST_ERROR_NS: u64 = 1_000_000;
+const MAX_ERROR_NS: u64 = 1_000_000;
 
 /// The realtime clock, as one stream reads it.
 #[derive(Debug)]
@@ -24,7 +24,7 @@ pub(crate) struct WallClock {
 }
 
 /// Whether the reason for not using the clock was logged. All streams have the same reason.
-static IS_TOLD: AtomicBool = AtomicBool::new(false);
+static IS_LOGGED: AtomicBool = AtomicBool::new(false);
 
 impl WallClock {
     pub(crate) fn new(within_ns: Option<u64>) -> Self {
@@ -37,12 +37,12 @@ impl WallClock {
     }
 
     /// Reads the clock. `None` if it is not used.
-    pub(crate) fn read(&mut self) -> Option<Kept> {
+    pub(crate) fn read(&mut self) -> Option<RealtimeClock> {
         let within_ns = self.within_ns?;
         let now_ns = clock::monotonic_ns();
         if now_ns >= self.look_ns {
-            self.look_ns = now_ns + LOOK_EVERY_NS;
-            self.look(within_ns);
+            self.look_ns = now_ns + POLL_INTERVAL_NS;
+            self.query(within_ns);
         }
         let reading = Reading {
             now_ns,
@@ -50,23 +50,23 @@ impl WallClock {
             is_synchronised: self.is_synchronised,
         };
         let realtime_ns = self.wall.note(reading)?;
-        Some(Kept {
+        Some(RealtimeClock {
             realtime_ns,
             within_ns,
         })
     }
 
-    fn look(&mut self, within_ns: u64) {
-        let most_ns = within_ns.max(MOST_ERROR_NS);
+    fn query(&mut self, within_ns: u64) {
+        let most_ns = within_ns.max(MAX_ERROR_NS);
         let found = clock::synchronisation();
         let is_kept =
             |it: &clock::Synchronisation| it.is_synchronised && it.most_error_ns <= most_ns;
         self.is_synchronised = found.as_ref().is_ok_and(is_kept);
-        if self.is_synchronised || IS_TOLD.swap(true, Ordering::Relaxed) {
+        if self.is_synchronised || IS_LOGGED.swap(true, Ordering::Relaxed) {
             return;
         }
         let why = match found {
-            Err(error) => format!("the kernel does not tell its state: {error}"),
+            Err(error) => format!("the kernel does not report its state: {error}"),
             Ok(it) if it.is_synchronised => format!(
                 "its error may be {} µs, allowed are {}",
                 it.most_error_ns / 1_000,

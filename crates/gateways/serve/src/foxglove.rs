@@ -78,14 +78,11 @@ impl Foxglove {
         let options = Options {
             settings: CaptureSettings::of(Preset::FastWrite),
             per_robot: args.per_robot,
-            choose: Arc::new(|_| true),
-            max_file_bytes: u64::MAX,
             max_file_ns: u64::MAX,
-            resume: false,
-            snapshot: None,
             queue_bytes: QUEUE_BYTES,
             // A server shows what it reads and keeps nothing.
             member: "foxglove",
+            ..Options::default()
         };
         // Start reading before the recorder starts: it first writes the models, which may exceed
         // the pipe's capacity.

@@ -4,12 +4,12 @@ use std::collections::{BTreeSet, HashSet};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use bytemuck::{NoUninit, cast_slice};
+use bytemuck::cast_slice;
 use joulebus_capture_format::{Message, MessageKind, ReadError, Reader};
 use joulebus_dataset::rows::trial_rows as rows_of;
 use joulebus_dataset::trial::{Column, Row, Trial, TrialError};
 use joulebus_predictor::INPUTS;
-use joulebus_wire::{Budget, Diagnostic, Forecast, Sample};
+use joulebus_wire::{Budgets, Channel, Diagnostics, Forecasts, FrameHeader as _, Samples};
 use numpy::PyArrayDyn;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -21,11 +21,11 @@ use crate::error::{RecordingError, of_file};
 type Floats<'py> = Bound<'py, PyArrayDyn<f32>>;
 
 /// What can be read of a capture.
-const KINDS: [MessageKind; 4] = [
-    MessageKind::Samples,
-    MessageKind::Forecasts,
-    MessageKind::Diagnostics,
-    MessageKind::Budgets,
+const READABLE: [Readable; 4] = [
+    Readable::of::<Samples>(),
+    Readable::of::<Forecasts>(),
+    Readable::of::<Diagnostics>(),
+    Readable::of::<Budgets>(),
 ];
 /// Messages between two looks at Python's signals.
 const AT_ONCE: usize = 64;
@@ -41,18 +41,25 @@ pub(crate) fn read_capture<'py>(
     fleet: Option<String>,
     robots: Option<&Bound<'py, PyAny>>,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let Some(kind) = KINDS.into_iter().find(|known| known.name() == kind) else {
-        let allowed = KINDS.map(MessageKind::name).join(", ");
+    let Some(of) = READABLE.into_iter().find(|of| of.kind.name() == kind) else {
+        let allowed = READABLE.map(|of| of.kind.name()).join(", ");
         return Err(PyValueError::new_err(format!(
             "there is no topic {kind}, allowed are {allowed}"
         )));
     };
     let robots = robots.map(|ids| Ids::read("robots", ids)).transpose()?;
     let mut found = Found {
-        kind,
+        of,
         fleet,
         robots: robots.map(|ids| ids.0.into_iter().collect()),
-        ..Found::default()
+        bytes: Vec::new(),
+        rows: Vec::new(),
+        tick: Vec::new(),
+        log_ns: Vec::new(),
+        sent_ns: Vec::new(),
+        fleets: BTreeSet::new(),
+        kinds: BTreeSet::new(),
+        damage: None,
     };
     let mut reader = py
         .detach(|| Reader::open(&path))
@@ -64,8 +71,45 @@ pub(crate) fn read_capture<'py>(
     found.columns(py)
 }
 
-struct Found {
+/// A channel whose rows can be read.
+#[derive(Clone, Copy)]
+struct Readable {
     kind: MessageKind,
+    /// Adds the wanted rows of a frame; returns its number, and that of the rows.
+    add: fn(&mut Vec<u8>, &Message, Option<&HashSet<u32>>) -> Option<(u64, usize)>,
+}
+
+impl Readable {
+    const fn of<C: Channel>() -> Self {
+        Self {
+            kind: MessageKind::of::<C>(),
+            add: add::<C>,
+        }
+    }
+}
+
+fn add<C: Channel>(
+    bytes: &mut Vec<u8>,
+    message: &Message,
+    wanted: Option<&HashSet<u32>>,
+) -> Option<(u64, usize)> {
+    let frame = message.frame::<C>()?;
+    let number = frame.header.place().number;
+    let Some(wanted) = wanted else {
+        bytes.extend_from_slice(cast_slice(&frame.rows));
+        return Some((number, frame.rows.len()));
+    };
+    let is_wanted = |row: &&C::Row| C::robot(row).is_some_and(|robot| wanted.contains(&robot));
+    let mut added = 0;
+    for row in frame.rows.iter().filter(is_wanted) {
+        bytes.extend_from_slice(bytemuck::bytes_of(row));
+        added += 1;
+    }
+    Some((number, added))
+}
+
+struct Found {
+    of: Readable,
     fleet: Option<String>,
     /// All, if `None`.
     robots: Option<HashSet<u32>>,
@@ -75,26 +119,9 @@ struct Found {
     log_ns: Vec<u64>,
     sent_ns: Vec<u64>,
     fleets: BTreeSet<String>,
-    kinds: BTreeSet<&'static str>,
+    /// Ends of topics.
+    kinds: BTreeSet<String>,
     damage: Option<String>,
-}
-
-impl Default for Found {
-    fn default() -> Self {
-        Self {
-            kind: MessageKind::Samples,
-            fleet: None,
-            robots: None,
-            bytes: Vec::new(),
-            rows: Vec::new(),
-            tick: Vec::new(),
-            log_ns: Vec::new(),
-            sent_ns: Vec::new(),
-            fleets: BTreeSet::new(),
-            kinds: BTreeSet::new(),
-            damage: None,
-        }
-    }
 }
 
 impl Found {
@@ -117,8 +144,9 @@ impl Found {
             let Some(kind) = entry.message.kind() else {
                 continue;
             };
-            self.kinds.insert(kind.name());
-            if kind != self.kind {
+            let name = entry.topic.rsplit('/').next().unwrap_or_default();
+            self.kinds.insert(name.to_owned());
+            if kind != self.of.kind {
                 continue;
             }
             self.fleets.insert(entry.fleet.to_string());
@@ -129,20 +157,10 @@ impl Found {
             {
                 continue;
             }
-            let (tick, rows) = match &entry.message {
-                Message::Samples(header, rows) => {
-                    (header.frame_seq, self.add(rows, |row: &Sample| row.robot))
-                }
-                Message::Forecasts(header, rows) => {
-                    (header.tick, self.add(rows, |row: &Forecast| row.robot))
-                }
-                Message::Diagnostics(header, rows) => {
-                    (header.tick, self.add(rows, |row: &Diagnostic| row.robot))
-                }
-                Message::Budgets(header, rows) => {
-                    (header.tick, self.add(rows, |row: &Budget| row.robot))
-                }
-                _ => continue,
+            let robots = self.robots.as_ref();
+            let added = (self.of.add)(&mut self.bytes, &entry.message, robots);
+            let Some((tick, rows)) = added else {
+                continue;
             };
             self.rows.push(rows as i64);
             self.tick.push(tick);
@@ -152,23 +170,9 @@ impl Found {
         false
     }
 
-    /// Adds the wanted rows and returns their number.
-    fn add<T: NoUninit>(&mut self, rows: &[T], robot: fn(&T) -> u32) -> usize {
-        let Some(wanted) = &self.robots else {
-            self.bytes.extend_from_slice(cast_slice(rows));
-            return rows.len();
-        };
-        let mut added = 0;
-        for row in rows.iter().filter(|row| wanted.contains(&robot(row))) {
-            self.bytes.extend_from_slice(bytemuck::bytes_of(row));
-            added += 1;
-        }
-        added
-    }
-
     /// Whether it was recorded, and of one fleet.
     fn check(&self, path: &Path) -> PyResult<()> {
-        let (path, name) = (path.display(), self.kind.name());
+        let (path, name) = (path.display(), self.of.kind.name());
         let fleets: Vec<&str> = self.fleets.iter().map(String::as_str).collect();
         if let Some(wanted) = self
             .fleet
@@ -181,7 +185,7 @@ impl Found {
             )));
         }
         if fleets.is_empty() {
-            let found: Vec<&str> = self.kinds.iter().copied().collect();
+            let found: Vec<&str> = self.kinds.iter().map(String::as_str).collect();
             let found = match (found.is_empty(), &self.damage) {
                 (false, _) => format!("; it has: {}", found.join(", ")),
                 (true, None) => ", nor any other message of joulebus".to_owned(),

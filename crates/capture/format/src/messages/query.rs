@@ -1,14 +1,18 @@
 //! Questions about plans and their answers as messages.
 
-use joulebus_wire::{
-    AnswerHeader, AnswerRow, QueryHeader, QueryRecord, ROW_WORDS, Record, answer_parts,
-};
+use std::sync::LazyLock;
 
-use super::convert::{OutOfRange, from_proto, to_proto};
-use super::proto;
+use joulebus_wire::{
+    AnswerHeader, AnswerRow, Place, QueryHeader, QueryRecord, ROW_WORDS, Record, Row, answer_parts,
+};
+use prost_types::DescriptorProto;
+
+use super::codec::{Decoded, Encoder, MAX_DEPTH, Wrong, inner};
+use super::table::{Number, Table};
+use super::{Content, DecodeError, Message, MessageKind, descriptors, read};
 
 /// A question that the worker was asked, and its answer. Lengths in the headers are those of the parts.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Query {
     /// Headers of question and answer.
     pub record: QueryRecord,
@@ -58,110 +62,195 @@ impl Query {
         self
     }
 
-    pub(super) fn to_proto(&self) -> proto::Query {
-        let QueryRecord {
-            begun_ns,
-            number,
-            client,
-            query,
-            answer,
-            values: _,
-            words: _,
-            reserved: _,
-        } = self.record;
-        proto::Query {
-            begun_ns,
-            number,
-            client,
-            question: Some(proto::Question {
-                values: self.values.clone(),
-                ..(&query).into()
-            }),
-            answer: Some(proto::Answer {
-                rows: to_proto(&self.rows),
-                power_w: self.power_w.clone(),
-                text: self.text.clone(),
-                ..answer_to_proto(&answer)
-            }),
+    /// Memory of its parts, bytes.
+    #[must_use]
+    pub const fn memory(&self) -> usize {
+        size_of_val(self.values.as_slice())
+            + size_of_val(self.rows.as_slice())
+            + size_of_val(self.power_w.as_slice())
+            + self.text.len()
+    }
+
+    pub(super) fn decode(data: &[u8]) -> Result<Message, DecodeError> {
+        let tables = &*TABLES;
+        // The rows are within the answer.
+        super::check_rows(data, 1)?;
+        let mut record: QueryRecord = read(&tables.record.empty);
+        let mut asked: QueryHeader = read(&tables.question.empty);
+        let mut answered: AnswerHeader = read(&tables.answer.empty);
+        let (mut values, mut rows, mut power_w) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut text, mut exceeds) = (String::new(), None);
+        let (mut question, mut answer) =
+            (Decoded::new(&tables.question), Decoded::new(&tables.answer));
+        let mut row = Decoded::new(&tables.row);
+        let mut head = Decoded::new(&tables.record);
+        let into = bytemuck::bytes_of_mut(&mut record);
+        head.take(data, into, MAX_DEPTH, &mut |number, wire, data, depth| {
+            if number == tables.question_number {
+                let into = bytemuck::bytes_of_mut(&mut asked);
+                let part = data.bytes(wire)?;
+                question.take(part, into, inner(depth)?, &mut |number, wire, data, _| {
+                    if number != tables.values_number {
+                        return Ok(false);
+                    }
+                    data.numbers(Number::F64, wire, |bits| values.push(f64::from_bits(bits)))?;
+                    Ok(true)
+                })?;
+            } else if number == tables.answer_number {
+                let into = bytemuck::bytes_of_mut(&mut answered);
+                let part = data.bytes(wire)?;
+                answer.take(
+                    part,
+                    into,
+                    inner(depth)?,
+                    &mut |number, wire, data, depth| {
+                        if number == tables.text_number {
+                            let bytes = data.bytes(wire)?;
+                            text = String::from_utf8(bytes.to_vec()).map_err(|_| Wrong::Text)?;
+                        } else if number == tables.rows_number {
+                            let mut found: AnswerRow = read(&tables.row.empty);
+                            let into = bytemuck::bytes_of_mut(&mut found);
+                            row.row(data.bytes(wire)?, into, inner(depth)?, &mut exceeds)?;
+                            rows.push(found);
+                        } else if number == tables.power_number {
+                            let mut push = |bits| power_w.push(f32::from_bits(bits as u32));
+                            data.numbers(Number::F32, wire, &mut push)?;
+                        } else {
+                            return Ok(false);
+                        }
+                        Ok(true)
+                    },
+                )?;
+            } else {
+                return Ok(false);
+            }
+            Ok(true)
+        })?;
+        if let Some(exceeds) = exceeds {
+            return Err(exceeds.into());
         }
-    }
-
-    pub(super) fn of_proto(read: proto::Query) -> Result<Self, OutOfRange> {
-        let question = read.question.unwrap_or_default();
-        let answer = read.answer.unwrap_or_default();
+        (record.query, record.answer) = (asked, answered);
         let query = Self {
-            record: QueryRecord {
-                begun_ns: read.begun_ns,
-                number: read.number,
-                client: read.client,
-                query: QueryHeader::try_from(&question)?,
-                answer: answer_of_proto(&answer),
-                ..QueryRecord::default()
-            },
-            rows: from_proto(&answer.rows)?,
-            values: question.values,
-            power_w: answer.power_w,
-            text: answer.text,
+            record,
+            values,
+            rows,
+            power_w,
+            text,
         };
-        Ok(query.counted())
+        Ok(query.counted().into())
     }
 }
 
-fn answer_to_proto(found: &AnswerHeader) -> proto::Answer {
-    let AnswerHeader {
-        schema,
-        pid,
-        number,
-        worker_epoch,
-        tick,
-        period_ns,
-        sent_state_ns,
-        budget_epoch,
-        budget_tick,
-        sent_budget_ns,
-        now_ns,
-        taken_ns,
-        sent_ns,
-        refusal,
-        rows: _,
-        powers: _,
-        text_bytes: _,
-    } = *found;
-    proto::Answer {
-        schema,
-        pid,
-        number,
-        worker_epoch,
-        tick,
-        period_ns,
-        sent_state_ns,
-        budget_epoch,
-        budget_tick,
-        sent_budget_ns,
-        now_ns,
-        taken_ns,
-        sent_ns,
-        refusal,
-        ..proto::Answer::default()
+impl Content for Query {
+    fn kind(&self) -> MessageKind {
+        MessageKind::of::<joulebus_wire::Queries>()
+    }
+
+    fn place(&self) -> Option<Place> {
+        Some(Place {
+            run: self.record.begun_ns,
+            number: self.record.number,
+        })
+    }
+
+    fn sent_ns(&self) -> Option<u64> {
+        Some(self.record.answer.sent_ns)
+    }
+
+    fn memory(&self) -> usize {
+        Self::memory(self)
+    }
+
+    fn encode(&self, out: &mut Vec<u8>) {
+        let tables = &*TABLES;
+        let QueryRecord { query, answer, .. } = &self.record;
+        let mut encoder = Encoder::after(std::mem::take(out));
+        encoder.fields(&tables.record, bytemuck::bytes_of(&self.record));
+        encoder.part(tables.question_number, |to| {
+            to.fields(&tables.question, bytemuck::bytes_of(query));
+            let values = self.values.iter().flat_map(|value| value.to_le_bytes());
+            to.bytes(tables.values_number, &values.collect::<Vec<u8>>());
+        });
+        encoder.part(tables.answer_number, |to| {
+            to.fields(&tables.answer, bytemuck::bytes_of(answer));
+            to.bytes(tables.text_number, self.text.as_bytes());
+            to.rows(tables.rows_number, &tables.row, &self.rows);
+            let power_w = self
+                .power_w
+                .iter()
+                .flat_map(|power_w| power_w.to_le_bytes());
+            to.bytes(tables.power_number, &power_w.collect::<Vec<u8>>());
+        });
+        *out = encoder.finish();
+    }
+
+    fn cloned(&self) -> Box<dyn Content> {
+        Box::new(self.clone())
+    }
+
+    fn is_same(&self, other: &dyn Content) -> bool {
+        let other: &dyn std::any::Any = other;
+        other.downcast_ref::<Self>().is_some_and(|other| {
+            bytemuck::bytes_of(&self.record) == bytemuck::bytes_of(&other.record)
+                && bytemuck::cast_slice::<_, u8>(&self.values)
+                    == bytemuck::cast_slice::<_, u8>(&other.values)
+                && bytemuck::cast_slice::<_, u8>(&self.rows)
+                    == bytemuck::cast_slice::<_, u8>(&other.rows)
+                && bytemuck::cast_slice::<_, u8>(&self.power_w)
+                    == bytemuck::cast_slice::<_, u8>(&other.power_w)
+                && self.text == other.text
+        })
     }
 }
 
-fn answer_of_proto(found: &proto::Answer) -> AnswerHeader {
-    AnswerHeader {
-        schema: found.schema,
-        pid: found.pid,
-        number: found.number,
-        worker_epoch: found.worker_epoch,
-        tick: found.tick,
-        period_ns: found.period_ns,
-        sent_state_ns: found.sent_state_ns,
-        budget_epoch: found.budget_epoch,
-        budget_tick: found.budget_tick,
-        sent_budget_ns: found.sent_budget_ns,
-        now_ns: found.now_ns,
-        taken_ns: found.taken_ns,
-        sent_ns: found.sent_ns,
-        refusal: found.refusal,
-        ..AnswerHeader::default()
-    }
+/// How questions and answers are encoded.
+struct Tables {
+    record: Table,
+    question: Table,
+    answer: Table,
+    row: Table,
+    question_number: u32,
+    values_number: u32,
+    answer_number: u32,
+    text_number: u32,
+    rows_number: u32,
+    power_number: u32,
 }
+
+static TABLES: LazyLock<Tables> = LazyLock::new(|| {
+    let set = descriptors::all();
+    let find = |name: &str| descriptors::message(&set, name);
+    let message = |name: &str| find(name).unwrap_or_default();
+    let (query, question, answer) = (message("Query"), message("Question"), message("Answer"));
+    let number = |of: &DescriptorProto, name: &str| {
+        let field = of.field.iter().find(|field| field.name() == name);
+        field.map_or(0, |field| field.number().unsigned_abs())
+    };
+    // Ours, and tested.
+    let table = |layout, message, parts: &[&str], lengths: &[&str]| {
+        Table::new(&layout, message, &find, parts, lengths).unwrap_or_default()
+    };
+    let in_parts = ["values", "words", "reserved", "query", "answer"];
+    Tables {
+        record: table(
+            QueryRecord::LAYOUT,
+            &query,
+            &["question", "answer"],
+            &in_parts,
+        ),
+        question: table(QueryHeader::LAYOUT, &question, &["values"], &[]),
+        answer: table(
+            AnswerHeader::LAYOUT,
+            &answer,
+            &["text", "rows", "power_w"],
+            &["rows", "powers", "text_bytes"],
+        ),
+        row: table(AnswerRow::LAYOUT, &message("AnswerRow"), &[], &[]),
+        question_number: number(&query, "question"),
+        values_number: number(&question, "values"),
+        answer_number: number(&query, "answer"),
+        text_number: number(&answer, "text"),
+        rows_number: number(&answer, "rows"),
+        power_number: number(&answer, "power_w"),
+    }
+});

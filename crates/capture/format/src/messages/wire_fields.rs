@@ -79,33 +79,29 @@ pub(crate) fn inner(data: &[u8], depth: u32) -> usize {
 
 #[cfg(test)]
 mod tests {
-    use prost::Message as _;
+    use joulebus_wire::{Sample, SampleHeader, Samples};
 
     use super::*;
-    use crate::messages::proto;
+    use crate::{Message, MessageKind};
 
     #[test]
     fn every_field_that_a_decoder_accepts_is_seen() {
-        let row = proto::Sample {
-            robot: 300,
-            stamp_ns: 7,
-            power_w: Some(1.5),
-            ..proto::Sample::default()
-        };
-        let frame = proto::Samples {
-            samples: vec![row; 40],
-            ..proto::Samples::default()
-        };
-        let mut data = frame.encode_to_vec();
-        assert_eq!(inner(&data, 0), 40);
+        let row = Sample::new(300, 0, 7).reading(1.5, 7);
+        let frame = Message::of::<Samples>(SampleHeader::default(), vec![row; 40]);
+        let mut one = Vec::new();
+        frame.encode(&mut one);
+        let mut data = one.clone();
+        // The rows, and the time of sending.
+        assert_eq!(inner(&data, 0), 41);
         // Fields of other numbers, a group among them, which decoders skip.
         data.extend([0xf8, 0x07, 0x01, 0xfb, 0x07, 0xfa, 0x07, 0x00, 0xfc, 0x07]);
-        data.extend(frame.encode_to_vec());
-        assert!(proto::Samples::decode(&*data).is_ok_and(|read| read.samples.len() == 80));
-        assert_eq!(inner(&data, 0), 81);
+        data.extend(one);
+        let read = Message::decode(MessageKind::of::<Samples>(), &data).unwrap();
+        assert_eq!(read.frame::<Samples>().unwrap().rows.len(), 80);
+        assert_eq!(inner(&data, 0), 83);
         // Cut anywhere, what is seen is no more than what is there.
         for cut in 0..data.len() {
-            assert!(inner(&data[..cut], 2) <= 81 * 3);
+            assert!(inner(&data[..cut], 2) <= 83 * 3);
         }
         for wrong in [&[0xff; 11][..], &[0x0a, 0x7f], &[0x0e], &[0x09, 1, 2]] {
             assert_eq!(Fields(wrong).next(), None);

@@ -364,7 +364,7 @@ impl<W: Write> Writer<W> {
                 let data = kind.descriptors();
                 let schema = self
                     .mcap
-                    .add_schema(kind.schema(), "protobuf", &data)
+                    .add_schema(&kind.schema(), "protobuf", &data)
                     .map_err(failed)?;
                 self.schemas.insert(kind, schema);
                 schema

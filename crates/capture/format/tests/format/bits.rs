@@ -3,12 +3,17 @@
 use std::io::Cursor;
 
 use joulebus_capture_format::{
-    Attachments, CaptureSettings, Message, MessageKind, Preset, Reader, Times, Writer,
+    Attachments, CaptureSettings, DecodeError, ForEachChannel, Message, MessageKind, Preset,
+    Reader, Times, Writer,
+};
+use joulebus_wire::{
+    AnswerHeader, AnswerRow, Channel, DropReason, FieldType, Forecasts, Queries, QueryHeader,
+    Refusal, Row,
 };
 use proptest::prelude::*;
 use prost_reflect::{DescriptorPool, DynamicMessage, ReflectMessage as _, Value};
 
-use crate::fields::{self, Bits, Fields, assert_same_bits, messages};
+use crate::fields::{Bits, messages};
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(512))]
@@ -19,7 +24,7 @@ proptest! {
             let mut data = Vec::new();
             message.encode(&mut data);
             let read = Message::decode(message.kind().unwrap(), &data).unwrap();
-            assert_same_bits(&read, &message);
+            assert_eq!(read, message);
         }
     }
 
@@ -30,51 +35,205 @@ proptest! {
 
     #[test]
     fn the_schema_names_every_field_and_its_value(seed: u64) {
+        MessageKind::each_channel(&mut Described(Bits(seed)));
+    }
+
+    #[test]
+    fn what_another_decoder_accepts_is_accepted_and_nothing_else(seed: u64) {
         let mut bits = Bits(seed);
-        let (sample, forecast) = (fields::sample(&mut bits), fields::forecast(&mut bits));
-        let (diagnostic, budget) = (fields::diagnostic(&mut bits), fields::budget(&mut bits));
-        let (samples, budgets) = (fields::sample_header(&mut bits), fields::budget_header(&mut bits));
-        let (ticks, state) = (fields::tick_header(&mut bits), fields::state_header(&mut bits));
-        for (message, expected) in [
-            (Message::RobotSample(sample), fields::sample_fields(&sample)),
-            (Message::RobotForecast(forecast), fields::forecast_fields(&forecast)),
-            (Message::RobotDiagnostic(diagnostic), fields::diagnostic_fields(&diagnostic)),
-            (Message::RobotBudget(budget), fields::budget_fields(&budget)),
-            (Message::Samples(samples, vec![]), fields::sample_header_fields(&samples)),
-            (Message::Budgets(budgets, vec![]), fields::budget_header_fields(&budgets)),
-            (Message::Ticks(ticks, vec![]), fields::tick_header_fields(&ticks)),
-            (Message::State(state, vec![]), fields::state_header_fields(&state)),
-        ] {
-            assert_described(&message, &expected);
+        for message in messages(&mut bits) {
+            let mut data = Vec::new();
+            message.encode(&mut data);
+            for _ in 0..1 + bits.u64() % 3 {
+                let at = (bits.u64() % (data.len() as u64 + 1)) as usize;
+                match bits.u64() % 5 {
+                    0 => data.truncate(at),
+                    1 => data.insert(at, bits.u64() as u8),
+                    2 if at < data.len() => data[at] ^= 1 << (bits.u64() % 8),
+                    3 => message.encode(&mut data),
+                    // A field that is not known; of a group.
+                    _ => data.extend([0xfb, 0x07, 0x0a, 0x01, bits.u64() as u8, 0xfc, 0x07]),
+                }
+            }
+            let kind = message.kind().unwrap();
+            let found = Message::decode(kind, &data);
+            match DynamicMessage::decode(descriptor(kind), data.as_slice()) {
+                Ok(_) => prop_assert!(!matches!(found, Err(DecodeError::Protobuf { .. })), "{data:?}: {found:?}"),
+                Err(error) => prop_assert!(matches!(found, Err(DecodeError::Protobuf { .. })), "{data:?}: {error}"),
+            }
         }
     }
 }
 
+fn descriptor(kind: MessageKind) -> prost_reflect::MessageDescriptor {
+    thread_local! {
+        static POOLS: std::cell::RefCell<std::collections::HashMap<MessageKind, DescriptorPool>> =
+            std::cell::RefCell::default();
+    }
+    let pool = POOLS.with_borrow_mut(|pools| {
+        let decode = || DescriptorPool::decode(kind.descriptors().as_slice()).unwrap();
+        pools.entry(kind).or_insert_with(decode).clone()
+    });
+    pool.get_message_by_name(&kind.schema()).unwrap()
+}
+
 /// The message, decoded by its schema only, has these fields and no others.
-fn dynamic(message: &Message) -> DynamicMessage {
-    let kind = message.kind().unwrap();
-    let pool = DescriptorPool::decode(kind.descriptors().as_slice()).unwrap();
-    let descriptor = pool.get_message_by_name(kind.schema()).unwrap();
-    let mut data = Vec::new();
-    message.encode(&mut data);
-    let read = DynamicMessage::decode(descriptor, data.as_slice()).unwrap();
+pub(crate) fn dynamic(kind: MessageKind, data: &[u8]) -> DynamicMessage {
+    let read = DynamicMessage::decode(descriptor(kind), data).unwrap();
     assert_eq!(read.unknown_fields().count(), 0, "{}", kind.schema());
     read
 }
 
-fn assert_described(message: &Message, expected: &Fields) {
-    let read = dynamic(message);
-    for (name, bits) in expected {
-        let found = match *name {
-            "sent_unix_ns" => nanoseconds(&read.get_field_by_name("sent_at").unwrap()),
-            name => number(&read.get_field_by_name(name).unwrap()),
-        };
-        assert_eq!(found, *bits, "{name} of {message:?}");
+/// Compares messages of arbitrary bits of each channel with what their schemas say.
+struct Described(Bits);
+
+impl ForEachChannel for Described {
+    fn channel<C: Channel>(&mut self, has_robots: bool) {
+        let (kind, mut data) = (MessageKind::of::<C>(), Vec::new());
+        if kind == MessageKind::of::<Queries>() {
+            let query = self.0.query();
+            Message::from(query.clone()).encode(&mut data);
+            return assert_query(&query, &dynamic(kind, &data));
+        }
+        let message = Message::of::<C>(self.0.row(), self.0.rows(Bits::row));
+        message.encode(&mut data);
+        assert_described::<C>(&message, &dynamic(kind, &data));
+        if has_robots {
+            let row: C::Row = self.0.row();
+            Message::of::<C>(C::Header::default(), vec![row]).each_robot(|message| {
+                data.clear();
+                message.encode(&mut data);
+                let read = dynamic(message.kind().unwrap(), &data);
+                let described = read.descriptor().fields().count();
+                assert_eq!(described, assert_fields(&row, &read, &[]));
+            });
+        }
     }
-    // In addition, only the rows.
+}
+
+/// Fails unless the message by its schema has the bits of the frame, and nothing else.
+pub(crate) fn assert_described<C: Channel>(message: &Message, read: &DynamicMessage) {
+    let frame = message.frame::<C>().unwrap();
     let described = read.descriptor().fields().count();
-    let rows = usize::from(message.robot().is_none());
-    assert_eq!(described, expected.len() + rows, "{message:?}");
+    // In addition, only the rows.
+    assert_eq!(described, assert_fields(&frame.header, read, &[]) + 1);
+    let rows = read
+        .descriptor()
+        .fields()
+        .max_by_key(|field| field.number());
+    match &*read.get_field(&rows.unwrap()) {
+        Value::Bytes(bytes) => assert_eq!(**bytes, *bytemuck::cast_slice::<_, u8>(&frame.rows)),
+        rows => assert_rows(&frame.rows, rows),
+    }
+}
+
+fn assert_rows<T: Row>(rows: &[T], read: &Value) {
+    let read = read.as_list().unwrap();
+    assert_eq!(read.len(), rows.len());
+    for (row, read) in rows.iter().zip(read) {
+        let read = read.as_message().unwrap();
+        let described = read.descriptor().fields().count();
+        assert_eq!(described, assert_fields(row, read, &[]), "{row:?}");
+    }
+}
+
+/// Compares the fields of a struct, except `others`; returns their number.
+fn assert_fields<T: Row>(row: &T, read: &DynamicMessage, others: &[&str]) -> usize {
+    let bytes = bytemuck::bytes_of(row);
+    let fields = T::LAYOUT
+        .fields
+        .iter()
+        .filter(|field| !others.contains(&field.name));
+    let each = fields.map(|field| {
+        let bytes = &bytes[field.offset..][..field.size];
+        let of = read.get_field_by_name(field.name);
+        let found = match (field.of, field.elements) {
+            _ if field.name == "sent_unix_ns" && of.is_none() => {
+                vec![nanoseconds(&read.get_field_by_name("sent_at").unwrap())]
+            }
+            (FieldType::Struct("DropCounts"), None) => counts(&of.unwrap()),
+            (FieldType::Struct("Refusal"), Some(_)) => {
+                let of = of.unwrap();
+                let list = of.as_list().unwrap();
+                for (read, bytes) in list.iter().zip(bytes.chunks(size_of::<Refusal>())) {
+                    let refusal: Refusal = bytemuck::pod_read_unaligned(bytes);
+                    assert_eq!(assert_fields(&refusal, read.as_message().unwrap(), &[]), 4);
+                }
+                let written = list.len() * size_of::<Refusal>();
+                assert!(bytes[written..].iter().all(|byte| *byte == 0));
+                return;
+            }
+            (_, None) => vec![number(&of.unwrap())],
+            (_, Some(_)) => of.unwrap().as_list().unwrap().iter().map(number).collect(),
+        };
+        let mut expected = numbers(field.of, bytes);
+        // Zeros at the end are not written.
+        assert!(
+            expected
+                .split_off(found.len())
+                .iter()
+                .all(|bits| *bits == 0)
+        );
+        assert_eq!(found, expected, "{}.{}", T::LAYOUT.name, field.name);
+    });
+    each.count()
+}
+
+/// The bits of numbers in shared memory.
+fn numbers(of: FieldType, bytes: &[u8]) -> Vec<u64> {
+    let size = match of {
+        FieldType::U16 => 2,
+        FieldType::U32 | FieldType::F32 => 4,
+        _ => 8,
+    };
+    let number = |bytes: &[u8]| {
+        let mut word = [0; 8];
+        word[..bytes.len()].copy_from_slice(bytes);
+        u64::from_le_bytes(word)
+    };
+    bytes.chunks(size).map(number).collect()
+}
+
+/// By the names of the reasons, in their order; then those of later versions.
+fn counts(read: &Value) -> Vec<u64> {
+    let read = read.as_message().unwrap();
+    let named = DropReason::ALL.into_iter().map(|reason| {
+        let plain = |name: &str| name.replace('_', "").eq_ignore_ascii_case(reason.name());
+        let field = read.descriptor().fields().find(|field| plain(field.name()));
+        number(&read.get_field(&field.unwrap()))
+    });
+    let later = read.get_field_by_name("later").unwrap();
+    let later = later.as_list().unwrap().iter().map(number);
+    named.chain(later).collect()
+}
+
+pub(crate) fn assert_query(query: &joulebus_capture_format::Query, read: &DynamicMessage) {
+    let in_parts = ["values", "words", "reserved", "query", "answer"];
+    assert_eq!(assert_fields(&query.record, read, &in_parts), 3);
+    let part = |name| read.get_field_by_name(name).unwrap().into_owned();
+    let (question, answer) = (part("question"), part("answer"));
+    let (question, answer) = (question.as_message().unwrap(), answer.as_message().unwrap());
+    let fields = QueryHeader::LAYOUT.fields.len();
+    assert_eq!(assert_fields(&query.record.query, question, &[]), fields);
+    let lengths = ["rows", "powers", "text_bytes"];
+    let fields = AnswerHeader::LAYOUT.fields.len();
+    assert_eq!(
+        assert_fields(&query.record.answer, answer, &lengths),
+        fields - 3
+    );
+    let list = |of: &DynamicMessage, name: &str| -> Vec<u64> {
+        let list = of.get_field_by_name(name).unwrap();
+        list.as_list().unwrap().iter().map(number).collect()
+    };
+    let values: Vec<u64> = query.values.iter().map(|value| value.to_bits()).collect();
+    assert_eq!(list(question, "values"), values);
+    let power_w = query.power_w.iter().map(|power_w| power_w.to_bits().into());
+    assert_eq!(list(answer, "power_w"), power_w.collect::<Vec<u64>>());
+    assert_rows::<AnswerRow>(&query.rows, &answer.get_field_by_name("rows").unwrap());
+    assert_eq!(
+        answer.get_field_by_name("text").unwrap().as_str(),
+        Some(&*query.text)
+    );
 }
 
 fn number(value: &Value) -> u64 {
@@ -98,32 +257,57 @@ fn nanoseconds(value: &Value) -> u64 {
 }
 
 #[test]
-fn rows_and_counts_are_described_as_well() {
-    let mut bits = Bits(7);
-    for _ in 0..50 {
-        let header = fields::forecast_header(&mut bits);
-        let rows: Vec<_> = (0..3).map(|_| fields::forecast(&mut bits)).collect();
-        let read = dynamic(&Message::Forecasts(header, rows.clone()));
-        let dropped = read.get_field_by_name("samples_dropped").unwrap();
-        let backlog = dropped.as_message().unwrap().get_field_by_name("backlog");
-        let reason = joulebus_wire::DropReason::Backlog;
-        assert_eq!(
-            number(&backlog.unwrap()),
-            header.samples_dropped.get(reason)
-        );
-        let forecasts = read.get_field_by_name("forecasts").unwrap();
-        let forecasts = forecasts.as_list().unwrap();
-        assert_eq!(forecasts.len(), 3);
-        for (found, row) in forecasts.iter().zip(&rows) {
-            let power = found.as_message().unwrap().get_field_by_name("power_w");
-            assert_eq!(number(&power.unwrap()), u64::from(row.power_w.to_bits()));
-        }
+fn values_that_another_program_omits_are_nan_and_numbers_that_exceed_their_fields_are_named() {
+    let kind = MessageKind::of::<Forecasts>();
+    let row = [0xf2, 0x01, 0x02, 0x08, 0x07];
+    let read = Message::decode(kind, &row).unwrap();
+    let frame = read.frame::<Forecasts>().unwrap();
+    assert_eq!(frame.rows[0].robot, 7);
+    assert!(frame.rows[0].power_w.is_nan() && frame.rows[0].quality == 0);
+    // The last one counts.
+    for (qualities, told) in [
+        (&[0x18, 0x80, 0x80, 0x04, 0x18, 0x02][..], None),
+        (
+            &[0x18, 0x02, 0x18, 0x80, 0x80, 0x04],
+            Some("Forecast.quality = 65536: allowed are 0 to 65535"),
+        ),
+        (
+            &[0x20, 0xff, 0xff, 0xff, 0xff, 0x0f],
+            Some("Forecast.quality_detail = 4294967295: allowed are 0 to 65535"),
+        ),
+    ] {
+        let row = [&[0xf2, 0x01, qualities.len() as u8], qualities].concat();
+        let told_now = Message::decode(kind, &row)
+            .err()
+            .map(|error| error.to_string());
+        assert_eq!(told_now.as_deref(), told);
     }
+    // Before 1970.
+    let time = [
+        0x7a, 0x02, 0x08, 0x7f, 0x7a, 0x0b, 0x08, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff,
+        0xff, 0x01,
+    ];
+    let told = Message::decode(kind, &time).unwrap_err().to_string();
+    assert_eq!(
+        told,
+        format!(
+            "Forecasts.sent_at = -1000000000: allowed are 0 to {}",
+            u64::MAX
+        )
+    );
+    let told = Message::decode(kind, &[0xf2, 0x01, 0x03, 0x2d, 1, 2])
+        .unwrap_err()
+        .to_string();
+    assert_eq!(
+        told,
+        "failed to decode Protobuf message: Forecast.reading_w: buffer underflow"
+    );
 }
 
 #[test]
 fn codes_have_names_in_the_schema() {
-    let pool = DescriptorPool::decode(MessageKind::Diagnostics.descriptors().as_slice()).unwrap();
+    let kind = MessageKind::of::<joulebus_wire::Diagnostics>();
+    let pool = DescriptorPool::decode(kind.descriptors().as_slice()).unwrap();
     let alarms = pool.get_enum_by_name("joulebus.Alarm").unwrap();
     for alarm in joulebus_wire::Alarm::ALL {
         let value = alarms.get_value(i32::from(alarm.code())).unwrap();
@@ -132,7 +316,7 @@ fn codes_have_names_in_the_schema() {
         assert_eq!(plain, expected);
     }
     let reasons = pool.get_enum_by_name("joulebus.DropReason").unwrap();
-    for (place, reason) in joulebus_wire::DropReason::ALL.into_iter().enumerate() {
+    for (place, reason) in DropReason::ALL.into_iter().enumerate() {
         let value = reasons.get_value(place as i32 + 1).unwrap();
         let expected = format!("DROPREASON{}", reason.name().to_uppercase());
         assert_eq!(value.name().replace('_', ""), expected);
@@ -168,7 +352,7 @@ fn a_file_round_trips_in_every_preset() {
         let mut next = std::collections::HashMap::new();
         for (number, message) in written.iter().enumerate() {
             let entry = reader.next_entry().unwrap().unwrap();
-            assert_same_bits(&entry.message, message);
+            assert_eq!(&entry.message, message);
             assert_eq!(&*entry.fleet, "lab");
             let robot = message.robot().unwrap_or(0);
             assert_eq!(*entry.topic, message.kind().unwrap().topic("lab", robot));

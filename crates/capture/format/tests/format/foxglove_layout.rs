@@ -37,7 +37,7 @@ fn paths(value: &Value, found: &mut Vec<String>) {
 
 fn message(kind: MessageKind) -> MessageDescriptor {
     let pool = DescriptorPool::decode(kind.descriptors().as_slice()).unwrap();
-    pool.get_message_by_name(kind.schema()).unwrap()
+    pool.get_message_by_name(&kind.schema()).unwrap()
 }
 
 fn field(message: &MessageDescriptor, name: &str, path: &str) -> FieldDescriptor {
@@ -49,10 +49,10 @@ fn field(message: &MessageDescriptor, name: &str, path: &str) -> FieldDescriptor
 fn check(path: &str) -> Vec<String> {
     let (topic, rest) = path.strip_prefix('"').unwrap().split_once('"').unwrap();
     let kind = MessageKind::OF_FLEET
-        .into_iter()
+        .iter()
         .find(|kind| kind.topic(FLEET, 0) == topic)
         .unwrap_or_else(|| panic!("{path}: no topic {topic:?}"));
-    let mut message = Some(message(kind));
+    let mut message = Some(message(*kind));
     let mut variables = Vec::new();
     for part in rest.split('.').filter(|part| !part.is_empty()) {
         let name = part.split(['[', '{']).next().unwrap();

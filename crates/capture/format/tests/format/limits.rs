@@ -7,8 +7,9 @@ use joulebus_capture_format::{
     Attachments, CaptureSettings, Entry, Message, MessageKind, Preset, ReadError, Reader,
     Sequences, Times, WriteError, Writer, Written,
 };
+use joulebus_wire::{Samples, Ticks};
 
-use crate::fields::{Bits, all_bits, messages};
+use crate::fields::{Bits, messages};
 
 /// A disk of limited size.
 #[derive(Debug)]
@@ -92,14 +93,13 @@ fn read(file: &[u8]) -> (Vec<Entry>, Option<ReadError>) {
 fn try_all(preset: Preset, step: usize) {
     // Few schemas keep the file small, and so the number of limits.
     let few = [
-        MessageKind::Samples,
-        MessageKind::Ticks,
-        MessageKind::RobotSample,
+        MessageKind::of::<Samples>(),
+        MessageKind::of::<Ticks>(),
+        MessageKind::of_robot::<Samples>(),
     ];
     let mut all = messages(&mut Bits(3));
     all.extend(messages(&mut Bits(4)));
     all.retain(|message| few.contains(&message.kind().unwrap()));
-    let expected: Vec<Vec<u64>> = all.iter().map(all_bits).collect();
     let mut whole = Vec::new();
     let mut flushed = Vec::new();
     let disk = Disk {
@@ -122,8 +122,8 @@ fn try_all(preset: Preset, step: usize) {
         }
         assert_eq!(file, whole[..room], "nothing but the beginning");
         let (found, end) = read(&file);
-        let found: Vec<Vec<u64>> = found.iter().map(|entry| all_bits(&entry.message)).collect();
-        assert_eq!(found, expected[..found.len()]);
+        let found: Vec<Message> = found.into_iter().map(|entry| entry.message).collect();
+        assert_eq!(found, all[..found.len()]);
         let safe = flushed
             .iter()
             .rev()

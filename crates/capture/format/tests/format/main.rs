@@ -4,6 +4,8 @@
 mod bag;
 mod bits;
 mod conformance;
+mod declared;
+mod earlier;
 #[path = "../fields/mod.rs"]
 mod fields;
 mod foxglove_layout;

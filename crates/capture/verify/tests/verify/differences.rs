@@ -4,17 +4,18 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use joulebus_capture_format::{
-    Attachments, CaptureSettings, Entry, Message, MessageKind, Query, Reader, Times, Writer,
+    Attachments, CaptureSettings, Entry, Frame, Message, MessageKind, Query, Reader, Times, Writer,
 };
-use joulebus_capture_verify::{Loss, Verification, Verifier};
+use joulebus_capture_verify::{Loss, Output, Verification, Verifier};
 use joulebus_fleet::Fleet;
 use joulebus_plan::{Fleet as PlanFleet, Plan, Question, Refused, RobotRows};
 use joulebus_testkit_fleets::random::Noise;
 use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, Source, healthy};
 use joulebus_wire::{
-    AnswerHeader, BudgetHeader, DiagnosticHeader, ForecastHeader, PlanStateHeader, QUERY_STEPS,
-    QueryRecord, QueryRefusal, SCHEMA_VERSION, Sample, StateHeader, TakenFrame, TickHeader, fnv1a,
-    sample_flag, tick_flag,
+    AnswerHeader, BudgetHeader, Budgets, Channel, DiagnosticHeader, Diagnostics, Flow,
+    ForecastHeader, Forecasts, FrameRows, PlanStateHeader, PlanStates, QUERY_STEPS, QueryRecord,
+    QueryRefusal, Row, SCHEMA_VERSION, Sample, Samples, Service, State, StateHeader, TakenFrame,
+    TickHeader, Ticks, fnv1a, sample_flag, tick_flag,
 };
 use proptest::prelude::*;
 
@@ -88,7 +89,7 @@ impl Simulation {
                 ..StateHeader::default()
             };
             self.late
-                .push((due, Message::State(header, piece.to_vec())));
+                .push((due, Message::of::<State>(header, piece.to_vec())));
         }
     }
 
@@ -140,7 +141,7 @@ impl Simulation {
                 samples: samples.len() as u32,
                 truncated: 0,
             });
-            self.sent.push(Message::Samples(header, samples));
+            self.sent.push(Message::of::<Samples>(header, samples));
         }
         let start_ns = self.now_ns + 2 * MS;
         let missed = self.noise.next_u64().is_multiple_of(10);
@@ -172,7 +173,7 @@ impl Simulation {
                 + u32::from(self.plans()) * tick_flag::PLAN_STATES,
             ..TickHeader::default()
         };
-        self.sent.push(Message::Ticks(journal, taken));
+        self.sent.push(Message::of::<Ticks>(journal, taken));
         if self.tick.is_multiple_of(KEYFRAME_EVERY) {
             self.keyframe();
         }
@@ -193,7 +194,7 @@ impl Simulation {
         let compute_start_ns = header.compute_start_ns;
         let forecasts = robots.clone().map(|place| self.fleet.forecast(place));
         self.sent
-            .push(Message::Forecasts(header, forecasts.collect()));
+            .push(Message::of::<Forecasts>(header, forecasts.collect()));
         let header = DiagnosticHeader {
             schema: SCHEMA_VERSION,
             worker_epoch,
@@ -203,7 +204,7 @@ impl Simulation {
         };
         let diagnostics = robots.clone().map(|place| self.fleet.diagnostic(place));
         self.sent
-            .push(Message::Diagnostics(header, diagnostics.collect()));
+            .push(Message::of::<Diagnostics>(header, diagnostics.collect()));
         let header = BudgetHeader {
             schema: SCHEMA_VERSION,
             worker_epoch,
@@ -211,7 +212,8 @@ impl Simulation {
             ..BudgetHeader::default()
         };
         let budgets = robots.clone().map(|place| self.fleet.budget(place));
-        self.sent.push(Message::Budgets(header, budgets.collect()));
+        self.sent
+            .push(Message::of::<Budgets>(header, budgets.collect()));
         if !self.plans() {
             return;
         }
@@ -226,7 +228,8 @@ impl Simulation {
             ..PlanStateHeader::default()
         };
         let rows = robots.map(|place| self.fleet.plan_state(place));
-        self.sent.push(Message::PlanStates(header, rows.collect()));
+        self.sent
+            .push(Message::of::<PlanStates>(header, rows.collect()));
     }
 }
 
@@ -268,14 +271,18 @@ fn verify_by(mut verifier: Verifier, entries: impl IntoIterator<Item = Entry>) -
 }
 
 fn tick_of(message: &Message) -> u64 {
-    match message {
-        Message::Forecasts(header, _) => header.tick,
-        Message::Diagnostics(header, _) => header.tick,
-        Message::Budgets(header, _) => header.tick,
-        Message::PlanStates(header, _) => header.tick,
-        Message::Ticks(header, _) => header.tick,
-        _ => 0,
-    }
+    // Frames of samples are not of a tick, and keyframes are of one before.
+    let is_of_tick = message.frame::<Samples>().is_none() && message.frame::<State>().is_none();
+    let frame = message
+        .place()
+        .filter(|_| is_of_tick && message.get::<Query>().is_none());
+    frame.map_or(0, |place| place.number)
+}
+
+/// Whether it is a certain frame of samples.
+fn is_frame_50(message: &Message) -> bool {
+    let frame = message.frame::<Samples>();
+    frame.is_some_and(|frame| (frame.header.source_id, frame.header.frame_seq) == (2, 50))
 }
 
 #[test]
@@ -401,13 +408,12 @@ proptest! {
 #[test]
 fn a_lost_frame_of_samples_is_named_and_verification_resumes_at_the_next_keyframe() {
     let all = entries(recorded(3, 200));
-    let is_lost = |entry: &Entry| matches!(&entry.message, Message::Samples(header, _) if header.source_id == 2 && header.frame_seq == 50);
-    let taken_by = all.iter().find_map(|entry| match &entry.message {
-        Message::Ticks(header, taken) => taken
-            .iter()
-            .any(|taken| taken.source_id == 2 && taken.frame_seq == 50)
-            .then_some(header.tick),
-        _ => None,
+    let is_lost = |entry: &Entry| is_frame_50(&entry.message);
+    let taken_by = all.iter().find_map(|entry| {
+        let Frame { header, rows } = entry.message.frame::<Ticks>()?;
+        let mut taken = rows.iter();
+        let is_taken = taken.any(|taken| taken.source_id == 2 && taken.frame_seq == 50);
+        is_taken.then_some(header.tick)
     });
     let tick = taken_by.unwrap();
     let report = verify(all.into_iter().filter(|entry| !is_lost(entry)));
@@ -425,13 +431,10 @@ fn a_lost_frame_of_samples_is_named_and_verification_resumes_at_the_next_keyfram
 #[test]
 fn frames_that_repeat_the_number_of_another_one_are_named_and_never_reported_as_differences() {
     let all = entries(recorded(3, 200));
-    let at = all
-        .iter()
-        .position(|entry| matches!(&entry.message, Message::Samples(header, _) if header.source_id == 2 && header.frame_seq == 50));
+    let at = all.iter().position(|entry| is_frame_50(&entry.message));
     let at = at.unwrap();
-    let Message::Samples(header, samples) = &all[at].message else {
-        panic!("a frame of samples");
-    };
+    let Frame { header, rows } = all[at].message.frame::<Samples>().unwrap();
+    let samples = rows;
     let with = |change: &dyn Fn(&mut Entry), place: usize| {
         let mut entries = all.clone();
         let mut copy = all[at].clone();
@@ -446,15 +449,15 @@ fn frames_that_repeat_the_number_of_another_one_are_named_and_never_reported_as_
     let other_power = |entry: &mut Entry| {
         let mut samples = samples.clone();
         samples[0].power_w = f32::from_bits(samples[0].power_w.to_bits() ^ 1);
-        entry.message = Message::Samples(*header, samples);
+        entry.message = Message::of::<Samples>(*header, samples);
     };
     let other_header = |entry: &mut Entry| {
         let mut header = *header;
         header.sent_ns ^= 1;
-        entry.message = Message::Samples(header, samples.clone());
+        entry.message = Message::of::<Samples>(header, samples.clone());
     };
     let longer = |entry: &mut Entry| {
-        entry.message = Message::Samples(*header, [&samples[..], samples].concat());
+        entry.message = Message::of::<Samples>(*header, [&samples[..], samples].concat());
     };
     let changes: [&dyn Fn(&mut Entry); 3] = [&other_power, &other_header, &longer];
     for (number_of_change, change) in changes.into_iter().enumerate() {
@@ -484,162 +487,170 @@ fn frames_that_repeat_the_number_of_another_one_are_named_and_never_reported_as_
 }
 
 /// Each field of each payload, one at a time: found with its tick, robot and name.
+struct Flips(Vec<Message>);
+
+impl Flips {
+    fn all<C: Channel>(&self, row: &str) {
+        let is_it = |message: &Message| message.frame::<C>().is_some() && tick_of(message) == 65;
+        let place = self.0.iter().position(is_it).unwrap();
+        for field in C::Row::LAYOUT.fields {
+            let mut spoilt = self.0.clone();
+            let frame = spoilt[place].frame_mut::<C>().unwrap();
+            let robot = C::robot(&frame.rows[5]);
+            bytemuck::bytes_of_mut(&mut frame.rows[5])[field.offset] ^= 1;
+            let (name, report) = (format!("{row}.{}", field.name), verify(entries(spoilt)));
+            let first = report.first.clone();
+            let first = first.unwrap_or_else(|| panic!("{name} was not found"));
+            assert_eq!(
+                (first.tick, first.robot, first.field),
+                (65, robot, name.clone())
+            );
+            assert_ne!(first.recorded, first.computed, "{name}");
+            let counts = (report.differences, report.ticks_verified);
+            assert_eq!(counts, (1, 90), "{name}: {report}");
+            assert!(!report.is_clean(), "{name}");
+        }
+    }
+}
+
 #[test]
 fn a_flipped_bit_in_any_output_is_named() {
+    let flips = Flips(recorded(4, 90));
+    flips.all::<Forecasts>("forecast");
+    flips.all::<Diagnostics>("diagnostic");
+    flips.all::<Budgets>("budget");
+    flips.all::<PlanStates>("plan_state");
+}
+
+#[test]
+fn a_flipped_bit_in_a_header_is_named_where_it_follows_from_the_samples() {
     let messages = recorded(4, 90);
-    let place = |kind: MessageKind| {
-        let is_it = |message: &Message| message.kind() == Some(kind) && tick_of(message) == 65;
-        messages.iter().position(is_it).unwrap()
-    };
-    let (forecasts, diagnostics, budgets, plan_states) = (
-        place(MessageKind::Forecasts),
-        place(MessageKind::Diagnostics),
-        place(MessageKind::Budgets),
-        place(MessageKind::PlanStates),
-    );
-    let flip32 = |value: &mut f32| *value = f32::from_bits(value.to_bits() ^ 1);
-    let flip64 = |value: &mut f64| *value = f64::from_bits(value.to_bits() ^ 1);
-    type Spoil<'a> = Box<dyn Fn(&mut [Message]) + 'a>;
-    let mut cases: Vec<(&str, Spoil<'_>)> = Vec::new();
-    macro_rules! case {
-        ($kind:ident, $at:expr, $name:literal, |$row:ident| $change:expr) => {
-            cases.push((
-                $name,
-                Box::new(move |messages: &mut [Message]| {
-                    let Message::$kind(_, rows) = &mut messages[$at] else {
-                        panic!("another kind")
-                    };
-                    let $row = &mut rows[5];
-                    $change;
-                }),
-            ));
-        };
-    }
-    case!(Forecasts, forecasts, "forecast.power_w", |row| flip32(
-        &mut row.power_w
-    ));
-    case!(Forecasts, forecasts, "forecast.lo_w", |row| flip32(
-        &mut row.lo_w
-    ));
-    case!(Forecasts, forecasts, "forecast.hi_w", |row| flip32(
-        &mut row.hi_w
-    ));
-    case!(Forecasts, forecasts, "forecast.reading_w", |row| flip32(
-        &mut row.reading_w
-    ));
-    case!(Forecasts, forecasts, "forecast.flags", |row| row.flags ^= 8);
-    case!(Forecasts, forecasts, "forecast.quality", |row| row
-        .quality ^=
-        1);
-    case!(Forecasts, forecasts, "forecast.quality_detail", |row| {
-        row.quality_detail ^= 1;
-    });
-    case!(Forecasts, forecasts, "forecast.generation", |row| row
-        .generation ^=
-        1);
-    case!(Forecasts, forecasts, "forecast.sample_seq", |row| row
-        .sample_seq ^=
-        1);
-    case!(Forecasts, forecasts, "forecast.stamp_ns", |row| row
-        .stamp_ns ^=
-        1);
-    case!(Forecasts, forecasts, "forecast.target_ns", |row| row
-        .target_ns ^=
-        1);
-    case!(Forecasts, forecasts, "forecast.reading_age_ns", |row| {
-        row.reading_age_ns ^= 1;
-    });
-    case!(Forecasts, forecasts, "forecast.source_epoch", |row| row
-        .source_epoch ^=
-        1);
-    case!(Diagnostics, diagnostics, "diagnostic.residual_w", |row| {
-        flip32(&mut row.residual_w);
-    });
-    case!(Diagnostics, diagnostics, "diagnostic.bias_w", |row| flip32(
-        &mut row.bias_w
-    ));
-    case!(Diagnostics, diagnostics, "diagnostic.cusum_up", |row| {
-        flip32(&mut row.cusum_up);
-    });
-    case!(Diagnostics, diagnostics, "diagnostic.alarms", |row| row
-        .alarms ^=
-        1 << 11);
-    case!(Diagnostics, diagnostics, "diagnostic.scored", |row| row
-        .scored ^=
-        1);
-    case!(Diagnostics, diagnostics, "diagnostic.mae_w", |row| flip64(
-        &mut row.mae_w
-    ));
-    case!(Diagnostics, diagnostics, "diagnostic.skill", |row| flip64(
-        &mut row.skill
-    ));
-    case!(Diagnostics, diagnostics, "diagnostic.refused", |row| row
-        .refused ^=
-        1);
-    case!(Budgets, budgets, "budget.drawn_uj", |row| row.drawn_uj ^= 1);
-    case!(Budgets, budgets, "budget.drawn_remainder", |row| row
-        .drawn_remainder ^=
-        1);
-    case!(Budgets, budgets, "budget.unmetered_ns", |row| row
-        .unmetered_ns ^=
-        1);
-    case!(Budgets, budgets, "budget.mean_power_w", |row| flip32(
-        &mut row.mean_power_w
-    ));
-    case!(Budgets, budgets, "budget.time_to_empty_hi_s", |row| flip32(
-        &mut row.time_to_empty_hi_s
-    ));
-    case!(PlanStates, plan_states, "plan_state.quality", |row| {
-        row.quality ^= 1;
-    });
-    case!(PlanStates, plan_states, "plan_state.open_steps", |row| {
-        row.open_steps ^= 1;
-    });
-    case!(PlanStates, plan_states, "plan_state.lag1_w", |row| flip32(
-        &mut row.lag1_w
-    ));
-    case!(PlanStates, plan_states, "plan_state.gain_mean", |row| {
-        flip32(&mut row.gain_mean);
-    });
-    case!(PlanStates, plan_states, "plan_state.above_held", |row| {
-        flip32(&mut row.above_held);
-    });
-    for (name, spoil) in cases {
+    let with = |change: &dyn Fn(&mut Message)| {
         let mut spoilt = messages.clone();
-        spoil(&mut spoilt);
-        let Message::Forecasts(_, rows) = &messages[forecasts] else {
-            panic!("another kind")
-        };
+        let mut of_tick = spoilt.iter_mut().filter(|message| tick_of(message) == 65);
+        of_tick.by_ref().for_each(change);
         let report = verify(entries(spoilt));
-        let first = report
+        report
             .first
-            .clone()
-            .unwrap_or_else(|| panic!("{name} was not found"));
-        assert_eq!(
-            (first.tick, first.robot, &*first.field),
-            (65, Some(rows[5].robot), name)
+            .map(|first| (first.tick, first.robot, first.field))
+    };
+    let refused = with(&|message| {
+        if let Some(frame) = message.frame_mut::<Diagnostics>() {
+            frame.header.refused[3].count ^= 1;
+        }
+    });
+    let (tick, robot, field) = refused.unwrap();
+    assert_eq!((tick, &*field), (65, "diagnostics.refused robots"));
+    assert!(robot.is_some());
+    let header = |change: &dyn Fn(&mut ForecastHeader)| {
+        let found = with(&|message| {
+            if let Some(frame) = message.frame_mut::<Forecasts>() {
+                change(&mut frame.header);
+            }
+        });
+        found.map(|(_, _, field)| field)
+    };
+    let dropped = header(&|header| header.samples_dropped.counts[7] += 1);
+    assert_eq!(dropped.as_deref(), Some("forecasts.NotFinite"));
+    let accepted = header(&|header| header.samples_accepted += 1);
+    assert_eq!(accepted.as_deref(), Some("forecasts.samples_accepted"));
+    // When it was sent does not follow from them.
+    assert_eq!(header(&|header| header.sent_ns += 1), None);
+    let models = with(&|message| {
+        if let Some(frame) = message.frame_mut::<PlanStates>() {
+            frame.header.models[0] ^= 1;
+        }
+    });
+    assert_eq!(models.unwrap().2, "plan_states.models");
+}
+
+/// A channel that is declared elsewhere: half of each robot's forecast.
+#[test]
+fn frames_of_a_channel_that_is_declared_elsewhere_are_compared() {
+    let mut messages = Vec::new();
+    for message in recorded(4, 90) {
+        if let Some(Frame { header, rows }) = message.frame::<Forecasts>() {
+            let mut header = StateHeader {
+                worker_epoch: header.worker_epoch,
+                tick: header.tick,
+                ..StateHeader::default()
+            };
+            header.total_bytes = 7 * header.tick;
+            let halves = rows.iter().map(half).collect();
+            messages.push(Message::of::<Halves>(header, halves));
+        }
+        messages.push(message);
+    }
+    let verify = |messages: &[Message]| {
+        let verifier = Verifier::new(world::settings(CAPACITY), world::models()).unwrap();
+        let halves = Output::of::<Halves>(
+            &["total_bytes"],
+            |tick| StateHeader {
+                total_bytes: 7 * tick.journal.tick,
+                ..StateHeader::default()
+            },
+            |tick, place| half(&tick.fleet.forecast(place)),
         );
-        assert_ne!(first.recorded, first.computed, "{name}");
-        assert_eq!(
-            (report.differences, report.ticks_verified),
-            (1, 90),
-            "{name}: {report}"
-        );
-        assert!(!report.is_clean(), "{name}");
+        verify_by(verifier.with_output(halves), entries(messages.to_vec()))
+    };
+    let report = verify(&messages);
+    assert!(
+        report.is_clean() && report.not_recorded.is_empty(),
+        "{report}"
+    );
+    let is_it = |message: &Message| message.frame::<Halves>().is_some();
+    let mut places = (0..messages.len()).filter(|place| is_it(&messages[*place]));
+    let place = places.nth(70).unwrap();
+    let mut spoilt = messages.clone();
+    spoilt[place].frame_mut::<Halves>().unwrap().rows[2].frame_seq ^= 1;
+    let first = verify(&spoilt).first.unwrap();
+    assert_eq!((first.tick, &*first.field), (71, "taken_frame.frame_seq"));
+    spoilt.remove(place);
+    let report = verify(&spoilt);
+    assert_eq!(report.outputs_missing["halves"], 1, "{report}");
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Halves;
+
+impl Channel for Halves {
+    const SERVICE: Service = Service::named("halves");
+    const MESSAGE: &'static str = "Halves";
+    const FLOW: Flow = Flow::Planners {
+        kept: 0,
+        history: 0,
+    };
+    const ROWS: FrameRows = FrameRows::Taken;
+    type Header = StateHeader;
+    type Row = TakenFrame;
+}
+
+fn half(forecast: &joulebus_wire::Forecast) -> TakenFrame {
+    TakenFrame {
+        source_id: forecast.robot.into(),
+        frame_seq: (forecast.power_w / 2.0).to_bits().into(),
+        ..TakenFrame::default()
     }
 }
 
 #[test]
 fn a_flipped_bit_in_a_sample_shows_at_its_tick_and_robot() {
     let mut messages = recorded(5, 90);
-    let taken_at_60 = |message: &Message| match message {
-        Message::Ticks(header, taken) if header.tick == 60 => taken.first().copied(),
-        _ => None,
+    let taken_at_60 = |message: &Message| {
+        let journal = message.frame::<Ticks>();
+        journal
+            .filter(|journal| journal.header.tick == 60)?
+            .rows
+            .first()
+            .copied()
     };
     let taken = messages.iter().find_map(taken_at_60).unwrap();
     let mut robot = 0;
     for message in &mut messages {
-        if let Message::Samples(header, samples) = message
+        if let Some(Frame {
+            header,
+            rows: samples,
+        }) = message.frame_mut::<Samples>()
             && (header.source_id, header.frame_seq) == (taken.source_id, taken.frame_seq)
         {
             let is_read = |sample: &&mut Sample| sample.power_w.is_finite() && sample.robot < 1_000;
@@ -663,7 +674,7 @@ fn a_killed_worker_and_its_successor_are_both_verified() {
     simulation.run(100);
     // Killed after it had sent its forecasts.
     let mut sent = std::mem::take(&mut simulation.sent);
-    let is_forecasts = |message: &Message| matches!(message, Message::Forecasts(..));
+    let is_forecasts = |message: &Message| message.frame::<Forecasts>().is_some();
     let half = sent.iter().rposition(is_forecasts).unwrap();
     sent.truncate(half + 1);
     simulation.sent = sent;
@@ -683,7 +694,7 @@ fn without_a_keyframe_or_with_another_model_nothing_is_verified() {
     let messages = recorded(7, 60);
     let without = messages
         .iter()
-        .filter(|message| message.kind() != Some(MessageKind::State));
+        .filter(|message| message.kind() != Some(MessageKind::of::<State>()));
     let report = verify(entries(without.cloned().collect()));
     assert_eq!(
         (
@@ -713,7 +724,7 @@ fn without_a_keyframe_or_with_another_model_nothing_is_verified() {
 #[test]
 fn excluded_topics_are_reported_and_not_counted_as_lost() {
     let messages = recorded(8, 60).into_iter();
-    let kept = messages.filter(|message| message.kind() != Some(MessageKind::Diagnostics));
+    let kept = messages.filter(|message| message.kind() != Some(MessageKind::of::<Diagnostics>()));
     let report = verify(entries(kept.collect()));
     assert!(report.is_clean(), "{report}");
     assert_eq!(report.not_recorded, ["diagnostics"]);
@@ -755,18 +766,15 @@ fn split_files_are_verified_as_one_and_each_from_its_keyframe() {
     }
 }
 
+fn rows_of<C: Channel>(messages: &[Message], tick: u64) -> &[C::Row] {
+    let of_tick = messages.iter().filter(|message| tick_of(message) == tick);
+    &of_tick.filter_map(Message::frame::<C>).next().unwrap().rows
+}
+
 /// A question about robot 2, and what the worker answers as of a tick.
 fn asked(messages: &[Message], tick: u64, number: u64, v_mps: f32) -> Query {
-    let of = |kind| {
-        let is_it = |message: &&Message| message.kind() == Some(kind) && tick_of(message) == tick;
-        messages.iter().find(is_it).unwrap()
-    };
-    let Message::PlanStates(_, states) = of(MessageKind::PlanStates) else {
-        panic!("another kind")
-    };
-    let Message::Budgets(_, budgets) = of(MessageKind::Budgets) else {
-        panic!("another kind")
-    };
+    let states = rows_of::<PlanStates>(messages, tick);
+    let budgets = rows_of::<Budgets>(messages, tick);
     let question = Question {
         plan: Plan::WhatIf {
             robot: 2,
@@ -830,7 +838,7 @@ fn answers_about_plans_are_computed_again_wherever_they_lie_and_a_flipped_bit_is
     );
     let with = |queries: &[Query], place: usize| {
         let mut messages = messages.clone();
-        let queries = queries.iter().cloned().map(Message::Query);
+        let queries = queries.iter().cloned().map(Message::from);
         messages.splice(place..place, queries);
         verify(entries(messages))
     };
@@ -888,7 +896,7 @@ fn answers_about_ticks_that_could_not_be_computed_are_counted() {
     let with = |change: &dyn Fn(&mut Query)| {
         let mut changed = query.clone();
         change(&mut changed);
-        let all = messages.iter().cloned().chain([Message::Query(changed)]);
+        let all = messages.iter().cloned().chain([changed.into()]);
         verify(entries(all.collect()))
     };
     // In tick 35 nobody read plan states, and tick 1,000 is not in the recording.

@@ -13,8 +13,8 @@ use joulebus_fleet::Fleet;
 use joulebus_settings::FleetSettings;
 use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, Source, healthy};
 use joulebus_wire::{
-    BudgetHeader, DiagnosticHeader, ForecastHeader, SCHEMA_VERSION, Sample, StateHeader,
-    TakenFrame, TickHeader,
+    BudgetHeader, Budgets, DiagnosticHeader, Diagnostics, ForecastHeader, Forecasts,
+    SCHEMA_VERSION, Sample, Samples, State, StateHeader, TakenFrame, TickHeader, Ticks,
 };
 
 const ROBOTS: u32 = 100;
@@ -87,17 +87,17 @@ fn turn(fleet: &mut Fleet, source: &mut Source, tick: u64) -> Vec<Message> {
     };
     let robots = 0..fleet.len();
     vec![
-        Message::Samples(frame, samples),
-        Message::Forecasts(
+        Message::of::<Samples>(frame, samples),
+        Message::of::<Forecasts>(
             forecasts,
             robots.clone().map(|at| fleet.forecast(at)).collect(),
         ),
-        Message::Diagnostics(
+        Message::of::<Diagnostics>(
             diagnostics,
             robots.clone().map(|at| fleet.diagnostic(at)).collect(),
         ),
-        Message::Budgets(budgets, robots.map(|at| fleet.budget(at)).collect()),
-        Message::Ticks(journal, vec![taken]),
+        Message::of::<Budgets>(budgets, robots.map(|at| fleet.budget(at)).collect()),
+        Message::of::<Ticks>(journal, vec![taken]),
     ]
 }
 
@@ -115,7 +115,7 @@ fn capture() -> Vec<u8> {
     };
     let times = Times::default();
     writer
-        .write("lab", times, &Message::State(header, state))
+        .write("lab", times, &Message::of::<State>(header, state))
         .unwrap();
     for tick in 1..=TICKS {
         let times = Times {

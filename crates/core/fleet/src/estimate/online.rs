@@ -375,7 +375,7 @@ impl Online {
         self.update_rls(&update);
     }
 
-    /// Updates the weights: the first part of [`Online::learn`], before [`Online::follow`].
+    /// Updates the weights: the first part of [`Online::learn`], before [`Online::update_rls`].
     #[inline(always)]
     pub(crate) fn update_weights(
         &mut self,

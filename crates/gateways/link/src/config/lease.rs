@@ -5,14 +5,14 @@ use std::path::{Path, PathBuf};
 use crate::config::check::Check;
 use crate::config::file::{LeaseSection, NetworkSection, Text};
 use crate::config::network::is_loopback;
-use crate::protocol::lease::MOST_TTL_S;
+use crate::protocol::lease::MAX_TTL_S;
 
 /// Range of the lease's time to live, s. etcd raises 1 s to 2 s.
-const TTL_S: (u32, u32) = (2, MOST_TTL_S);
+const TTL_S: (u32, u32) = (2, MAX_TTL_S);
 /// Maximum number of etcd members.
-const MOST_ENDPOINTS: usize = 16;
-const MOST_PREFIX: usize = 128;
-const MOST_SECRET_BYTES: u64 = 4_096;
+const MAX_ENDPOINTS: usize = 16;
+const MAX_PREFIX: usize = 128;
+const MAX_SECRET_BYTES: u64 = 4_096;
 
 /// How to reach etcd.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -35,9 +35,9 @@ impl Check<'_> {
         network: &NetworkSection,
     ) -> LeaseSettings {
         let found = section.endpoints.len();
-        if !(1..=MOST_ENDPOINTS).contains(&found) {
+        if !(1..=MAX_ENDPOINTS).contains(&found) {
             let what = format!("are {found}");
-            let remedy = format!("Allowed: 1 to {MOST_ENDPOINTS} members of etcd");
+            let remedy = format!("Allowed: 1 to {MAX_ENDPOINTS} members of etcd");
             self.problem(None, "lease.endpoints", what, &remedy);
         }
         for text in &section.endpoints {
@@ -54,9 +54,9 @@ impl Check<'_> {
         }
         let prefix = section.prefix.get_ref();
         let plain = |c: char| c.is_ascii_alphanumeric() || "/-_.".contains(c);
-        if prefix.len() > MOST_PREFIX || !prefix.chars().all(plain) {
+        if prefix.len() > MAX_PREFIX || !prefix.chars().all(plain) {
             let what = format!("= {prefix:?}");
-            let remedy = format!("Allowed: at most {MOST_PREFIX} letters, digits, / - _ and .");
+            let remedy = format!("Allowed: at most {MAX_PREFIX} letters, digits, / - _ and .");
             let at = Some(section.prefix.span().start);
             self.problem(at, "lease.prefix", what, &remedy);
         }
@@ -115,7 +115,7 @@ impl Check<'_> {
     fn file(&mut self, text: &Text, key: &str, is_secret: bool) -> PathBuf {
         let path: PathBuf = self.folder.join(Path::new(text.get_ref()));
         let read = if is_secret {
-            joulebus_files::read_secret(&path, MOST_SECRET_BYTES).map(drop)
+            joulebus_files::read_secret(&path, MAX_SECRET_BYTES).map(drop)
         } else {
             joulebus_files::read_to_string(&path, 1 << 20).map(drop)
         };

@@ -23,18 +23,18 @@ use crate::config::file::{
 };
 use crate::protocol::carried::Carried;
 use crate::protocol::message::FleetId;
-use crate::protocol::selection::{MOST_RANGES, Selection};
+use crate::protocol::selection::{MAX_RANGES, Selection};
 use crate::protocol::shards::Shards;
 
 pub(crate) use lease::LeaseSettings;
 pub(crate) use network::{Mode, NetworkSettings};
 
 /// Maximum size of the file, bytes.
-const MOST_BYTES: u64 = 1 << 20;
+const MAX_BYTES: u64 = 1 << 20;
 /// Maximum length of a link's name, bytes.
-const MOST_NAME: usize = 64;
+const MAX_NAME_BYTES: usize = 64;
 /// Maximum number of hosts whose samples a worker takes.
-const MOST_HOSTS: usize = 256;
+const MAX_HOSTS: usize = 256;
 const EVERY: (u32, u32) = (1, 3_600);
 
 /// The checked settings of a link.
@@ -96,7 +96,7 @@ impl Settings {
     /// # Errors
     /// [`ConfigError`] with all problems, if the file cannot be read or is refused.
     pub(crate) fn load(path: &Path, config: &Config) -> Result<Self, ConfigError> {
-        let text = joulebus_files::read_to_string(path, MOST_BYTES).map_err(|source| {
+        let text = joulebus_files::read_to_string(path, MAX_BYTES).map_err(|source| {
             let path = path.to_owned();
             ConfigError::Read { path, source }
         })?;
@@ -156,7 +156,7 @@ impl Check<'_> {
                 if let Some(shards) = &shards
                     && shards.of_worker(&name).is_none()
                 {
-                    let what = format!("= {name:?} speaks for no shard");
+                    let what = format!("= {name:?} is in `workers` of no shard");
                     let at = Some(file.name.span().start);
                     self.problem(at, "name", what, "Name it in `shard.workers`");
                 }
@@ -218,9 +218,9 @@ impl Check<'_> {
 
     /// The hosts whose samples the worker of the link `name` takes.
     fn takes(&mut self, worker: &WorkerSection, name: &str, config: &Config) -> Vec<Take> {
-        if worker.take.len() > MOST_HOSTS {
+        if worker.take.len() > MAX_HOSTS {
             let what = format!("names {} hosts", worker.take.len());
-            let remedy = format!("Allowed are {MOST_HOSTS}");
+            let remedy = format!("Allowed are {MAX_HOSTS}");
             self.problem(None, "worker.take", what, &remedy);
         }
         let mut takes: Vec<Take> = Vec::new();
@@ -263,7 +263,7 @@ impl Check<'_> {
                     .iter()
                     .find(|shard| shard.workers.iter().any(|it| it == name))
                 {
-                    let what = format!("= {name:?} speaks for the shard {}", shard.name);
+                    let what = format!("= {name:?} is in `workers` of the shard {}", shard.name);
                     let remedy = "A worker's host has [worker]; give this link another name";
                     self.problem(None, "name", what, remedy);
                 }
@@ -305,9 +305,9 @@ impl Check<'_> {
     fn name(&mut self, text: &Text, key: &str) -> String {
         let name = text.get_ref();
         let allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte);
-        if name.is_empty() || name.len() > MOST_NAME || !name.bytes().all(allowed) {
+        if name.is_empty() || name.len() > MAX_NAME_BYTES || !name.bytes().all(allowed) {
             let what = format!("= {name:?}");
-            let remedy = format!("Allowed: 1 to {MOST_NAME} letters, digits, - _ and .");
+            let remedy = format!("Allowed: 1 to {MAX_NAME_BYTES} letters, digits, - _ and .");
             self.problem(Some(text.span().start), key, what, &remedy);
         }
         name.clone()
@@ -340,7 +340,7 @@ impl Check<'_> {
                 }
             }
         }
-        let (found, most) = (ranges.len(), MOST_RANGES);
+        let (found, most) = (ranges.len(), MAX_RANGES);
         if found > most || list.is_some_and(<[Value]>::is_empty) {
             let what = format!("has {found} entries; allowed are 1 to {most}");
             self.problem(
@@ -424,7 +424,7 @@ mod tests {
 
     #[test]
     fn what_is_wrong_is_named_with_its_line() {
-        for (base, from, to, line, says) in [
+        for (base, from, to, line, expected) in [
             (WORKER, "name = \"base\"", "name = \"ba/se\"", 1, "letters"),
             (WORKER, "name = \"base\"", "name = \"\"", 1, "1 to 64"),
             (WORKER, "listen", "listens", 3, "unknown field"),
@@ -502,7 +502,7 @@ mod tests {
             assert_ne!(text, base, "{from}");
             let refused = load(&text).expect_err(to);
             let shown = refused.to_string();
-            assert!(shown.contains(says), "{to}: {shown}");
+            assert!(shown.contains(expected), "{to}: {shown}");
             let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
             assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
         }
@@ -548,7 +548,7 @@ mod tests {
     #[test]
     fn what_is_wrong_with_shards_is_named_with_its_line() {
         let worker = WORKER.replacen('\n', "\nshards = \"shards.toml\"\n", 1);
-        for (text, from, to, line, says) in [
+        for (text, from, to, line, expected) in [
             (DESK, "\"a\"", "\"b\"", 6, "twice"),
             (DESK, "\"south\"", "\"spare\"", 7, "twice"),
             (DESK, "\"5-9\"", "\"4-9\"", 4, "robot 4 in two"),
@@ -557,18 +557,18 @@ mod tests {
             (DESK, "[\"base\", \"spare\"]", "[]", 2, "0 links"),
             (DESK, "\"5-9\"", "\"9-5\"", 4, "9-5"),
             (DESK, "name = \"b\"", "names = \"b\"", 6, "unknown field"),
-            (DESK, "\"south\"", "\"desk\"", 1, "speaks for the shard b"),
+            (DESK, "\"south\"", "\"desk\"", 1, "of the shard b"),
             (&worker, "\"base\"", "\"west\"", 1, "no shard"),
         ] {
             let shards = SHARDS.replacen(from, to, 1);
             assert_ne!(shards, SHARDS, "{from}");
             let refused = load_with(&shards, text).expect_err(to);
             let shown = refused.to_string();
-            assert!(shown.contains(says), "{to}: {shown}");
+            assert!(shown.contains(expected), "{to}: {shown}");
             let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
             assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
         }
-        for (text, says) in [
+        for (text, expected) in [
             (
                 DESK.replace("[follow]", "[follow]\nworker = \"base\""),
                 "Leave it out",
@@ -580,8 +580,8 @@ mod tests {
             (DESK.replace("shards = ", "# shards = "), "file of `shards`"),
             (DESK.replace("shards.toml", "none.toml"), "cannot be read"),
         ] {
-            let shown = load_with(SHARDS, &text).expect_err(says).to_string();
-            assert!(shown.contains(says), "{says}: {shown}");
+            let shown = load_with(SHARDS, &text).expect_err(expected).to_string();
+            assert!(shown.contains(expected), "{expected}: {shown}");
         }
     }
 
@@ -612,7 +612,7 @@ mod tests {
     #[test]
     fn a_lease_that_cannot_be_had_is_refused_with_its_remedy() {
         let endpoint = "endpoints = [\"http://127.0.0.1:2379\"]\n";
-        for (name, lease, says) in [
+        for (name, lease, expected) in [
             ("south", endpoint, "decides nothing here"),
             ("spare", "endpoints = []\n", "1 to 16 members"),
             (
@@ -665,8 +665,8 @@ mod tests {
             ("spare", &format!("{endpoint}leash = 1\n"), "leash"),
         ] {
             let text = format!("{}[lease]\n{lease}", CANDIDATE.replace("spare", name));
-            let shown = load_with(SHARDS, &text).expect_err(says).to_string();
-            assert!(shown.contains(says), "{says}: {shown}");
+            let shown = load_with(SHARDS, &text).expect_err(expected).to_string();
+            assert!(shown.contains(expected), "{expected}: {shown}");
         }
     }
 
@@ -736,7 +736,7 @@ mod tests {
     #[test]
     fn what_is_quoted_of_a_file_has_bounds() {
         let long = "é".repeat(100_000);
-        for (text, says) in [
+        for (text, expected) in [
             (OTHER.replace("edge", &long), "1 to 64 letters"),
             (OTHER.replace("tcp/127.0.0.1:7447", &long), "with a port"),
             (format!("{OTHER}\"{long}\" = 1\n"), "expected one of"),
@@ -748,8 +748,8 @@ mod tests {
         ] {
             let error = load(&text).unwrap_err();
             let shown = error.to_string();
-            assert!(shown.contains(says), "{says}: {shown}");
-            assert!(error.problems().len() <= 101, "{says}");
+            assert!(shown.contains(expected), "{expected}: {shown}");
+            assert!(error.problems().len() <= 101, "{expected}");
             let mut problems = error.problems().iter();
             assert!(
                 problems.all(|problem| problem.what.chars().count() <= 401),

@@ -2,16 +2,16 @@
 
 use joulebus_config::Config;
 
-use crate::config::MOST_BYTES;
+use crate::config::MAX_BYTES;
 use crate::config::check::Check;
 use crate::config::file::{ShardSection, ShardsFile, Text};
-use crate::protocol::shards::{MOST_SHARDS, MOST_WORKERS, Shard, Shards};
+use crate::protocol::shards::{MAX_CANDIDATES, MAX_SHARDS, Shard, Shards};
 
 impl Check<'_> {
     /// Reads the file of shards. Its problems are reported with its own lines.
     pub(super) fn shards(&mut self, name: &Text, config: &Config) -> Option<Shards> {
         let path = self.folder.join(name.get_ref());
-        let text = match joulebus_files::read_to_string(&path, MOST_BYTES) {
+        let text = match joulebus_files::read_to_string(&path, MAX_BYTES) {
             Ok(text) => text,
             Err(error) => {
                 let what = format!("= {:?} cannot be read: {error}", name.get_ref());
@@ -42,9 +42,9 @@ impl Check<'_> {
             }
         };
         let found = file.shard.len();
-        if !(1..=MOST_SHARDS).contains(&found) {
+        if !(1..=MAX_SHARDS).contains(&found) {
             let what = format!("are {found}");
-            let remedy = format!("Allowed: 1 to {MOST_SHARDS}");
+            let remedy = format!("Allowed: 1 to {MAX_SHARDS}");
             self.problem(None, "shard", what, &remedy);
         }
         let all: Vec<Shard> = file.shard.iter().map(|it| self.shard(it, config)).collect();
@@ -71,9 +71,9 @@ impl Check<'_> {
 
     fn shard(&mut self, section: &ShardSection, config: &Config) -> Shard {
         let found = section.workers.len();
-        if !(1..=MOST_WORKERS).contains(&found) {
+        if !(1..=MAX_CANDIDATES).contains(&found) {
             let what = format!("names {found} links");
-            let remedy = format!("Allowed: 1 to {MOST_WORKERS}, the one that is to speak first");
+            let remedy = format!("Allowed: 1 to {MAX_CANDIDATES}, the preferred leader first");
             let at = Some(section.name.span().start);
             self.problem(at, "shard.workers", what, &remedy);
         }

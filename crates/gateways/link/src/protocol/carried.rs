@@ -1,4 +1,4 @@
-//! Which services a link carries, and what their frames consist of.
+//! The channels that a link carries, and the layout of their frames.
 
 use bytemuck::{Pod, pod_read_unaligned};
 use joulebus_wire::{
@@ -6,14 +6,15 @@ use joulebus_wire::{
     SCHEMA_VERSION, Samples, State, Ticks,
 };
 
-/// A channel whose frames cross a link, by its code in messages: from 1, because 0 is a message without a frame.
+/// A channel whose frames cross a link, by its code in messages. Codes start at 1, because 0 is a
+/// message without a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Carried(u32);
 
-/// What a link knows of a channel.
+/// A link's knowledge of a channel.
 #[derive(Debug, Clone, Copy)]
 struct Frames {
-    /// Bytes of a header, and of an element.
+    /// Size of a header and of an element, bytes.
     sizes: (usize, usize),
     rows: FrameRows,
     sent_ns: fn(&[u8]) -> Option<u64>,
@@ -29,7 +30,7 @@ impl Frames {
     }
 }
 
-/// In the order of the codes.
+/// The channels in the order of their codes.
 const CHANNELS: &[Frames] = &[
     Frames::of::<Forecasts>(),
     Frames::of::<Diagnostics>(),
@@ -42,7 +43,8 @@ const CHANNELS: &[Frames] = &[
     Frames::of::<joulebus_testkit_channels::Signals>(),
 ];
 
-/// Bytes of a state for each robot of the capacity, at most, and for all else: it takes some 500 and a few thousand.
+/// Maximum size of a state, bytes: for each robot of the capacity, and for the rest. It takes some
+/// 500 and a few thousand.
 const STATE_BYTES_PER_ROBOT: usize = 4_096;
 const STATE_BYTES: usize = 1 << 18;
 
@@ -53,7 +55,7 @@ impl Carried {
     pub(crate) const PLAN_STATES: Self = Self(4);
     pub(crate) const TICKS: Self = Self(5);
     pub(crate) const SAMPLES: Self = Self(6);
-    /// A worker's whole state, for those that stand by: the elements are its bytes.
+    /// A worker's whole state, for standbys. The elements are its bytes.
     pub(crate) const STATE: Self = Self(7);
     #[cfg(test)]
     pub(crate) const SIGNALS: Self = Self(8);
@@ -70,7 +72,7 @@ impl Carried {
         Self::all().find(|carried| carried.code() == code)
     }
 
-    /// The bit in a request's set.
+    /// The bit in a request's set of services.
     pub(crate) const fn bit(self) -> u32 {
         1 << (self.0 - 1)
     }
@@ -79,17 +81,17 @@ impl Carried {
         &CHANNELS[self.0 as usize - 1]
     }
 
-    /// Bytes of a header, and of an element.
+    /// Size of a header and of an element, bytes.
     pub(crate) const fn sizes(self) -> (usize, usize) {
         self.frames().sizes
     }
 
-    /// Whether elements are of one robot each, whose id they begin with.
+    /// Whether each element belongs to one robot and begins with its id.
     pub(crate) const fn is_by_robot(self) -> bool {
         matches!(self.frames().rows, FrameRows::Robots)
     }
 
-    /// Elements that a frame of a fleet with that capacity may have.
+    /// Maximum number of elements of a frame in a fleet with that capacity.
     pub(crate) const fn most(self, capacity: usize) -> usize {
         match self.frames().rows {
             FrameRows::Bytes => capacity
@@ -100,7 +102,7 @@ impl Carried {
     }
 }
 
-/// A frame that came over a link: sizes are right, the contents are not checked.
+/// A received frame with checked sizes and unchecked contents.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct RawFrame<'a> {
     pub(crate) service: Carried,
@@ -109,7 +111,8 @@ pub(crate) struct RawFrame<'a> {
 }
 
 impl<'a> RawFrame<'a> {
-    /// A frame of these bytes, header first. `most`: rows that a frame of the fleet may have.
+    /// Splits the bytes of a frame, header first. `most` is the maximum number of rows of the
+    /// fleet's frames.
     ///
     /// # Errors
     /// [`FrameError`]: the bytes are no frame of the service.
@@ -133,7 +136,7 @@ impl<'a> RawFrame<'a> {
             return Err(FrameError::Length { found, allowed });
         }
         let (header, elements) = bytes.split_at(header_bytes);
-        // Every header begins with the version.
+        // Every header begins with the schema version.
         let schema = pod_read_unaligned::<u32>(&header[..4]);
         if schema != SCHEMA_VERSION {
             return Err(FrameError::Schema { found: schema });
@@ -145,12 +148,13 @@ impl<'a> RawFrame<'a> {
         })
     }
 
-    /// The header, as that of its service.
+    /// The header, as the type of its service.
     pub(crate) fn header<H: Pod>(&self) -> H {
         pod_read_unaligned(self.header)
     }
 
-    /// When the frame was sent on its host, as its header says, monotonic ns there; 0 where headers do not say.
+    /// When the frame was sent by its header, monotonic ns of its host. 0 if headers do not state
+    /// it.
     pub(crate) fn sent_ns(&self) -> u64 {
         (self.service.frames().sent_ns)(self.header).unwrap_or_default()
     }
@@ -171,14 +175,14 @@ impl<'a> RawFrame<'a> {
         self.elements
     }
 
-    /// All elements, which are the service's.
+    /// All elements, as the type of the service.
     pub(crate) fn elements<T: Pod>(&self) -> impl Iterator<Item = T> {
         let bytes = self.service.sizes().1;
         self.elements.chunks_exact(bytes).map(pod_read_unaligned)
     }
 }
 
-/// Reason that bytes are not a frame.
+/// Why bytes are not a frame.
 #[derive(Debug, thiserror::Error, PartialEq, Eq)]
 pub(crate) enum FrameError {
     #[error("a frame of {found} elements, allowed are {allowed} (`fleet.capacity`)")]

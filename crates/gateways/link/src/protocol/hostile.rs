@@ -6,7 +6,7 @@ use joulebus_wire::{
 };
 
 use crate::protocol::carried::Carried;
-use crate::protocol::merge::{Merge, Own};
+use crate::protocol::merge::{Merge, Origin};
 use crate::protocol::message::{
     Body, FleetId, Message, Outgoing, Request, Sender, Status, Worker, read, write_frame,
     write_request,
@@ -17,7 +17,7 @@ use crate::protocol::shards::{Shard, Shards};
 use crate::protocol::shift::shift;
 use crate::protocol::split::Split;
 use crate::protocol::stream::{LocalFrame, Stream};
-use crate::protocol::wall::Kept;
+use crate::protocol::wall::RealtimeClock;
 
 const FLEET: FleetId = FleetId { name: 7, shards: 0 };
 /// Maximum number of elements of a frame.
@@ -88,7 +88,7 @@ impl Victim {
             Body::Frame(status, _) => status.sent_ns,
             Body::Request(_) => 0,
         };
-        self.receiver.reads(Some(Kept {
+        self.receiver.set_clock(Some(RealtimeClock {
             realtime_ns: REALTIME_NS,
             within_ns: 50_000,
         }));
@@ -124,17 +124,17 @@ impl Victim {
     }
 
     fn merges(&mut self) {
-        let heard = [true, self.now_ns.is_multiple_of(2)];
+        let live = [true, self.now_ns.is_multiple_of(2)];
         if self
             .merge
-            .is_due((&[true; 2], &heard), (self.now_ns, PERIOD_NS, 1))
+            .is_due((&[true; 2], &live), (self.now_ns, PERIOD_NS, 1))
         {
-            let own = Own {
+            let own = Origin {
                 pid: 1,
                 place: Place { run: 1, number: 1 },
             };
             let (most, mut rows) = (self.merge.len(), 0);
-            let header = self.merge.write(&heard, own, self.now_ns, |_| rows += 1);
+            let header = self.merge.write(&live, own, self.now_ns, |_| rows += 1);
             assert!(rows == most || header.is_none());
         }
     }
@@ -156,7 +156,7 @@ impl Victim {
         for byte in given {
             self.now_ns = self.now_ns.saturating_add(u64::from(*byte) * 1_000_000);
         }
-        self.receiver.falls_silent(self.now_ns);
+        self.receiver.becomes_silent(self.now_ns);
         let mut out = Vec::new();
         if let Some(stream) = &mut self.stream {
             let mut sent = 0;
@@ -193,7 +193,7 @@ impl Victim {
     }
 
     fn asks(&mut self) {
-        if let Some(request) = self.receiver.ask(self.now_ns) {
+        if let Some(request) = self.receiver.request_if_due(self.now_ns) {
             assert!(read(&request, FLEET, 0).is_ok());
         }
     }
@@ -222,10 +222,10 @@ fn frame(now_ns: u64, number: u64) -> Vec<u8> {
     let rows: &[u8] = cast_slice(&rows);
     let status = Status {
         asked_ns: START_NS,
-        heard_ns: START_NS,
+        received_ns: START_NS,
         sent_ns: now_ns,
         dropped: 0,
-        voice: Worker::Alive.into(),
+        leader: Worker::Alive.into(),
         realtime_ns: REALTIME_NS,
     };
     let sender = Sender {
@@ -248,7 +248,7 @@ fn request(now_ns: u64) -> Vec<u8> {
         run: 2,
     };
     let request = Request {
-        heard: (0, 0),
+        acknowledged: (0, 0),
         asked_ns: now_ns,
         selection: Selection::new(u32::MAX, 1, vec![(0, 9)]),
     };

@@ -15,35 +15,35 @@
 //! led without it.
 
 /// Possible drift between two clocks as a share of the time to live: each 500 ppm by slewing and
-/// 100 ppm by its crystal, times four. `APART_NS` is added for rounding.
-const APART_DIVISOR: u64 = 200;
-const APART_NS: u64 = 10_000_000;
+/// 100 ppm by its crystal, times four. `DRIFT_MARGIN_NS` is added for rounding.
+const DRIFT_DIVISOR: u64 = 200;
+const DRIFT_MARGIN_NS: u64 = 10_000_000;
 /// Renewals per time to live. One or two may be lost.
 const RENEWALS: u64 = 5;
 /// Polls of a shard per time to live while another candidate leads it, and the minimum and maximum
 /// interval.
 const LOOKS: u64 = 10;
-const LOOK_EVERY_NS: (u64, u64) = (100_000_000, 500_000_000);
+const POLL_INTERVAL_NS: (u64, u64) = (100_000_000, 500_000_000);
 /// Maximum time to live of a lease, s. The file cannot ask for more, and a longer one that the
 /// store grants is cut to it.
-pub(crate) const MOST_TTL_S: u32 = 60;
-const LONGEST_NS: u64 = MOST_TTL_S as u64 * 1_000_000_000;
+pub(crate) const MAX_TTL_S: u32 = 60;
+const MAX_TTL_NS: u64 = MAX_TTL_S as u64 * 1_000_000_000;
 /// Additional wait for a free shard per position in the list of candidates.
 const RANK_NS: u64 = 300_000_000;
 /// Maximum time for which the others leave a free shard to the requested candidate, which polls
 /// more often.
-const WISHED_NS: u64 = 1_500_000_000;
+const REQUESTED_GRACE_NS: u64 = 1_500_000_000;
 
 /// The store's contents for one shard.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub(crate) struct Seen {
+pub(crate) struct StoreView {
     pub(crate) holder: Option<Holder>,
     /// The last term; 0 before the first.
     pub(crate) term: u64,
     /// The store's revision of the term's key, 0 if there is none. It changes with the term.
     pub(crate) term_revision: u64,
     /// The candidate that an operator requests as leader.
-    pub(crate) wish: Option<String>,
+    pub(crate) requested: Option<String>,
 }
 
 /// The candidate that holds a shard.
@@ -79,7 +79,7 @@ pub(crate) enum Reply {
         lease: u64,
         ttl_ns: u64,
     },
-    Seen(Seen),
+    StoreView(StoreView),
     /// Whether this candidate has become the holder.
     Acquired(bool),
     /// A time to live of 0 means that the lease is gone.
@@ -100,7 +100,7 @@ pub(crate) enum Next {
 
 /// The right to lead in a term, while a lease lasts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Right {
+pub(crate) struct LeaderLease {
     pub(crate) term: u64,
     /// When another candidate may lead, ns since boot including suspension.
     pub(crate) until_ns: u64,
@@ -109,7 +109,7 @@ pub(crate) struct Right {
 
 /// A lease with a lower bound of its end.
 #[derive(Debug, Clone, Copy)]
-struct Own {
+struct Lease {
     id: u64,
     until_ns: u64,
 }
@@ -121,7 +121,7 @@ pub(crate) struct Candidate {
     /// Position in the list of candidates. The first one takes a free shard first.
     rank: u64,
     ttl_ns: u64,
-    lease: Option<Own>,
+    lease: Option<Lease>,
     /// Term in which this candidate holds the shard.
     term: Option<u64>,
     /// The shard is being given up: the lease is not renewed and runs out.
@@ -129,41 +129,46 @@ pub(crate) struct Candidate {
     /// The worker of this host can lead.
     is_able: bool,
     /// Highest term that any candidate is known to have led in.
-    heard: u64,
+    highest_term: u64,
     /// When this candidate first saw the shard free.
     free_since_ns: Option<u64>,
-    seen: Seen,
+    view: StoreView,
     look_ns: u64,
     renew_ns: u64,
 }
 
 impl Candidate {
-    /// Creates a candidate. `right` is set after a restart of the link, which then continues as
-    /// leader.
-    pub(crate) fn new(name: &str, rank: usize, ttl_ns: u64, right: Option<Right>) -> Self {
+    /// Creates a candidate. `leader_lease` is set after a restart of the link, which then continues
+    /// as leader.
+    pub(crate) fn new(
+        name: &str,
+        rank: usize,
+        ttl_ns: u64,
+        leader_lease: Option<LeaderLease>,
+    ) -> Self {
         Self {
             name: name.to_owned(),
             rank: rank as u64,
             ttl_ns,
-            lease: right.map(|right| Own {
-                id: right.lease,
-                until_ns: right.until_ns,
+            lease: leader_lease.map(|leader_lease| Lease {
+                id: leader_lease.lease,
+                until_ns: leader_lease.until_ns,
             }),
-            term: right.map(|right| right.term),
+            term: leader_lease.map(|leader_lease| leader_lease.term),
             resigns: false,
             is_able: true,
-            heard: 0,
+            highest_term: 0,
             free_since_ns: None,
-            seen: Seen::default(),
+            view: StoreView::default(),
             look_ns: 0,
             renew_ns: 0,
         }
     }
 
     /// The right to lead at `now_ns`.
-    pub(crate) fn right(&self, now_ns: u64) -> Option<Right> {
+    pub(crate) fn leader_lease(&self, now_ns: u64) -> Option<LeaderLease> {
         let (own, term) = (self.lease?, self.term?);
-        (now_ns < own.until_ns && term >= self.heard).then_some(Right {
+        (now_ns < own.until_ns && term >= self.highest_term).then_some(LeaderLease {
             term,
             until_ns: own.until_ns,
             lease: own.id,
@@ -171,8 +176,8 @@ impl Candidate {
     }
 
     /// Notes a term in which a candidate leads or has led.
-    pub(crate) fn hears(&mut self, term: u64) {
-        self.heard = self.heard.max(term);
+    pub(crate) fn observe_term(&mut self, term: u64) {
+        self.highest_term = self.highest_term.max(term);
     }
 
     /// Sets whether the worker of this host can lead. If not, the candidate takes no shard and
@@ -184,7 +189,7 @@ impl Candidate {
 
     /// The holder of the shard in the last view of the store.
     pub(crate) fn holder(&self) -> Option<&Holder> {
-        self.seen.holder.as_ref()
+        self.view.holder.as_ref()
     }
 
     /// What to do at `now_ns`.
@@ -200,13 +205,13 @@ impl Candidate {
         }
         // The term would overflow. Prefer no leader to two leaders in one term.
         if self.is_turn(now_ns)
-            && let Some(term) = self.seen.term.max(self.heard).checked_add(1)
+            && let Some(term) = self.view.term.max(self.highest_term).checked_add(1)
         {
             return match self.lease.filter(|own| now_ns < own.until_ns) {
                 Some(own) => Next::Call(Call::Acquire {
                     lease: own.id,
                     term,
-                    term_revision: self.seen.term_revision,
+                    term_revision: self.view.term_revision,
                 }),
                 None => Next::Call(Call::Grant),
             };
@@ -217,7 +222,7 @@ impl Candidate {
     /// Whether the lease has run out or another candidate leads in a later term. This candidate
     /// then starts again, whatever the store says.
     fn is_over(&self, now_ns: u64) -> bool {
-        self.term.is_some() && self.right(now_ns).is_none()
+        self.term.is_some() && self.leader_lease(now_ns).is_none()
     }
 
     fn next_of_holder(&self, now_ns: u64) -> Next {
@@ -239,10 +244,10 @@ impl Candidate {
             return false;
         };
         let free_ns = now_ns.saturating_sub(since_ns);
-        match self.seen.wish.as_deref() {
-            Some(wish) if wish == self.name => true,
+        match self.view.requested.as_deref() {
+            Some(requested) if requested == self.name => true,
             // The requested candidate may be down. After a while the others take the shard.
-            Some(_) => free_ns >= self.ttl_ns.min(WISHED_NS) + self.rank * RANK_NS,
+            Some(_) => free_ns >= self.ttl_ns.min(REQUESTED_GRACE_NS) + self.rank * RANK_NS,
             None => free_ns >= self.rank * RANK_NS,
         }
     }
@@ -256,12 +261,12 @@ impl Candidate {
             (Call::Grant, Reply::Granted { lease, ttl_ns })
                 if lease > 0 && until(asked_ns, ttl_ns) > now_ns =>
             {
-                self.lease = Some(Own {
+                self.lease = Some(Lease {
                     id: lease,
                     until_ns: until(asked_ns, ttl_ns),
                 });
             }
-            (Call::Look, Reply::Seen(seen)) => self.sees(seen, now_ns),
+            (Call::Look, Reply::StoreView(view)) => self.observe_store(view, now_ns),
             (Call::Acquire { term, .. }, Reply::Acquired(true)) => {
                 self.term = Some(*term);
                 self.resigns = !self.is_able;
@@ -278,7 +283,7 @@ impl Candidate {
             }
             // Retry soon. After a failed acquisition the next look shows whether it took effect.
             (call, _) => {
-                let soon_ns = now_ns + LOOK_EVERY_NS.0;
+                let soon_ns = now_ns + POLL_INTERVAL_NS.0;
                 match call {
                     Call::Renew { .. } => self.renew_ns = soon_ns,
                     _ => self.look_ns = soon_ns,
@@ -290,11 +295,11 @@ impl Candidate {
         }
     }
 
-    fn sees(&mut self, seen: Seen, now_ns: u64) {
-        let (least_ns, most_ns) = LOOK_EVERY_NS;
+    fn observe_store(&mut self, view: StoreView, now_ns: u64) {
+        let (least_ns, most_ns) = POLL_INTERVAL_NS;
         self.look_ns = now_ns + (self.ttl_ns / LOOKS).clamp(least_ns, most_ns);
         let own = self.lease.map(|own| own.id);
-        let held = seen.holder.as_ref();
+        let held = view.holder.as_ref();
         match held.filter(|holder| Some(holder.lease) == own && holder.name == self.name) {
             Some(holder) => {
                 if self.term != Some(holder.term) {
@@ -303,8 +308,8 @@ impl Candidate {
                     self.resigns = !self.is_able;
                     self.renew_ns = now_ns;
                 }
-                let wish = seen.wish.as_deref();
-                self.resigns |= wish.is_some_and(|wish| wish != self.name);
+                let requested = view.requested.as_deref();
+                self.resigns |= requested.is_some_and(|requested| requested != self.name);
                 self.free_since_ns = None;
             }
             None => {
@@ -316,7 +321,7 @@ impl Candidate {
                 };
             }
         }
-        self.seen = seen;
+        self.view = view;
     }
 
     fn renewed(&mut self, lease: u64, ttl_ns: u64, (asked_ns, now_ns): (u64, u64)) {
@@ -328,7 +333,7 @@ impl Candidate {
             return;
         }
         own.until_ns = own.until_ns.max(until(asked_ns, ttl_ns));
-        self.renew_ns = now_ns + ttl_ns.min(LONGEST_NS) / RENEWALS;
+        self.renew_ns = now_ns + ttl_ns.min(MAX_TTL_NS) / RENEWALS;
     }
 
     /// Gives up the shard and the lease.
@@ -341,8 +346,8 @@ impl Candidate {
 
 /// Lower bound of the end of a lease that the store was asked at `asked_ns` to grant or renew.
 fn until(asked_ns: u64, ttl_ns: u64) -> u64 {
-    let apart_ns = ttl_ns / APART_DIVISOR + APART_NS;
-    asked_ns.saturating_add(ttl_ns.saturating_sub(apart_ns).min(LONGEST_NS))
+    let apart_ns = ttl_ns / DRIFT_DIVISOR + DRIFT_MARGIN_NS;
+    asked_ns.saturating_add(ttl_ns.saturating_sub(apart_ns).min(MAX_TTL_NS))
 }
 
 #[cfg(test)]

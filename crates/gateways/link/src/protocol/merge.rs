@@ -1,4 +1,4 @@
-//! The newest frames of all shards as frames of one fleet.
+//! Merges the newest frames of all shards into frames of one fleet.
 
 use joulebus_wire::{
     Alarm, Budget, BudgetHeader, Budgets, Channel, Diagnostic, DiagnosticHeader, Diagnostics,
@@ -7,26 +7,26 @@ use joulebus_wire::{
     plan_state_flag,
 };
 
-/// What a merged frame says of the one who merged it.
+/// The origin that a merged frame states.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Own {
+pub(crate) struct Origin {
     pub(crate) pid: u32,
     pub(crate) place: Place,
 }
 
-/// A channel whose frames of several shards become one.
+/// A channel whose frames of several shards can be merged.
 pub(crate) trait Merged: Channel {
-    /// The header of a frame of these `parts`, one of each shard that is heard and at least one: its times are those of the
-    /// oldest, so that nothing looks fresher than it is. Counts are sums over `all`, shards that are not heard too. The place
-    /// and the times of sending are set by [`Merge::write`].
+    /// The header of a merged frame. `parts` has the header of each fresh shard, at least one. Its
+    /// times are the oldest ones, so that nothing looks fresher than it is. Counts are sums over
+    /// `all` shards. [`Merge::write`] sets the place and the times of sending.
     fn merged(parts: &[Self::Header], all: &[Self::Header]) -> Self::Header;
 
-    /// What remains of a robot's row while the robot's worker is not heard.
+    /// Removes the parts of a robot's row that are unknown while its shard is stale.
     fn silence(row: &mut Self::Row);
 }
 
-/// Pause after which a service begins anew, and the time that all shards then have for their first frames, periods: asking
-/// for it takes some.
+/// Pause after which a service starts again, and the time that all shards then have for their first
+/// frames, in periods. A request takes some periods.
 const BEGIN_PERIODS: u64 = 10;
 
 /// The newest frame of a shard.
@@ -42,7 +42,7 @@ struct Part<C: Channel> {
 pub(crate) struct Merge<C: Channel> {
     parts: Vec<Option<Part<C>>>,
     written_ns: u64,
-    /// When the first part that has not been written came.
+    /// When the first part that has not been written arrived.
     since_ns: Option<u64>,
 }
 
@@ -79,12 +79,14 @@ impl<C: Merged> Merge<C> {
         self.parts[shard].as_ref().map(|part| &part.header)
     }
 
-    /// Whether a frame is to be written: each shard that is heard has a new one, or one has waited for a tick's period; a frame
-    /// comes every so many ticks. The first one waits, some frames, for all shards whose worker speaks: planners take a robot
-    /// without a row for unknown.
+    /// Whether a frame has to be written: each fresh shard has a new one, or one has waited for a
+    /// tick's period. A frame comes every n-th tick.
+    ///
+    /// The first frame waits, for some periods, for all shards whose worker is alive, because
+    /// planners take a robot without a row for unknown.
     pub(crate) fn is_due(
         &self,
-        (speaks, is_heard): (&[bool], &[bool]),
+        (has_worker, is_live): (&[bool], &[bool]),
         (now_ns, period_ns, every): (u64, u64, u32),
     ) -> bool {
         let is_new = |part: &Option<Part<C>>| part.as_ref().is_some_and(|part| part.is_new);
@@ -92,9 +94,9 @@ impl<C: Merged> Merge<C> {
         let begin_ns = frames_ns.saturating_mul(BEGIN_PERIODS);
         let begins = now_ns.saturating_sub(self.written_ns) > begin_ns;
         let (awaited, patience_ns) = if begins {
-            (speaks, begin_ns)
+            (has_worker, begin_ns)
         } else {
-            (is_heard, period_ns)
+            (is_live, period_ns)
         };
         let waited_ns = self
             .since_ns
@@ -105,15 +107,15 @@ impl<C: Merged> Merge<C> {
             .iter()
             .zip(awaited)
             .filter(|(_, is_awaited)| **is_awaited);
-        let mut heard = self
+        let mut live = self
             .parts
             .iter()
-            .zip(is_heard)
-            .filter(|(_, is_heard)| **is_heard);
-        heard.any(|(part, _)| is_new(part)) && (is_over || awaited.all(|(part, _)| is_new(part)))
+            .zip(is_live)
+            .filter(|(_, is_live)| **is_live);
+        live.any(|(part, _)| is_new(part)) && (is_over || awaited.all(|(part, _)| is_new(part)))
     }
 
-    /// The rows of a frame at most.
+    /// Maximum number of rows of a frame.
     pub(crate) fn len(&self) -> usize {
         self.parts
             .iter()
@@ -122,59 +124,55 @@ impl<C: Merged> Merge<C> {
             .sum()
     }
 
-    /// Writes all rows into `rows`, which has room for [`Merge::len`], those of shards that are not heard as silent, and
-    /// returns the header; `None` if no shard that is heard has sent any.
+    /// Passes all rows, at most [`Merge::len`], to `each`, those of stale shards as silent, and
+    /// returns the header. `None` if no fresh shard has sent a frame.
     pub(crate) fn write(
         &mut self,
-        is_heard: &[bool],
-        own: Own,
+        is_live: &[bool],
+        own: Origin,
         now_ns: u64,
         mut each: impl FnMut(C::Row),
     ) -> Option<C::Header> {
-        let headers = |(part, heard): (&Option<Part<C>>, &bool)| {
-            part.as_ref().map(|part| (part.header, *heard))
+        let headers = |(part, live): (&Option<Part<C>>, &bool)| {
+            part.as_ref().map(|part| (part.header, *live))
         };
-        let all: Vec<(C::Header, bool)> = self
-            .parts
-            .iter()
-            .zip(is_heard)
-            .filter_map(headers)
-            .collect();
-        let heard = all.iter().filter(|(_, heard)| *heard);
-        let heard: Vec<C::Header> = heard.map(|(header, _)| *header).collect();
-        if heard.is_empty() {
+        let all: Vec<(C::Header, bool)> =
+            self.parts.iter().zip(is_live).filter_map(headers).collect();
+        let live = all.iter().filter(|(_, live)| *live);
+        let live: Vec<C::Header> = live.map(|(header, _)| *header).collect();
+        if live.is_empty() {
             return None;
         }
         let all: Vec<C::Header> = all.into_iter().map(|(header, _)| header).collect();
-        for (part, heard) in self.parts.iter_mut().zip(is_heard) {
+        for (part, live) in self.parts.iter_mut().zip(is_live) {
             let Some(part) = part else { continue };
             part.is_new = false;
             for row in &part.rows {
                 let mut row = *row;
-                if !heard {
+                if !live {
                     C::silence(&mut row);
                 }
                 each(row);
             }
         }
         (self.written_ns, self.since_ns) = (now_ns, None);
-        let mut header = C::merged(&heard, &all);
+        let mut header = C::merged(&live, &all);
         header.set_place(own.pid, own.place);
-        // Of those that state it, on the monotonic clock and on the wall clock.
-        let sent_ns = earliest(heard.iter().filter_map(C::Header::sent_ns));
-        let sent_unix_ns = earliest(heard.iter().filter_map(C::Header::sent_unix_ns));
+        // Over the headers that state it, on the monotonic clock and on the wall clock.
+        let sent_ns = earliest(live.iter().filter_map(C::Header::sent_ns));
+        let sent_unix_ns = earliest(live.iter().filter_map(C::Header::sent_unix_ns));
         header.set_sent(sent_ns, sent_unix_ns);
         Some(header)
     }
 }
 
-/// The value that all agree on, or none.
+/// The common value of all, if they agree.
 fn common(mut values: impl Iterator<Item = u64>) -> Option<u64> {
     let first = values.next()?;
     values.all(|value| value == first).then_some(first)
 }
 
-/// The least that is known; 0 if none is.
+/// The minimum of the known values; 0 if none is known.
 fn earliest(values: impl Iterator<Item = u64>) -> u64 {
     values.filter(|value| *value != 0).min().unwrap_or_default()
 }
@@ -224,7 +222,7 @@ impl Merged for Diagnostics {
             schema: SCHEMA_VERSION,
             ..DiagnosticHeader::default()
         };
-        // The first of each shard before the second of any.
+        // The first entry of each shard comes before the second of any.
         let most = merged.refused.len();
         let refused = (0..most).flat_map(|at| parts.iter().map(move |part| part.refused[at]));
         let refused = refused.filter(|refusal| refusal.reason != 0);
@@ -234,7 +232,7 @@ impl Merged for Diagnostics {
         merged
     }
 
-    /// Alarms that were raised stay so.
+    /// Raised alarms stay raised.
     fn silence(row: &mut Diagnostic) {
         let alarms = row.alarms().with(Alarm::NoData);
         (row.alarms, row.alarm) = (alarms.0, alarms.first().code());
@@ -250,12 +248,12 @@ impl Merged for Budgets {
         }
     }
 
-    /// It says itself until when it is valid.
+    /// A budget states itself until when it is valid.
     fn silence(_: &mut Budget) {}
 }
 
 impl Merged for PlanStates {
-    /// Shards compute with the same settings and models: those that do not are left out before.
+    /// The parts agree in settings and models. Others were left out before.
     fn merged(parts: &[PlanStateHeader], _: &[PlanStateHeader]) -> PlanStateHeader {
         let of = |field: fn(&PlanStateHeader) -> u64| parts.iter().map(field);
         PlanStateHeader {
@@ -273,17 +271,17 @@ impl Merged for PlanStates {
 
 const STALE: Quality = Quality::Invalid(InvalidReason::Stale);
 
-/// Counters of a shard's worker, continued over its runs: a merged fleet is one run.
+/// Counters of a shard's worker, continued over its runs, because a merged fleet is one run.
 #[derive(Debug, Default)]
 pub(crate) struct Continued {
-    /// The run, and its counters so far.
+    /// The newest header of the current run.
     last: Option<ForecastHeader>,
-    /// Of runs that have ended.
+    /// Sums over ended runs.
     before: ForecastHeader,
 }
 
 impl Continued {
-    /// Adds the counters of earlier runs to those of a header that has just come.
+    /// Adds the counters of earlier runs to a header that has just arrived.
     pub(crate) fn add(&mut self, header: &mut ForecastHeader) {
         let own = *header;
         if let Some(last) = self.last
@@ -317,7 +315,7 @@ mod tests {
 
     use super::*;
 
-    const OWN: Own = Own {
+    const OWN: Origin = Origin {
         pid: 7,
         place: Place { run: 90, number: 4 },
     };
@@ -345,10 +343,10 @@ mod tests {
 
     fn written(
         merge: &mut Merge<Forecasts>,
-        is_heard: &[bool],
+        is_live: &[bool],
     ) -> Option<(ForecastHeader, Vec<Forecast>)> {
         let mut rows = Vec::new();
-        let header = merge.write(is_heard, OWN, 1_000, |row| rows.push(row));
+        let header = merge.write(is_live, OWN, 1_000, |row| rows.push(row));
         header.map(|header| (header, rows))
     }
 
@@ -367,7 +365,7 @@ mod tests {
             .map(|row| (row.robot, row.expected_w().is_some()))
             .collect();
         assert_eq!(known, [(1, true), (2, true), (3, true), (4, false)]);
-        // What a robot said last stays known; the forecast does not.
+        // The last known values of a robot stay, but its forecast does not.
         let stale = Quality::Invalid(InvalidReason::Stale);
         assert_eq!((rows[3].quality(), rows[3].stamp_ns), (stale, 11));
         assert!(written(&mut merge, &[false; 3]).is_none());
@@ -405,11 +403,11 @@ mod tests {
     }
 
     proptest! {
-        /// Against the rows and freshness of each shard kept apart.
+        /// Compares with the rows and freshness of each shard kept separately.
         #[test]
         fn each_frame_has_the_newest_rows_of_every_shard_and_waits_for_no_shard_longer_than_its_patience(
             steps in prop::collection::vec((0_usize..3, 0_u32..4, 1_u64..20), 1..60),
-            heard in prop::collection::vec(any::<bool>(), 3),
+            live in prop::collection::vec(any::<bool>(), 3),
             every in 1_u32..4,
         ) {
             let mut merge = Merge::<Forecasts>::new(3);
@@ -422,24 +420,24 @@ mod tests {
                 is_new[shard] = true;
                 merge.put(shard, header(now_ns, 0), ids.map(row), now_ns);
                 since_ns = since_ns.or(Some(now_ns));
-                let waits = heard.iter().zip(is_new).any(|(heard, is_new)| *heard && !is_new);
-                let any = heard.iter().zip(is_new).any(|(heard, is_new)| *heard && is_new);
+                let waits = live.iter().zip(is_new).any(|(live, is_new)| *live && !is_new);
+                let any = live.iter().zip(is_new).any(|(live, is_new)| *live && is_new);
                 let begin_ns = 330 * u64::from(every);
                 let patience = if now_ns - written_ns > begin_ns { begin_ns } else { 33 };
                 let due = any && (!waits || now_ns - since_ns.unwrap() >= patience);
-                prop_assert_eq!(merge.is_due((&heard, &heard), (now_ns, 33, every)), due);
+                prop_assert_eq!(merge.is_due((&live, &live), (now_ns, 33, every)), due);
                 if !due {
                     continue;
                 }
                 let mut rows = Vec::new();
                 prop_assert_eq!(merge.len(), newest.iter().flatten().map(Vec::len).sum::<usize>());
-                let header = merge.write(&heard, OWN, now_ns, |row: Forecast| {
+                let header = merge.write(&live, OWN, now_ns, |row: Forecast| {
                     rows.push((row.robot, row.expected_w().is_some()));
                 });
                 prop_assert!(header.is_some());
-                let kept = newest.iter().zip(&heard).filter_map(|(ids, heard)| Some((ids.as_ref()?, *heard)));
+                let kept = newest.iter().zip(&live).filter_map(|(ids, live)| Some((ids.as_ref()?, *live)));
                 let expected: Vec<(u32, bool)> =
-                    kept.flat_map(|(ids, heard)| ids.iter().map(move |id| (*id, heard))).collect();
+                    kept.flat_map(|(ids, live)| ids.iter().map(move |id| (*id, live))).collect();
                 prop_assert_eq!(rows, expected);
                 (is_new, written_ns, since_ns) = ([false; 3], now_ns, None);
             }

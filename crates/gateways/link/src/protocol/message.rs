@@ -8,7 +8,7 @@ use bytemuck::{Pod, Zeroable, bytes_of, pod_read_unaligned};
 use joulebus_wire::SCHEMA_VERSION;
 
 use crate::protocol::carried::{Carried, FrameError, RawFrame};
-use crate::protocol::selection::{MOST_RANGES, Selection};
+use crate::protocol::selection::{MAX_RANGES, Selection};
 
 /// Version of the message format.
 const PROTOCOL: u32 = 4;
@@ -46,11 +46,11 @@ struct FrameHead {
     worker: u32,
     reserved: u32,
     asked_ns: u64,
-    heard_ns: u64,
+    received_ns: u64,
     sent_ns: u64,
     dropped: u64,
     term: u64,
-    heard: u64,
+    highest_term: u64,
     realtime_ns: u64,
 }
 
@@ -116,17 +116,17 @@ impl Worker {
 
 /// State and term of the sender's worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) struct Voice {
+pub(crate) struct LeaderStatus {
     pub(crate) worker: Worker,
     /// Term in which the worker leads its shard, higher than all earlier terms. 0 if it is the only
     /// worker.
     pub(crate) term: u64,
     /// Highest term that the sender knows of, its own or another's. A candidate or a store that
     /// lost its terms learns it from here.
-    pub(crate) heard: u64,
+    pub(crate) highest_term: u64,
 }
 
-impl From<Worker> for Voice {
+impl From<Worker> for LeaderStatus {
     fn from(worker: Worker) -> Self {
         Self {
             worker,
@@ -142,13 +142,13 @@ pub(crate) struct Status {
     /// first.
     pub(crate) asked_ns: u64,
     /// When the sender received it, monotonic ns of the sender.
-    pub(crate) heard_ns: u64,
+    pub(crate) received_ns: u64,
     /// When this message was made, monotonic ns of the sender.
     pub(crate) sent_ns: u64,
     /// Frames not sent to this receiver because newer ones replaced them while the link was busy.
     pub(crate) dropped: u64,
     /// State of the sender's worker.
-    pub(crate) voice: Voice,
+    pub(crate) leader: LeaderStatus,
     /// Realtime minus monotonic on the sender's host; 0 if its realtime clock is not used.
     pub(crate) realtime_ns: u64,
 }
@@ -158,7 +158,7 @@ pub(crate) struct Status {
 pub(crate) struct Request {
     /// Acknowledgement: run and number of the sender's newest message that has arrived. 0 before
     /// the first.
-    pub(crate) heard: (u64, u64),
+    pub(crate) acknowledged: (u64, u64),
     /// When the request was sent, monotonic ns of the receiver.
     pub(crate) asked_ns: u64,
     pub(crate) selection: Selection,
@@ -197,14 +197,14 @@ pub(crate) fn write_frame(
     let mut head = FrameHead {
         service: frame.as_ref().map_or(0, |frame| frame.service.code()),
         elements: 0,
-        worker: status.voice.worker as u32,
+        worker: status.leader.worker as u32,
         reserved: 0,
         asked_ns: status.asked_ns,
-        heard_ns: status.heard_ns,
+        received_ns: status.received_ns,
         sent_ns: status.sent_ns,
         dropped: status.dropped,
-        term: status.voice.term,
-        heard: status.voice.heard,
+        term: status.leader.term,
+        highest_term: status.leader.highest_term,
         realtime_ns: status.realtime_ns,
     };
     let at = out.len();
@@ -232,12 +232,12 @@ pub(crate) fn write_frame(
 pub(crate) fn write_request(sender: Sender, number: u64, request: &Request) -> Vec<u8> {
     let ranges = request.selection.ranges();
     let head = RequestHead {
-        run: request.heard.0,
-        number: request.heard.1,
+        run: request.acknowledged.0,
+        number: request.acknowledged.1,
         asked_ns: request.asked_ns,
         services: request.selection.services,
         every: request.selection.every,
-        // Bounded by MOST_RANGES.
+        // Bounded by MAX_RANGES.
         ranges: ranges.len() as u32,
         reserved: 0,
     };
@@ -296,13 +296,13 @@ fn read_frame(bytes: &[u8], most: usize) -> Result<Body<'_>, MessageError> {
     let (head, rest) = split::<FrameHead>(bytes)?;
     let status = Status {
         asked_ns: head.asked_ns,
-        heard_ns: head.heard_ns,
+        received_ns: head.received_ns,
         sent_ns: head.sent_ns,
         dropped: head.dropped,
-        voice: Voice {
+        leader: LeaderStatus {
             worker: Worker::decode(head.worker),
             term: head.term,
-            heard: head.heard,
+            highest_term: head.highest_term,
         },
         realtime_ns: head.realtime_ns,
     };
@@ -317,7 +317,7 @@ fn read_frame(bytes: &[u8], most: usize) -> Result<Body<'_>, MessageError> {
 
 fn read_request(bytes: &[u8]) -> Result<Request, MessageError> {
     let (head, rest) = split::<RequestHead>(bytes)?;
-    let (found, allowed) = (head.ranges as usize, MOST_RANGES);
+    let (found, allowed) = (head.ranges as usize, MAX_RANGES);
     if found > allowed {
         return Err(MessageError::Ranges { found, allowed });
     }
@@ -330,7 +330,7 @@ fn read_request(bytes: &[u8]) -> Result<Request, MessageError> {
         .map(pod_read_unaligned::<[u32; 2]>)
         .map(|[first, last]| (first, last));
     Ok(Request {
-        heard: (head.run, head.number),
+        acknowledged: (head.run, head.number),
         asked_ns: head.asked_ns,
         selection: Selection::new(head.services, head.every, ranges.collect()),
     })
@@ -438,13 +438,13 @@ mod tests {
     fn status() -> Status {
         Status {
             asked_ns: 1,
-            heard_ns: 2,
+            received_ns: 2,
             sent_ns: 3,
             dropped: 4,
-            voice: Voice {
+            leader: LeaderStatus {
                 worker: Worker::Alive,
                 term: u64::MAX - 1,
-                heard: u64::MAX,
+                highest_term: u64::MAX,
             },
             realtime_ns: 5,
         }
@@ -469,7 +469,7 @@ mod tests {
 
     fn request() -> Request {
         Request {
-            heard: (8, 1_000),
+            acknowledged: (8, 1_000),
             asked_ns: 55,
             selection: Selection::new(Carried::BUDGETS.bit(), 3, vec![(1, 4), (9, 9)]),
         }

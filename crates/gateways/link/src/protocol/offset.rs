@@ -1,8 +1,8 @@
 //! The offset between another host's monotonic clock and this host's, from round trips.
 //!
-//! A request leaves at `asked` (own clock), is received at `heard` and answered at `sent` (their
+//! A request leaves at `asked` (own clock), is received at `received` and answered at `sent` (their
 //! clock), and the answer arrives at `now` (own clock). Nothing arrives before it was sent. The
-//! offset `θ`, which turns their times into ours, therefore lies between `asked − heard` and
+//! offset `θ`, which turns their times into ours, therefore lies between `asked − received` and
 //! `now − sent`, however long either direction took. Each round trip gives such bounds. They widen
 //! with time by the possible drift between two clocks, and their intersection holds.
 //!
@@ -15,31 +15,31 @@
 
 use std::collections::VecDeque;
 
-use crate::protocol::wall::{Kept, READ_NS, STEADY_NS};
+use crate::protocol::wall::{READ_NS, RealtimeClock, STEADY_NS};
 
 /// Upper bound of the drift between two clocks: Linux slews at most 500 ppm, and each crystal is
 /// within 100 ppm of its frequency (`man 2 adjtimex`; usual data sheets).
 const DRIFT_PPM: i128 = 1_200;
 /// Number of round trips that count, and the shortest time between two.
-const MOST_BOUNDS: usize = 64;
-const BOUNDS_EVERY_NS: u64 = 100_000_000;
-/// Margin of a new offset below the lower bound, so that it can stay for a while. `MOST_BELOW_NS`
+const MAX_BOUNDS: usize = 64;
+const BOUNDS_INTERVAL_NS: u64 = 100_000_000;
+/// Margin of a new offset below the lower bound, so that it can stay for a while. `MAX_BELOW_NS`
 /// bounds by how much an offset may make stamps older than necessary.
-const ROOM_NS: i128 = 200_000;
-const MOST_BELOW_NS: i128 = 1_500_000;
+const MARGIN_NS: i128 = 200_000;
+const MAX_BELOW_NS: i128 = 1_500_000;
 /// Maximum duration of a round trip. Bounds of longer ones are too wide to help.
-const LONGEST_TRIP_NS: u64 = STEADY_NS;
-/// Same as [`ROOM_NS`] and [`MOST_BELOW_NS`], for bounds by realtime clocks. Those move by the
+const MAX_TRIP_NS: u64 = STEADY_NS;
+/// Same as [`MARGIN_NS`] and [`MAX_BELOW_NS`], for bounds by realtime clocks. Those move by the
 /// reading error of the clocks.
-const KEPT_ROOM_NS: i128 = 2 * READ_NS as i128;
-const KEPT_MOST_BELOW_NS: i128 = 3 * KEPT_ROOM_NS;
+const REALTIME_MARGIN_NS: i128 = 2 * READ_NS as i128;
+const REALTIME_MAX_BELOW_NS: i128 = 3 * REALTIME_MARGIN_NS;
 /// How long bounds by realtime clocks count after their message.
-const KEPT_FOR_NS: u64 = 1_000_000_000;
+const REALTIME_TIMEOUT_NS: u64 = 1_000_000_000;
 /// How long realtime clocks are not used after they contradicted round trips.
 const DISTRUST_NS: u64 = 60_000_000_000;
 
 /// Upper bound of the drift between two clocks within a time, ns.
-fn apart_ns(time_ns: u64) -> i128 {
+fn max_drift_ns(time_ns: u64) -> i128 {
     i128::from(time_ns) * DRIFT_PPM / 1_000_000
 }
 
@@ -53,7 +53,7 @@ struct Bounds {
 
 impl Bounds {
     fn at(self, now_ns: u64) -> Self {
-        let drift_ns = apart_ns(now_ns.saturating_sub(self.at_ns));
+        let drift_ns = max_drift_ns(now_ns.saturating_sub(self.at_ns));
         Self {
             lo_ns: self.lo_ns - drift_ns,
             hi_ns: self.hi_ns + drift_ns,
@@ -75,7 +75,7 @@ impl Bounds {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Trip {
     pub(crate) asked_ns: u64,
-    pub(crate) heard_ns: u64,
+    pub(crate) received_ns: u64,
     pub(crate) sent_ns: u64,
     pub(crate) now_ns: u64,
 }
@@ -85,7 +85,7 @@ pub(crate) struct Trip {
 pub(crate) struct Offset {
     bounds: VecDeque<Bounds>,
     /// Bounds by realtime clocks, from the newest message.
-    kept: Option<Bounds>,
+    realtime: Option<Bounds>,
     /// Until when realtime clocks are not used.
     distrust_until_ns: u64,
     /// The offset in use, ns.
@@ -101,20 +101,20 @@ pub(crate) struct Offset {
 impl Offset {
     /// Adds a round trip and, if known, both realtime clocks: the sender's reading and this host's.
     /// Returns false if the times contradict themselves.
-    pub(crate) fn note(&mut self, trip: Trip, clocks: Option<(u64, Kept)>) -> bool {
+    pub(crate) fn note(&mut self, trip: Trip, clocks: Option<(u64, RealtimeClock)>) -> bool {
         let took_ns = trip.now_ns.checked_sub(trip.asked_ns);
-        let there_ns = trip.sent_ns.checked_sub(trip.heard_ns);
+        let there_ns = trip.sent_ns.checked_sub(trip.received_ns);
         let (Some(took_ns), Some(_)) = (took_ns, there_ns) else {
             return false;
         };
         // The lower bound holds for the instant at which the other host received the request. That
         // may be as early as `asked_ns`.
         let found = Bounds {
-            lo_ns: i128::from(trip.asked_ns) - i128::from(trip.heard_ns) - apart_ns(took_ns),
+            lo_ns: i128::from(trip.asked_ns) - i128::from(trip.received_ns) - max_drift_ns(took_ns),
             hi_ns: i128::from(trip.now_ns) - i128::from(trip.sent_ns),
             at_ns: trip.now_ns,
         };
-        if took_ns > LONGEST_TRIP_NS {
+        if took_ns > MAX_TRIP_NS {
             return false;
         }
         if found.lo_ns > found.hi_ns {
@@ -124,7 +124,7 @@ impl Offset {
             return false;
         }
         self.take(found);
-        self.keep(found, clocks);
+        self.update_realtime(found, clocks);
         self.fit(trip.now_ns);
         true
     }
@@ -132,7 +132,7 @@ impl Offset {
     /// Drops all measurements, because the other host may have booted again.
     pub(crate) fn forget(&mut self) {
         self.bounds.clear();
-        self.kept = None;
+        self.realtime = None;
     }
 
     /// Whether there is a measurement since then.
@@ -142,8 +142,8 @@ impl Offset {
 
     /// Derives bounds from realtime clocks. If round trips rule them out, the round trips win, and
     /// realtime clocks are not used for a while.
-    fn keep(&mut self, newest: Bounds, clocks: Option<(u64, Kept)>) {
-        self.kept = None;
+    fn update_realtime(&mut self, newest: Bounds, clocks: Option<(u64, RealtimeClock)>) {
+        self.realtime = None;
         let now_ns = newest.at_ns;
         let (Some((theirs_ns, own)), Some(trips)) = (clocks, self.trips(now_ns)) else {
             return;
@@ -163,7 +163,7 @@ impl Offset {
             self.contradictions += u64::from(is_trusted);
             self.distrust_until_ns = now_ns.saturating_add(DISTRUST_NS);
         } else if is_trusted {
-            self.kept = Some(found);
+            self.realtime = Some(found);
         }
     }
 
@@ -176,7 +176,8 @@ impl Offset {
         // Round trips in quick succession share an entry with their intersection, so a wide newest
         // entry cannot stay for long.
         let recent = self.bounds.back().copied();
-        let recent = recent.filter(|last| found.at_ns.saturating_sub(last.at_ns) < BOUNDS_EVERY_NS);
+        let recent =
+            recent.filter(|last| found.at_ns.saturating_sub(last.at_ns) < BOUNDS_INTERVAL_NS);
         if let Some(recent) = recent {
             self.bounds.pop_back();
             let at_ns = recent.at_ns;
@@ -186,7 +187,7 @@ impl Offset {
             });
             return;
         }
-        if self.bounds.len() == MOST_BOUNDS {
+        if self.bounds.len() == MAX_BOUNDS {
             self.bounds.pop_front();
         }
         self.bounds.push_back(found);
@@ -196,18 +197,20 @@ impl Offset {
         let Some(trips) = self.trips(now_ns) else {
             return;
         };
-        let kept = self.kept(now_ns);
+        let realtime = self.realtime(now_ns);
         // Each kind of bounds has a margin of its own. The higher candidate is nearer to the true
         // offset.
         let below = |of_trips_ns: i128, of_kept_ns: i128| {
             let by_trips_ns = trips.lo_ns - of_trips_ns;
-            kept.map_or(by_trips_ns, |kept| by_trips_ns.max(kept.lo_ns - of_kept_ns))
+            realtime.map_or(by_trips_ns, |realtime| {
+                by_trips_ns.max(realtime.lo_ns - of_kept_ns)
+            })
         };
-        let (most_ns, least_ns) = (below(0, 0), below(MOST_BELOW_NS, KEPT_MOST_BELOW_NS));
+        let (most_ns, least_ns) = (below(0, 0), below(MAX_BELOW_NS, REALTIME_MAX_BELOW_NS));
         let holds = |used_ns: i128| used_ns <= most_ns && used_ns >= least_ns;
         if !self.used_ns.is_some_and(holds) {
             self.refits += u64::from(self.used_ns.is_some());
-            self.used_ns = Some(below(ROOM_NS, KEPT_ROOM_NS));
+            self.used_ns = Some(below(MARGIN_NS, REALTIME_MARGIN_NS));
         }
     }
 
@@ -219,14 +222,15 @@ impl Offset {
 
     /// The bounds by realtime clocks. They do not widen with time, because the clocks are kept
     /// together continuously.
-    fn kept(&self, now_ns: u64) -> Option<Bounds> {
-        let is_new = |kept: &Bounds| now_ns.saturating_sub(kept.at_ns) <= KEPT_FOR_NS;
-        self.kept.filter(is_new)
+    fn realtime(&self, now_ns: u64) -> Option<Bounds> {
+        let is_new =
+            |realtime: &Bounds| now_ns.saturating_sub(realtime.at_ns) <= REALTIME_TIMEOUT_NS;
+        self.realtime.filter(is_new)
     }
 
     /// Whether realtime clocks narrow the bounds now.
-    pub(crate) fn is_kept(&self, now_ns: u64) -> bool {
-        self.kept(now_ns).is_some()
+    pub(crate) fn uses_realtime(&self, now_ns: u64) -> bool {
+        self.realtime(now_ns).is_some()
     }
 
     /// The offset in use, ns; `None` before the first round trip.
@@ -237,7 +241,9 @@ impl Offset {
     /// Upper bound of how much older stamps may look than they are, ns.
     pub(crate) fn uncertainty_ns(&self, now_ns: u64) -> Option<u64> {
         let trips = self.trips(now_ns)?;
-        let known = self.kept(now_ns).map_or(trips, |kept| trips.and(kept));
+        let known = self
+            .realtime(now_ns)
+            .map_or(trips, |realtime| trips.and(realtime));
         u64::try_from(known.hi_ns - self.used_ns?).ok()
     }
 }
@@ -274,19 +280,24 @@ mod tests {
     }
 
     fn trip(clocks: &Clocks, asked_ns: u64, there_ns: u64, back_ns: u64) -> Trip {
-        let heard_ns = asked_ns + there_ns;
+        let received_ns = asked_ns + there_ns;
         Trip {
             asked_ns,
-            heard_ns: clocks.theirs(heard_ns),
-            sent_ns: clocks.theirs(heard_ns + 50_000),
-            now_ns: heard_ns + 50_000 + back_ns,
+            received_ns: clocks.theirs(received_ns),
+            sent_ns: clocks.theirs(received_ns + 50_000),
+            now_ns: received_ns + 50_000 + back_ns,
         }
     }
 
     /// Readings of realtime clocks that are `apart_ns` from each other, with the operator's bound.
-    fn clocks_say(clocks: &Clocks, now_ns: u64, apart_ns: i64, within_ns: u64) -> (u64, Kept) {
+    fn realtime_readings(
+        clocks: &Clocks,
+        now_ns: u64,
+        apart_ns: i64,
+        within_ns: u64,
+    ) -> (u64, RealtimeClock) {
         let realtime_ns = 1_700_000_000_000_000_000;
-        let own = Kept {
+        let own = RealtimeClock {
             realtime_ns,
             within_ns,
         };
@@ -316,8 +327,8 @@ mod tests {
                 prop_assert!(true_ns - used_ns <= i128::from(uncertain_ns) + 1);
                 let took_ns = there_ns + back_ns + 50_000;
                 // Bounds that follow others closely widen with them.
-                let widened_ns = apart_ns(took_ns) + 2 * apart_ns(BOUNDS_EVERY_NS);
-                let most_ns = i128::from(took_ns) + widened_ns + MOST_BELOW_NS;
+                let widened_ns = max_drift_ns(took_ns) + 2 * max_drift_ns(BOUNDS_INTERVAL_NS);
+                let most_ns = i128::from(took_ns) + widened_ns + MAX_BELOW_NS;
                 prop_assert!(i128::from(uncertain_ns) <= most_ns, "{uncertain_ns} of {most_ns}");
                 now_ns += 40_000_000;
             }
@@ -349,15 +360,15 @@ mod tests {
                 }
                 let trip = trip(&clocks, now_ns, there_ns, back_ns);
                 now_ns = trip.now_ns;
-                let say = clocks_say(&clocks, now_ns, apart_ns, within_ns);
-                prop_assert!(offset.note(trip, Some(say)));
+                let readings = realtime_readings(&clocks, now_ns, apart_ns, within_ns);
+                prop_assert!(offset.note(trip, Some(readings)));
                 let (true_ns, used_ns) = (clocks.true_ns(now_ns), offset.used_ns().unwrap());
                 prop_assert!(used_ns <= true_ns + i128::from(back_ns) + 1_000, "ahead of what was sent last");
                 let uncertain_ns = i128::from(offset.uncertainty_ns(now_ns).unwrap());
                 if right {
                     prop_assert!(used_ns <= true_ns + 1, "{used_ns} {true_ns}");
                     prop_assert!(true_ns - used_ns <= uncertain_ns + 1);
-                    let most_ns = 2 * i128::from(within_ns) + 4 * i128::from(READ_NS) + KEPT_MOST_BELOW_NS;
+                    let most_ns = 2 * i128::from(within_ns) + 4 * i128::from(READ_NS) + REALTIME_MAX_BELOW_NS;
                     prop_assert!(uncertain_ns <= most_ns, "{uncertain_ns} of {most_ns}");
                 }
             }
@@ -377,24 +388,27 @@ mod tests {
         let mut run = |offset: &mut Offset, seconds: u64, apart_ns: i64| {
             for _ in 0..seconds * 10 {
                 now_ns += 100_000_000;
-                let say = clocks_say(&clocks, now_ns, apart_ns, 20_000);
-                assert!(offset.note(trip(&clocks, now_ns - 350_000, 150_000, 150_000), Some(say)));
+                let readings = realtime_readings(&clocks, now_ns, apart_ns, 20_000);
+                assert!(offset.note(
+                    trip(&clocks, now_ns - 350_000, 150_000, 150_000),
+                    Some(readings)
+                ));
                 let late_ns = clocks.true_ns(now_ns) - offset.used_ns().unwrap();
                 assert!(late_ns >= 0, "{apart_ns}: {late_ns}");
             }
             (
-                offset.is_kept(now_ns),
+                offset.uses_realtime(now_ns),
                 offset.contradictions,
                 offset.uncertainty_ns(now_ns).unwrap(),
             )
         };
-        let (is_kept, contradictions, uncertain_ns) = run(&mut offset, 5, 10_000);
+        let (uses_realtime, contradictions, uncertain_ns) = run(&mut offset, 5, 10_000);
         assert!(
-            is_kept && contradictions == 0 && uncertain_ns < 60_000,
+            uses_realtime && contradictions == 0 && uncertain_ns < 60_000,
             "{uncertain_ns}"
         );
-        let (is_kept, contradictions, uncertain_ns) = run(&mut offset, 200, 40_000_000);
-        assert!(!is_kept && uncertain_ns > 300_000, "{uncertain_ns}");
+        let (uses_realtime, contradictions, uncertain_ns) = run(&mut offset, 200, 40_000_000);
+        assert!(!uses_realtime && uncertain_ns > 300_000, "{uncertain_ns}");
         assert_eq!(contradictions, 1, "in 200 s");
         assert!(!run(&mut offset, 50, 0).0, "right again, but not for long");
         assert!(run(&mut offset, 20, 0).0);
@@ -415,7 +429,7 @@ mod tests {
             ..trip(&clocks, 6_000_000_000, 300_000, 100_000)
         };
         let suspended = Trip {
-            sent_ns: suspended.heard_ns + 1_000_000,
+            sent_ns: suspended.received_ns + 1_000_000,
             ..suspended
         };
         assert!(!offset.note(suspended, None));
@@ -458,7 +472,7 @@ mod tests {
             assert_eq!(offset.steps, 1, "{step_ns}");
             let late_ns = clocks.offset_ns - offset.used_ns().unwrap();
             assert!(
-                (0..MOST_BELOW_NS + 300_000).contains(&late_ns),
+                (0..MAX_BELOW_NS + 300_000).contains(&late_ns),
                 "{step_ns}: {late_ns}"
             );
         }
@@ -467,7 +481,7 @@ mod tests {
     #[test]
     fn times_that_contradict_themselves_are_not_taken() {
         let mut offset = Offset::default();
-        for (asked_ns, heard_ns, sent_ns, now_ns) in [
+        for (asked_ns, received_ns, sent_ns, now_ns) in [
             // Answered before the request, or sent before it was received.
             (9, 1, 1, 8),
             (1, 9, 8, 9),
@@ -477,7 +491,7 @@ mod tests {
         ] {
             let trip = Trip {
                 asked_ns,
-                heard_ns,
+                received_ns,
                 sent_ns,
                 now_ns,
             };

@@ -1,92 +1,97 @@
-//! The receiving side of a stream: what has come, from which run, what is missing, and by which clock.
+//! The receiving side of a stream: which messages have arrived, from which run, which are missing,
+//! and by which clock.
 
 use crate::protocol::carried::{Carried, RawFrame};
 use crate::protocol::message::{
-    Body, Message, Request, Sender, Status, Voice, Worker, write_request,
+    Body, LeaderStatus, Message, Request, Sender, Status, Worker, write_request,
 };
 use crate::protocol::offset::{Offset, Trip, shifted};
 use crate::protocol::selection::Selection;
-use crate::protocol::stream::SILENT_AFTER_NS;
-use crate::protocol::wall::Kept;
+use crate::protocol::stream::SILENCE_TIMEOUT_NS;
+use crate::protocol::wall::RealtimeClock;
 
-/// How often is asked where nothing comes.
-pub(crate) const ASK_EVERY_NS: u64 = 100_000_000;
-/// A frame that a later one replaces is acknowledged with the next one of its service, or after this time: the sender has
-/// room for two. Longer than the period of most fleets, shorter than what a frame takes on a way that is not free for the next.
-const ANSWER_WITHIN_NS: u64 = 40_000_000;
+/// Interval between requests while nothing arrives.
+pub(crate) const REQUEST_INTERVAL_NS: u64 = 100_000_000;
+/// Maximum delay of an acknowledgement for a frame that a later one replaces. Usually the next
+/// frame of its service acknowledges it, because the sender has room for two. The delay exceeds the
+/// period of most fleets, and is shorter than the time that a frame takes on a busy path.
+const MAX_ACK_DELAY_NS: u64 = 40_000_000;
 /// The services of which only the newest frame counts.
 const REPLACED: u32 = Carried::FORECASTS.bit()
     | Carried::DIAGNOSTICS.bit()
     | Carried::BUDGETS.bit()
     | Carried::PLAN_STATES.bit();
-/// Requests older than this are not taken for the one that an answer names.
-const ASKED_WITHIN_NS: u64 = 10_000_000_000;
+/// Timeout of a request. Older ones cannot be the request that an answer names.
+const REQUEST_TIMEOUT_NS: u64 = 10_000_000_000;
 
-/// A run that has sent nothing for so long, three statuses, may be replaced by another.
-const QUIET_AFTER_NS: u64 = 300_000_000;
-/// Messages that can be missing between two: more than a link sends while it is not yet silent.
-const MOST_LOST: u64 = 100_000;
+/// Time without messages, three statuses, after which another run may replace a run.
+const QUIET_TIMEOUT_NS: u64 = 300_000_000;
+/// Maximum number of missing messages between two: more than a link sends within the silence
+/// timeout.
+const MAX_LOST: u64 = 100_000;
 
-/// What has come.
+/// Totals of received messages.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 pub(crate) struct Received {
     pub(crate) frames: u64,
     pub(crate) bytes: u64,
-    /// Messages that were sent and did not come.
+    /// Messages that were sent and did not arrive.
     pub(crate) lost: u64,
-    /// Messages that came again, or after a later one.
+    /// Messages that arrived again, or after a later one.
     pub(crate) repeated: u64,
-    /// Messages of another run while one spoke: a link that started again at once, two links of one name, or a stranger.
+    /// Messages of another run while the present one was sending: from a link that restarted at
+    /// once, a second link of the same name, or a stranger.
     pub(crate) other_runs: u64,
-    /// Times that a run went on after another had spoken: not a link that started again.
+    /// Number of times that a run continued after a message of another run: not a restarted link.
     pub(crate) contested: u64,
-    /// Messages whose time, or that of their frame, lay ahead.
+    /// Messages whose time, or whose frame's time, was in the future.
     pub(crate) future: u64,
-    /// Frames that the sender left out because the link was slower than the fleet: of its present run.
+    /// Frames that the sender dropped because the link was slower than the fleet, in its present
+    /// run.
     pub(crate) dropped: u64,
-    /// Runs of the sender.
+    /// Number of the sender's runs.
     pub(crate) runs: u64,
-    /// Times that nothing came for 1.5 s.
+    /// Number of times that nothing arrived for 1.5 s.
     pub(crate) silences: u64,
 }
 
-/// A frame that is to be passed on.
+/// A frame to be passed on.
 #[derive(Debug)]
 pub(crate) struct Accepted<'a> {
     pub(crate) frame: RawFrame<'a>,
-    /// To be added to its times, ns.
+    /// Offset to add to its times, ns.
     pub(crate) offset_ns: i128,
-    /// [`Voice::term`] of the worker that wrote it.
+    /// [`LeaderStatus::term`] of the worker that wrote it.
     pub(crate) term: u64,
 }
 
-/// Why a message was not used; counted in [`Received`].
+/// Why a message was not used. Counted in [`Received`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Unused {
-    /// It has no frame, only the status.
+    /// It has only the status, no frame.
     Status,
-    /// It came before, or a later one did.
+    /// It arrived before, or a later one did.
     Repeated,
-    /// It is of another run than the one that speaks.
+    /// It belongs to another run than the present one.
     OtherRun,
-    /// Its time lies ahead.
+    /// Its time is in the future.
     Future,
-    /// The sender's clock is not known yet.
+    /// The sender's clock offset is not known yet.
     NoClock,
-    /// It is not a frame that was asked for.
+    /// The frame was not requested.
     NotAsked,
 }
 
-/// A message's place in its stream.
+/// A message's position in its stream.
 #[derive(Debug, Clone, Copy)]
-struct Place {
+struct Position {
     run: u64,
-    /// Monotonic ns of the sender.
+    /// When it was sent, monotonic ns of the sender.
     sent_ns: u64,
     number: u64,
 }
 
-/// What comes from one sender.
+/// The stream from one sender.
 #[derive(Debug)]
 pub(crate) struct Receiver {
     own: Sender,
@@ -94,21 +99,21 @@ pub(crate) struct Receiver {
     /// Number of the last request.
     asked: u64,
     asked_ns: u64,
-    /// The newest message.
-    heard: Option<Place>,
-    heard_ns: u64,
+    /// Position of the newest message.
+    newest: Option<Position>,
+    received_ns: u64,
     /// The next request is due at once.
     owes: bool,
-    /// Services of which one frame has come since it was last asked, and when the first did.
+    /// Services with one frame since the last request, and when the first of these frames arrived.
     unanswered: u32,
     unanswered_ns: u64,
     is_silent: bool,
-    /// Another run has spoken since the present one last did.
+    /// Another run has sent since the present one last did.
     has_rival: bool,
-    voice: Voice,
+    leader: LeaderStatus,
     offset: Offset,
-    /// This host's realtime clock, where it counts.
-    clock: Option<Kept>,
+    /// This host's realtime clock, if it is used.
+    clock: Option<RealtimeClock>,
     received: Received,
 }
 
@@ -119,32 +124,32 @@ impl Receiver {
             selection,
             asked: 0,
             asked_ns: 0,
-            heard: None,
-            heard_ns: 0,
+            newest: None,
+            received_ns: 0,
             owes: false,
             unanswered: 0,
             unanswered_ns: 0,
             is_silent: true,
             has_rival: false,
-            voice: Voice::default(),
+            leader: LeaderStatus::default(),
             offset: Offset::default(),
             clock: None,
             received: Received::default(),
         }
     }
 
-    /// Changes what is asked for from now on.
+    /// Changes the requested services from now on.
     pub(crate) fn select(&mut self, services: u32) {
         self.owes |= self.selection.services != services;
         self.selection.services = services;
     }
 
-    /// What this host's realtime clock says from now on; `None` where it does not count.
-    pub(crate) const fn reads(&mut self, clock: Option<Kept>) {
+    /// Sets this host's realtime clock for further messages. `None` if it is not used.
+    pub(crate) const fn set_clock(&mut self, clock: Option<RealtimeClock>) {
         self.clock = clock;
     }
 
-    /// Takes a message of `bytes` that arrived at `now_ns`.
+    /// Handles a message of `bytes` that arrived at `now_ns`.
     ///
     /// # Errors
     /// [`Unused`]: there is no frame to pass on.
@@ -157,24 +162,24 @@ impl Receiver {
         let Body::Frame(status, frame) = &message.body else {
             return Err(Unused::NotAsked);
         };
-        let place = Place {
+        let position = Position {
             run: message.run,
             sent_ns: status.sent_ns,
             number: message.number,
         };
-        self.place(place, now_ns)?;
-        self.heard_ns = now_ns;
+        self.account(position, now_ns)?;
+        self.received_ns = now_ns;
         self.is_silent = false;
         self.note(*frame, now_ns);
         self.received.bytes += bytes as u64;
         self.received.dropped = status.dropped;
-        self.voice = status.voice;
+        self.leader = status.leader;
         self.measure(status, now_ns);
         let frame = (*frame).ok_or(Unused::Status)?;
         if !self.selection.wants(frame.service) {
             return Err(Unused::NotAsked);
         }
-        // It would be young for ever.
+        // A frame sent later than its message would look fresh for ever.
         if frame.sent_ns() > status.sent_ns {
             self.received.future += 1;
             return Err(Unused::Future);
@@ -184,13 +189,16 @@ impl Receiver {
         Ok(Accepted {
             frame,
             offset_ns,
-            term: status.voice.term,
+            term: status.leader.term,
         })
     }
 
-    /// Notes that something is to be acknowledged: at once a status, which measures the way, and a frame that no later one
-    /// replaces, since several of those come together where a sender was held up; and all before the clock is known. Of the
-    /// other services the sender has room for one more frame.
+    /// Notes what the next request has to acknowledge.
+    ///
+    /// It is due at once for a status, which measures the path, and for a frame that no later one
+    /// replaces, because several of those arrive together after a delay of the sender. It is also
+    /// due at once before the clock offset is known. For other services the sender has room for one
+    /// more frame.
     fn note(&mut self, frame: Option<RawFrame<'_>>, now_ns: u64) {
         let bit = frame.map_or(0, |frame| frame.service.bit() & REPLACED);
         let is_second = self.unanswered & bit != 0;
@@ -201,45 +209,49 @@ impl Receiver {
         self.unanswered |= bit;
     }
 
-    /// Accounts for a message's place: by its time, since one with a false number could otherwise hide all real ones, and none
-    /// is from the future. A run that speaks is not replaced by another; a run that is silent is, whichever is later, since a
-    /// host's clock begins anew when it boots.
-    fn place(&mut self, place: Place, now_ns: u64) -> Result<(), Unused> {
-        match self.heard {
-            Some(last) if last.run == place.run && !self.is_overdue(now_ns) => {
-                if self.is_future(place.sent_ns, now_ns) {
+    /// Accounts for a message's position.
+    ///
+    /// Messages are ordered by their time, because one with a false number could otherwise hide all
+    /// real ones, and none is from the future. A run that sends is not replaced by another. A
+    /// silent run is, by a later or an earlier one, because a host's clock restarts when it boots.
+    fn account(&mut self, position: Position, now_ns: u64) -> Result<(), Unused> {
+        match self.newest {
+            Some(last) if last.run == position.run && !self.is_overdue(now_ns) => {
+                if self.is_future(position.sent_ns, now_ns) {
                     self.received.future += 1;
                     return Err(Unused::Future);
                 }
-                if (place.sent_ns, place.number) <= (last.sent_ns, last.number) {
+                if (position.sent_ns, position.number) <= (last.sent_ns, last.number) {
                     self.received.repeated += 1;
                     return Err(Unused::Repeated);
                 }
-                self.lose(place.number.saturating_sub(last.number));
+                self.count_missing(position.number.saturating_sub(last.number));
                 self.received.contested += u64::from(self.has_rival);
             }
-            Some(last) if last.run != place.run && !self.is_quiet(now_ns) => {
+            Some(last) if last.run != position.run && !self.is_quiet(now_ns) => {
                 self.received.other_runs += 1;
                 self.has_rival = true;
                 return Err(Unused::OtherRun);
             }
             _ => {
-                // What was sent before the first message came is not missing: the way was being made.
+                // Messages sent before the first one that arrived are not missing: the path was
+                // being set up.
                 self.offset.forget();
                 self.received.runs += 1;
             }
         }
         self.has_rival = false;
-        self.heard = Some(place);
+        self.newest = Some(position);
         Ok(())
     }
 
-    /// Counts what is missing before the `numbers`-th message after the last one; a false number counts nothing.
-    const fn lose(&mut self, numbers: u64) {
-        if numbers <= MOST_LOST {
+    /// Counts the missing messages before the `numbers`-th message after the last one. A false
+    /// number counts nothing.
+    const fn count_missing(&mut self, numbers: u64) {
+        if numbers <= MAX_LOST {
             self.received.lost += numbers.saturating_sub(1);
         }
-        // The sender counts them as on their way until it is asked again.
+        // Until the next request, the sender counts them as in flight.
         self.owes |= numbers > 1;
     }
 
@@ -250,44 +262,46 @@ impl Receiver {
 
     fn measure(&mut self, status: &Status, now_ns: u64) {
         let within = now_ns.checked_sub(status.asked_ns);
-        // Times that this link has not asked at measure nothing.
+        // Times of requests that this link has not sent measure nothing.
         if status.asked_ns == 0
             || status.asked_ns > self.asked_ns
-            || within.is_none_or(|within| within > ASKED_WITHIN_NS)
+            || within.is_none_or(|within| within > REQUEST_TIMEOUT_NS)
         {
             return;
         }
         let trip = Trip {
             asked_ns: status.asked_ns,
-            heard_ns: status.heard_ns,
+            received_ns: status.received_ns,
             sent_ns: status.sent_ns,
             now_ns,
         };
-        // 0: the sender's clock is not kept.
+        // 0 means that the sender's clock is not used.
         let theirs_ns = Some(status.realtime_ns).filter(|ns| *ns > 0);
         self.offset.note(trip, theirs_ns.zip(self.clock));
     }
 
-    /// The request to send now, if one is due.
-    pub(crate) fn ask(&mut self, now_ns: u64) -> Option<Vec<u8>> {
-        if !self.owes && now_ns < self.ask_due_ns() {
+    /// Returns the request to send now, if one is due.
+    pub(crate) fn request_if_due(&mut self, now_ns: u64) -> Option<Vec<u8>> {
+        if !self.owes && now_ns < self.request_due_ns() {
             return None;
         }
         (self.owes, self.unanswered) = (false, 0);
         self.asked += 1;
         self.asked_ns = now_ns;
         let request = Request {
-            heard: self.heard.map_or((0, 0), |place| (place.run, place.number)),
+            acknowledged: self
+                .newest
+                .map_or((0, 0), |position| (position.run, position.number)),
             asked_ns: now_ns,
             selection: self.selection.clone(),
         };
         Some(write_request(self.own, self.asked, &request))
     }
 
-    /// When the next request is due if nothing comes, monotonic ns.
-    pub(crate) const fn ask_due_ns(&self) -> u64 {
-        let due_ns = self.asked_ns.saturating_add(ASK_EVERY_NS);
-        let answer_ns = self.unanswered_ns.saturating_add(ANSWER_WITHIN_NS);
+    /// When the next request is due if nothing arrives, monotonic ns.
+    pub(crate) const fn request_due_ns(&self) -> u64 {
+        let due_ns = self.asked_ns.saturating_add(REQUEST_INTERVAL_NS);
+        let answer_ns = self.unanswered_ns.saturating_add(MAX_ACK_DELAY_NS);
         if self.unanswered != 0 && answer_ns < due_ns {
             answer_ns
         } else {
@@ -296,15 +310,15 @@ impl Receiver {
     }
 
     const fn is_quiet(&self, now_ns: u64) -> bool {
-        now_ns.saturating_sub(self.heard_ns) > QUIET_AFTER_NS
+        now_ns.saturating_sub(self.received_ns) > QUIET_TIMEOUT_NS
     }
 
     const fn is_overdue(&self, now_ns: u64) -> bool {
-        now_ns.saturating_sub(self.heard_ns) > SILENT_AFTER_NS
+        now_ns.saturating_sub(self.received_ns) > SILENCE_TIMEOUT_NS
     }
 
-    /// Whether the sender has just fallen silent; told once.
-    pub(crate) fn falls_silent(&mut self, now_ns: u64) -> bool {
+    /// Whether the sender has just become silent. True once for each silence.
+    pub(crate) fn becomes_silent(&mut self, now_ns: u64) -> bool {
         let falls = !self.is_silent && self.is_overdue(now_ns);
         if falls {
             self.silence();
@@ -312,7 +326,7 @@ impl Receiver {
         falls
     }
 
-    /// The sender's end was told by the network; whether that is news.
+    /// Handles the network's report that the sender is lost. Returns whether that is new.
     pub(crate) fn lost(&mut self) -> bool {
         let falls = !self.is_silent;
         if falls {
@@ -326,24 +340,24 @@ impl Receiver {
         self.received.silences += 1;
     }
 
-    /// Whether the sender speaks.
-    pub(crate) const fn is_heard(&self) -> bool {
+    /// Whether the sender sends.
+    pub(crate) const fn is_sending(&self) -> bool {
         !self.is_silent
     }
 
     /// The sender's worker, by its last message.
     pub(crate) const fn worker(&self) -> Worker {
-        self.voice.worker
+        self.leader.worker
     }
 
-    /// [`Voice::term`] of its worker, by its last message.
+    /// [`LeaderStatus::term`] of its worker, by its last message.
     pub(crate) const fn term(&self) -> u64 {
-        self.voice.term
+        self.leader.term
     }
 
-    /// The greatest term that the sender knows of, by its last message.
-    pub(crate) fn heard_term(&self) -> u64 {
-        self.voice.heard.max(self.voice.term)
+    /// The highest term that the sender knows of, by its last message.
+    pub(crate) fn highest_term(&self) -> u64 {
+        self.leader.highest_term.max(self.leader.term)
     }
 
     pub(crate) const fn received(&self) -> Received {

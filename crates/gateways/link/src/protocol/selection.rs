@@ -3,7 +3,7 @@
 use crate::protocol::carried::Carried;
 
 /// Maximum number of robot ranges in a request.
-pub(crate) const MOST_RANGES: usize = 64;
+pub(crate) const MAX_RANGES: usize = 64;
 
 /// Services, decimation and robots.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -17,9 +17,9 @@ pub(crate) struct Selection {
 }
 
 impl Selection {
-    /// Sorts and joins the ranges. Empty ranges, and those beyond [`MOST_RANGES`], are dropped.
+    /// Sorts and joins the ranges. Empty ranges, and those beyond [`MAX_RANGES`], are dropped.
     pub(crate) fn new(services: u32, every: u32, mut ranges: Vec<(u32, u32)>) -> Self {
-        ranges.truncate(MOST_RANGES);
+        ranges.truncate(MAX_RANGES);
         ranges.retain(|(first, last)| first <= last);
         ranges.sort_unstable();
         ranges.dedup_by(|next, before| {
@@ -113,10 +113,7 @@ mod tests {
         }
         let many = (0..100).map(|at| (at * 2, at * 2)).collect();
         let selection = Selection::new(0, 0, many);
-        assert_eq!(
-            (selection.every, selection.ranges().len()),
-            (1, MOST_RANGES)
-        );
+        assert_eq!((selection.every, selection.ranges().len()), (1, MAX_RANGES));
     }
 
     #[test]

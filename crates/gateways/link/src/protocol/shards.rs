@@ -3,9 +3,9 @@
 use joulebus_wire::fnv1a;
 
 /// Maximum number of shards of a fleet.
-pub(crate) const MOST_SHARDS: usize = 64;
+pub(crate) const MAX_SHARDS: usize = 64;
 /// Maximum number of candidates for a shard.
-pub(crate) const MOST_WORKERS: usize = 4;
+pub(crate) const MAX_CANDIDATES: usize = 4;
 
 /// A set of robots with one leading worker at a time.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -82,8 +82,8 @@ impl Shards {
 
     /// The shard for which the link of this name is a candidate.
     pub(crate) fn of_worker(&self, link: &str) -> Option<usize> {
-        let speaks = |shard: &Shard| shard.workers.iter().any(|worker| worker == link);
-        self.all.iter().position(speaks)
+        let is_candidate = |shard: &Shard| shard.workers.iter().any(|worker| worker == link);
+        self.all.iter().position(is_candidate)
     }
 }
 

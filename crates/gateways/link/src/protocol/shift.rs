@@ -1,13 +1,13 @@
-//! Times of another host's frames as times of this one.
+//! Converts times of another host's frames to times of this one.
 //!
-//! Only instants of the monotonic clock are moved. Durations, Unix times, and the runs of sources and workers, which
-//! identify them wherever they are read, stay.
+//! Only instants of the monotonic clock are moved. Durations, Unix times, and the runs of sources
+//! and workers, which identify them everywhere, stay.
 
 use joulebus_wire::Row;
 
 use crate::protocol::offset::shifted;
 
-/// Moves all instants of a header or a row; 0, one that is not known, stays.
+/// Moves all instants of a header or a row. 0 means unknown and stays.
 pub(crate) fn shift<R: Row>(part: &mut R, offset_ns: i128) {
     part.instants(|stamp_ns| *stamp_ns = shifted(*stamp_ns, offset_ns));
 }

@@ -1,4 +1,4 @@
-//! A source's frames, split into one for each shard.
+//! Splits a source's frames into one for each shard.
 
 use std::collections::BTreeMap;
 
@@ -6,17 +6,17 @@ use joulebus_wire::{Sample, SampleHeader};
 
 use crate::protocol::shards::Shards;
 
-/// Sources that are remembered: as many as a worker may have, and those that have left.
-const MOST_SOURCES: usize = 4_096;
+/// Maximum number of remembered sources: as many as a worker may have, and departed ones.
+const MAX_SOURCES: usize = 4_096;
 
-/// What a run of a source has sent, in all and to each shard.
+/// Numbers of samples that a run of a source has sent, in all and to each shard.
 #[derive(Debug, Clone)]
 struct Account {
     epoch: u64,
-    /// When it was last used, in frames of all sources.
+    /// When it was last used, counted in frames of all sources.
     used: u64,
     all: u64,
-    /// A shard's worker learns from it what it misses.
+    /// Samples sent to each shard before its next frame. From it a shard's worker detects losses.
     of_shards: Vec<u64>,
 }
 
@@ -43,8 +43,9 @@ impl Split {
         }
     }
 
-    /// Splits a frame, and has `each` take the parts that have samples: shard, header, samples. Samples that were lost before
-    /// they came here are missed by every shard, since nobody knows whose they were.
+    /// Splits a frame, and passes the parts that have samples to `each`: shard, header, samples.
+    /// Samples that were lost before they arrived here count as missing for every shard, because
+    /// their robots are unknown.
     pub(crate) fn split(
         &mut self,
         header: &SampleHeader,
@@ -65,7 +66,8 @@ impl Split {
             epoch: header.source_epoch,
             used,
             all: header.samples_before,
-            // Of what was sent before, any may have been of any shard. Never less than was told before a restart of this link.
+            // Samples sent before we started may belong to any shard, so count them for all. The
+            // count is never below the one from before a restart of this link.
             of_shards: vec![header.samples_before; self.rows.len()],
         };
         let account = self.sources.entry(header.source_id).or_insert_with(new);
@@ -89,9 +91,9 @@ impl Split {
         }
     }
 
-    /// Forgets the half of the sources that was silent longest where another one would be too many.
+    /// Drops the half of the sources that was silent longest, if another source would be too many.
     fn make_room(&mut self, source: u64) {
-        if self.sources.len() < MOST_SOURCES || self.sources.contains_key(&source) {
+        if self.sources.len() < MAX_SOURCES || self.sources.contains_key(&source) {
             return;
         }
         let mut used: Vec<u64> = self.sources.values().map(|account| account.used).collect();
@@ -135,7 +137,7 @@ mod tests {
         ) {
             let map = shards(count);
             let mut split = Split::new(map.clone());
-            // Of each source: epoch and samples sent; of each source and shard: what it knows of.
+            // Epoch and samples sent of each source, and the known number of each source and shard.
             let mut sent: BTreeMap<u64, (u64, u64)> = BTreeMap::new();
             let mut known: BTreeMap<(u64, usize), u64> = BTreeMap::new();
             let mut lost: BTreeMap<u64, u64> = BTreeMap::new();
@@ -156,7 +158,7 @@ mod tests {
                 let mut seen = Vec::new();
                 split.split(&header(source, *epoch, *before), &samples, |shard, header, rows| {
                     let place = known.entry((source, shard)).or_default();
-                    // Lost before it, and never more than what this source lost.
+                    // Lost before it, and never more than this source lost.
                     let missed = header.samples_before - *place;
                     assert!(missed <= lost[&source], "{missed} of {lost:?}");
                     *place = header.samples_before + rows.len() as u64;
@@ -171,7 +173,7 @@ mod tests {
                 seen.sort_unstable();
                 prop_assert_eq!(seen, all);
             }
-            // What a shard knows of is what it got and what was lost.
+            // A shard's known samples are those that it got and those that were lost.
             for ((source, _), place) in &known {
                 prop_assert!(*place <= sent[source].1);
             }
@@ -185,7 +187,7 @@ mod tests {
             split.split(&header(source, 1, 0), &[Sample::new(1, 0, 0)], |_, _, _| {});
         }
         let kept = split.sources.len();
-        assert!((MOST_SOURCES / 2..=MOST_SOURCES).contains(&kept), "{kept}");
+        assert!((MAX_SOURCES / 2..=MAX_SOURCES).contains(&kept), "{kept}");
         assert!(split.sources.contains_key(&99_999));
     }
 

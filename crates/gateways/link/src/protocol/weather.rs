@@ -12,7 +12,7 @@ use crate::protocol::offset::shifted;
 use crate::protocol::receiver::Receiver;
 use crate::protocol::selection::Selection;
 use crate::protocol::stream::{LocalFrame, Stream};
-use crate::protocol::wall::{Kept, READ_NS, Reading, Wall};
+use crate::protocol::wall::{READ_NS, Reading, RealtimeClock, Wall};
 
 const FLEET: FleetId = FleetId { name: 3, shards: 0 };
 const STEP_NS: u64 = 1_000_000;
@@ -211,7 +211,7 @@ impl Hosts {
         if let (Some(stream), Some(clocks)) = (&mut self.stream, &mut self.clocks) {
             let realtime_ns = REALTIME_NS + self.offset_ns + i128::from(clocks.apart_ns);
             let reading = clocks.reading(there_ns, realtime_ns);
-            stream.tells(clocks.there.note(reading));
+            stream.set_realtime(clocks.there.note(reading));
         }
         let ticks = (self.now_ns - BEGIN_NS) / TICK_NS;
         while self.tick < ticks {
@@ -254,11 +254,11 @@ impl Hosts {
             if let Some(clocks) = &mut self.clocks {
                 let reading = clocks.reading(self.now_ns, REALTIME_NS);
                 let within_ns = clocks.within_ns;
-                let kept = clocks.here.note(reading).map(|realtime_ns| Kept {
+                let kept = clocks.here.note(reading).map(|realtime_ns| RealtimeClock {
                     realtime_ns,
                     within_ns,
                 });
-                self.receiver.reads(kept);
+                self.receiver.set_clock(kept);
             }
             if let Ok(accepted) = self.receiver.take(&message, bytes.len(), self.now_ns) {
                 let header: ForecastHeader = accepted.frame.header();
@@ -274,8 +274,8 @@ impl Hosts {
                 self.arrived.push((header.tick, self.now_ns));
             }
         }
-        self.receiver.falls_silent(self.now_ns);
-        if let Some(request) = self.receiver.ask(self.now_ns) {
+        self.receiver.becomes_silent(self.now_ns);
+        if let Some(request) = self.receiver.request_if_due(self.now_ns) {
             self.asked += 1;
             self.back
                 .send(&request, self.now_ns, weather, u64::MAX / 2_000_000_000);
@@ -371,23 +371,23 @@ fn after_a_partition_everything_goes_on_by_itself_and_silence_is_told_within_its
     for cut_ns in [SECOND / 2, 2 * SECOND, 60 * SECOND] {
         let mut hosts = Hosts::new(5_000, FAST, 1);
         hosts.run(5 * SECOND, CALM);
-        assert!(hosts.receiver.is_heard());
+        assert!(hosts.receiver.is_sending());
         let cut = Weather {
             is_cut: true,
             ..CALM
         };
         let from_ns = hosts.now_ns;
         hosts.run(cut_ns.min(1_400_000_000), cut);
-        assert!(hosts.receiver.is_heard());
+        assert!(hosts.receiver.is_sending());
         hosts.run(cut_ns.saturating_sub(1_400_000_000), cut);
         assert_eq!(
-            hosts.receiver.is_heard(),
+            hosts.receiver.is_sending(),
             cut_ns < SECOND,
-            "told within 1.6 s of {from_ns}"
+            "reported within 1.6 s of {from_ns}"
         );
         let healed_ns = hosts.now_ns;
         hosts.run(5 * SECOND, CALM);
-        assert!(hosts.receiver.is_heard());
+        assert!(hosts.receiver.is_sending());
         let back = hosts.arrived.iter().find(|(_, at_ns)| *at_ns > healed_ns);
         let (_, back_ns) = back.expect("frames come again");
         assert!(back_ns - healed_ns < SECOND, "{}", back_ns - healed_ns);
@@ -421,7 +421,7 @@ fn a_false_number_or_run_hides_nothing_and_a_time_that_lies_ahead_is_refused() {
         let stream = hosts.stream.as_mut().unwrap();
         let mut forged = Vec::new();
         let there_ns = u64::try_from(i128::from(hosts.now_ns) - hosts.offset_ns).unwrap();
-        stream.tell(Worker::Alive.into(), there_ns, &mut forged);
+        stream.write_status(Worker::Alive.into(), there_ns, &mut forged);
         let field = match at % 3 {
             0 => RUN,
             1 => NUMBER,
@@ -579,7 +579,7 @@ proptest! {
         hosts.run(75 * SECOND, CALM);
         let offset = hosts.receiver.offset();
         let uncertain_ns = offset.uncertainty_ns(hosts.now_ns).unwrap();
-        prop_assert_eq!(offset.is_kept(hosts.now_ns), at_last_ns == 0);
+        prop_assert_eq!(offset.uses_realtime(hosts.now_ns), at_last_ns == 0);
         if at_last_ns == 0 {
             let most_ns = 2 * within_ns + 20 * READ_NS;
             prop_assert!(uncertain_ns <= most_ns, "{uncertain_ns} of {most_ns}");

@@ -176,7 +176,7 @@ fn who_shows_no_certificate_gets_no_connection() {
 /// Samples that the worker has accepted.
 fn accepted(base: &Host) -> u64 {
     let mut accepted = None;
-    eventually("the worker is heard", || {
+    eventually("the worker is connected", || {
         let watched = base.watched();
         accepted = watched.and_then(|watched| watched["samples_accepted"].as_u64());
         accepted.is_some()

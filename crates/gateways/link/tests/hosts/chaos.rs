@@ -154,7 +154,7 @@ fn through_cuts_kills_and_stops_frames_stay_in_order_and_ledgers_and_samples_are
     let sent = robots.end().json()["samples_sent"].as_u64().unwrap();
     // Every sample sent has arrived or is counted as lost.
     let mut own = Vec::new();
-    eventually("both hosts say the same", || {
+    eventually("both hosts report the same", || {
         own = ledgers(&fleet.here);
         own.len() == 3 && own == ledgers(&fleet.there)
     });

@@ -147,15 +147,15 @@ impl Host {
 
 /// Waits until the named link has requested frames of `link`, which sends them from then on.
 pub(crate) fn is_asked_by(link: &Child, name: &str) {
-    let says = format!("link {name} asks for ");
+    let expected = format!("link {name} asks for ");
     // The request may arrive before the link logs that it is open.
-    eventually(&says, || link.errors().contains(&says));
+    eventually(&expected, || link.errors().contains(&expected));
 }
 
 /// Whether the link has logged that the robots' host is gone or silent.
 pub(crate) fn has_lost_edge(link: &Child) -> bool {
-    let said = link.errors();
-    said.contains("the link of edge is gone") || said.contains("no samples come from edge")
+    let errors = link.errors();
+    errors.contains("the link of edge is gone") || errors.contains("no samples come from edge")
 }
 
 /// Maximum number of attempts at a scene.

@@ -217,9 +217,10 @@ fn links_and_workers_start_in_any_order_and_one_that_is_not_there_keeps_none_fro
     );
     let desk = there.link(&text);
     // No router answers for longer than an attempt at all of them may take, and that is logged.
-    eventually("it is told that nobody answers", || {
-        let said = desk.errors();
-        said.contains("nothing has come from base so far") && said.contains("base has not asked")
+    eventually("it is logged that nobody answers", || {
+        let errors = desk.errors();
+        errors.contains("nothing has come from base so far")
+            && errors.contains("base has not asked")
     });
     for (host, address) in [(&first, &other), (&second, &one)] {
         let worker = host.worker();

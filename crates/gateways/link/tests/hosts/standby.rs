@@ -32,7 +32,7 @@ const SHORT_TTL_S: u64 = 2;
 /// Maximum time from the end of the lease until another host leads.
 const TAKEOVER_NS: u64 = 3_000_000_000;
 /// Maximum time that a ledger may lose at a takeover, s.
-const MOST_LOST_S: f64 = 1.1;
+const MAX_LOST_S: f64 = 1.1;
 const SECOND_NS: u64 = 1_000_000_000;
 const ROBOTS: u32 = 4;
 /// Interval between two samples of a robot, s.
@@ -246,7 +246,7 @@ fn unpublished_s(robots: &mut Child) -> f64 {
     2.0 * skipped * PERIOD_S
 }
 
-/// Asserts that the accounts of now continue those of before: at most [`MOST_LOST_S`] beside the
+/// Asserts that the accounts of now continue those of before: at most [`MAX_LOST_S`] beside the
 /// time without samples is unmetered.
 fn assert_continues((before, now): &(Vec<Account>, Vec<Account>), gaps_s: f64) {
     assert_eq!(
@@ -258,7 +258,7 @@ fn assert_continues((before, now): &(Vec<Account>, Vec<Account>), gaps_s: f64) {
         assert!(now.drawn_j > before.drawn_j, "{both}");
         assert!(now.metered_s > before.metered_s, "{both}");
         let unmetered_s = now.unmetered_s - before.unmetered_s;
-        let most_s = MOST_LOST_S + gaps_s;
+        let most_s = MAX_LOST_S + gaps_s;
         assert!((0.0..most_s).contains(&unmetered_s), "{both}: {most_s}");
         let time_s = now.metered_s - before.metered_s + unmetered_s;
         // By the stamps of the samples, because a reported sample may be a second earlier or later.
@@ -455,8 +455,8 @@ fn without_a_lease_operators_command_who_serves() {
         scene.state_crosses_to(1 - at);
     }
     let words = ["doctor", "--format", "json"];
-    let seen = Child::spawn("doctor", scene.bases[1].joulebus(&words)).wait();
-    let checks = seen.json()["checks"].clone();
+    let view = Child::spawn("doctor", scene.bases[1].joulebus(&words)).wait();
+    let checks = view.json()["checks"].clone();
     let permit = checks
         .as_array()
         .unwrap()
@@ -508,7 +508,7 @@ fn while_the_store_is_away_nobody_serves_and_when_it_is_back_one_does() {
         fresh(&mut planner);
         // Either candidate may lead.
         let serves = || workers.iter().position(|it| it.errors().contains("ready:"));
-        eventually("one says that it serves", || serves().is_some());
+        eventually("one logs that it serves", || serves().is_some());
         serving = serves().unwrap();
     }
     planner.leave();
@@ -547,7 +547,7 @@ fn etcd_is_reached_with_certificates_of_its_authority_and_with_no_others() {
             worker.wait_for_line("ready:");
         } else {
             // The message may come before the link logs that it is open.
-            eventually("it is told", || {
+            eventually("it is logged", || {
                 link.errors().contains("etcd does not answer")
             });
         }
@@ -616,7 +616,7 @@ fn a_worker_without_standby_is_told_and_not_heard_elsewhere() {
     let mut field = scene.field_link();
     let _robots = scene.robots();
     // The message may come before the link logs that it is open.
-    eventually("it is told", || {
+    eventually("it is logged", || {
         link.errors().contains("start it with --standby")
     });
     let report = field.end().json();
@@ -661,7 +661,7 @@ fn etcd_with_users_and_passwords_is_logged_into_and_a_wrong_password_is_told() {
         if text.starts_with("for") {
             worker.wait_for_line("ready:");
         } else {
-            eventually("it is told", || {
+            eventually("it is logged", || {
                 link.errors().contains("authentication failed")
             });
         }
@@ -805,7 +805,7 @@ fn through_cuts_kills_and_stops_no_two_workers_speak_and_no_account_loses_what_i
                 before.metered_s - now.metered_s,
             ];
             lost_s = lost.into_iter().fold(lost_s, f64::max);
-            assert!(lost_s < MOST_LOST_S, "after {fault}: {before:?}, {now:?}");
+            assert!(lost_s < MAX_LOST_S, "after {fault}: {before:?}, {now:?}");
         }
         before = now;
         if faults > FAULTS {

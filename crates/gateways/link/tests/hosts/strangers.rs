@@ -92,7 +92,11 @@ fn damaged_repeated_and_foreign_messages_are_counted_and_the_stream_goes_on() {
     planner.fresh();
     planner.leave();
     let desk = desk.end();
-    assert_eq!(desk.code(), Some(3), "refused messages are told: {desk:?}");
+    assert_eq!(
+        desk.code(),
+        Some(3),
+        "refused messages are reported: {desk:?}"
+    );
     let taken = desk.json()["taken"][0].clone();
     assert!(
         taken["refused"]["wrong length"].as_u64().unwrap() > 10,

@@ -15,6 +15,7 @@ use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
 use joulebus_publisher::{Pace, Publisher, RobotState};
 use joulebus_testkit::{Child, PATIENCE, end_signals, eventually, left_behind};
+use joulebus_wire::Forecasts;
 use rustix::process::Signal;
 use serde_json::{Value, json};
 use tungstenite::client::IntoClientRequest as _;
@@ -168,7 +169,8 @@ fn see_a_forecast(config: &Path) {
     let mut client = connect(&address);
     let info = next_json(&mut client, "serverInfo");
     assert_eq!(info["name"], "joulebus serve");
-    let topic = MessageKind::Forecasts.topic("serve", 0);
+    let kind = MessageKind::of::<Forecasts>();
+    let topic = kind.topic("serve", 0);
     let channel = loop {
         let advertised = next_json(&mut client, "advertise");
         let channels = advertised["channels"].as_array().unwrap().clone();
@@ -180,7 +182,7 @@ fn see_a_forecast(config: &Path) {
         }
     };
     assert_eq!(channel["encoding"], "protobuf");
-    assert_eq!(channel["schemaName"], MessageKind::Forecasts.schema());
+    assert_eq!(channel["schemaName"], kind.schema());
     let subscribe = json!({
         "op": "subscribe",
         "subscriptions": [{ "id": 7, "channelId": channel["id"] }],
@@ -205,11 +207,8 @@ fn see_a_forecast(config: &Path) {
             continue;
         }
         assert_eq!(bytes[1..5], 7_u32.to_le_bytes());
-        let Message::Forecasts(_, forecasts) =
-            Message::decode(MessageKind::Forecasts, &bytes[13..]).unwrap()
-        else {
-            panic!("no forecasts");
-        };
+        let message = Message::decode(kind, &bytes[13..]).unwrap();
+        let forecasts = message.into_frame::<Forecasts>().unwrap().rows;
         if !forecasts.is_empty() {
             break forecasts;
         }

@@ -12,8 +12,8 @@ use std::os::unix::fs::FileExt as _;
 use std::path::Path;
 use std::sync::Arc;
 
-use joulebus_capture_format::{Message, ReadError, Reader};
-use joulebus_wire::{Sample, sample_flag};
+use joulebus_capture_format::{Frame, ReadError, Reader};
+use joulebus_wire::{Sample, Samples, sample_flag};
 
 use super::limits::MCAP_MAGIC;
 use super::table::{Cell, Column, Table};
@@ -119,11 +119,11 @@ fn collect(path: &Path) -> Result<Store, TrialError> {
     // The run of a source that each robot's last sample came from.
     let mut sources: BTreeMap<Robot, (u64, u64)> = BTreeMap::new();
     while let Some(entry) = reader.next_entry().map_err(failed)? {
-        let Message::Samples(header, samples) = entry.message else {
+        let Ok(Frame { header, rows }) = entry.message.into_frame::<Samples>() else {
             continue;
         };
         frames += 1;
-        for sample in samples {
+        for sample in rows {
             let robot = (Arc::clone(&entry.fleet), sample.robot);
             let source = (header.source_id, header.source_epoch);
             let is_same = sources.insert(robot.clone(), source) == Some(source);

@@ -11,7 +11,7 @@ use joulebus_capture_recorder::attach;
 use joulebus_config::Config;
 use joulebus_dataset::trial::{Playback, Trial, TrialFleet};
 use joulebus_program::exit::UsageError;
-use joulebus_wire::{SCHEMA_VERSION, SampleHeader};
+use joulebus_wire::{SCHEMA_VERSION, SampleHeader, Samples};
 
 use super::{Recording, Written};
 
@@ -89,11 +89,11 @@ fn samples(
             log_ns: header.sent_unix_ns,
             publish_ns: header.sent_unix_ns,
         };
-        let message = Message::Samples(header, std::mem::take(&mut frame));
+        let message = Message::of::<Samples>(header, std::mem::take(&mut frame));
         writer.write(fleet_name, times, &message)?;
-        if let Message::Samples(_, samples) = message {
-            header.samples_before += samples.len() as u64;
-            frame = samples;
+        if let Ok(written) = message.into_frame::<Samples>() {
+            header.samples_before += written.rows.len() as u64;
+            frame = written.rows;
         }
         header.frame_seq += 1;
     }

@@ -5,7 +5,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use joulebus_capture_format::{Attachments, CaptureSettings, Message, Times, Writer};
-use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
+use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, Samples, sample_flag};
 
 /// Unix time of the first sample of [`capture`], ns: ten seconds before a midnight.
 pub(crate) const BEGIN_NS: u64 = 1_795_391_990_000_000_000;
@@ -103,7 +103,7 @@ pub(crate) fn capture(folder: &Path, name: &str, frames: u64, robots: u32) -> Pa
             publish_ns: at_ns,
         };
         let samples = (0..robots).map(sample).collect();
-        let message = Message::Samples(header, samples);
+        let message = Message::of::<Samples>(header, samples);
         writer.write("yard 3", times, &message).unwrap();
     }
     writer.finish().unwrap();

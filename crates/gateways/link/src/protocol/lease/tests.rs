@@ -20,7 +20,7 @@ struct Store {
     holder: Option<Holder>,
     term: u64,
     term_revision: u64,
-    wish: Option<String>,
+    requested: Option<String>,
     revision: u64,
     next_lease: u64,
 }
@@ -46,11 +46,11 @@ impl Store {
                     ttl_ns: TTL_NS,
                 }
             }
-            Call::Look => Reply::Seen(Seen {
+            Call::Look => Reply::StoreView(StoreView {
                 holder: self.holder.clone(),
                 term: self.term,
                 term_revision: self.term_revision,
-                wish: self.wish.clone(),
+                requested: self.requested.clone(),
             }),
             Call::Acquire {
                 lease,
@@ -65,7 +65,7 @@ impl Store {
                 if is_free {
                     self.revision += 1;
                     (self.term, self.term_revision) = (*term, self.revision);
-                    self.wish = None;
+                    self.requested = None;
                     self.holder = Some(Holder {
                         name: name.to_owned(),
                         term: *term,
@@ -110,7 +110,7 @@ struct Host {
     /// Calls that were given up, and when they arrive at the store.
     given_up: Vec<(Call, u64)>,
     terms: Vec<u64>,
-    heard: u64,
+    highest_term: u64,
 }
 
 impl Host {
@@ -141,10 +141,10 @@ impl Host {
         let now_ns = self.clock(true_ns);
         if weather.restarts {
             // The permit's file keeps the right across a restart.
-            let right = self.candidate.right(now_ns);
+            let leader_lease = self.candidate.leader_lease(now_ns);
             let rank = self.candidate.rank as usize;
-            self.candidate = Candidate::new(&self.name, rank, TTL_NS, right);
-            self.candidate.hears(self.heard);
+            self.candidate = Candidate::new(&self.name, rank, TTL_NS, leader_lease);
+            self.candidate.observe_term(self.highest_term);
             self.give_up();
         }
         if let Some((call, asked_ns, _, back_ns, reply)) = self.under_way.clone() {
@@ -169,22 +169,22 @@ impl Host {
 
     fn give_up(&mut self) {
         let call = self.under_way.take();
-        let unheard = call.filter(|(.., reply)| reply.is_none());
+        let unanswered = call.filter(|(.., reply)| reply.is_none());
         self.given_up
-            .extend(unheard.map(|(call, _, arrives_ns, ..)| (call, arrives_ns)));
+            .extend(unanswered.map(|(call, _, arrives_ns, ..)| (call, arrives_ns)));
     }
 
-    fn hears(&mut self, term: u64) {
-        self.heard = term;
-        self.candidate.hears(term);
+    fn observe_term(&mut self, term: u64) {
+        self.highest_term = term;
+        self.candidate.observe_term(term);
     }
 
-    fn right(&mut self, true_ns: u64) -> Option<Right> {
-        let right = self.candidate.right(self.clock(true_ns))?;
-        if self.terms.last() != Some(&right.term) {
-            self.terms.push(right.term);
+    fn leader_lease(&mut self, true_ns: u64) -> Option<LeaderLease> {
+        let leader_lease = self.candidate.leader_lease(self.clock(true_ns))?;
+        if self.terms.last() != Some(&leader_lease.term) {
+            self.terms.push(leader_lease.term);
         }
-        Some(right)
+        Some(leader_lease)
     }
 }
 
@@ -198,7 +198,7 @@ fn hosts(count: usize, ppm: &[i64]) -> Vec<Host> {
             under_way: None,
             given_up: Vec::new(),
             terms: Vec::new(),
-            heard: 0,
+            highest_term: 0,
         })
         .collect()
 }
@@ -248,7 +248,7 @@ proptest! {
         for (number, span) in all.into_iter().enumerate() {
             // Not during the calm: a request would move the shard once more.
             if let Some(Some(wished)) = wishes.get(number).filter(|_| number < spans.len()) {
-                store.wish = Some(format!("host-{wished}"));
+                store.requested = Some(format!("host-{wished}"));
             }
             forgetting |= forgets == Some(number);
             for at in 0..70 {
@@ -261,9 +261,9 @@ proptest! {
                     // led know their terms.
                     forgetting = false;
                     (store.term, store.term_revision) = (0, 0);
-                    hosts.iter_mut().for_each(|host| host.hears(greatest));
+                    hosts.iter_mut().for_each(|host| host.observe_term(greatest));
                 }
-                let mut speaking = Vec::new();
+                let mut leading = Vec::new();
                 for (host, weather) in hosts.iter_mut().zip(span) {
                     let weather = Weather {
                         restarts: weather.restarts && at == 0,
@@ -272,17 +272,17 @@ proptest! {
                     host.step(&mut store, store_ns, true_ns, weather);
                     // A paused process sends nothing, but would continue with the right that it
                     // had.
-                    speaking.extend(host.right(true_ns).map(|right| right.term));
+                    leading.extend(host.leader_lease(true_ns).map(|leader_lease| leader_lease.term));
                 }
-                prop_assert!(speaking.len() <= 1, "{speaking:?} at {true_ns}");
-                for term in speaking {
+                prop_assert!(leading.len() <= 1, "{leading:?} at {true_ns}");
+                for term in leading {
                     prop_assert!(term >= greatest, "term {term} after {greatest}");
                     greatest = term;
                 }
             }
         }
         // After 17 s of calm one candidate leads.
-        let serving = hosts.iter_mut().filter_map(|host| host.right(true_ns)).count();
+        let serving = hosts.iter_mut().filter_map(|host| host.leader_lease(true_ns)).count();
         prop_assert_eq!(serving, 1);
         let mut terms: Vec<u64> = hosts.iter().flat_map(|host| host.terms.clone()).collect();
         let before = terms.len();
@@ -320,12 +320,13 @@ const CUT: Weather = Weather {
 fn the_first_of_the_list_begins_and_when_it_is_gone_the_next_serves_within_a_second_of_the_leases_end()
  {
     let (mut hosts, mut store, mut true_ns) = (hosts(3, &[0; 3]), Store::default(), 1_000_000_000);
-    let serves = |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].right(ns).is_some();
+    let serves =
+        |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].leader_lease(ns).is_some();
     run(&mut hosts, &mut store, &mut true_ns, &[CALM; 3], serves(0));
     assert_eq!(hosts[0].terms, [1]);
     // A candidate that is cut off stops before the store gives its shard away.
     let weather = [CUT, CALM, CALM];
-    let silent = |hosts: &mut [Host], ns: u64| hosts[0].right(ns).is_none();
+    let silent = |hosts: &mut [Host], ns: u64| hosts[0].leader_lease(ns).is_none();
     let silent_ns = run(&mut hosts, &mut store, &mut true_ns, &weather, silent);
     assert!(silent_ns <= TTL_NS, "{silent_ns}");
     let free = run(
@@ -337,7 +338,7 @@ fn the_first_of_the_list_begins_and_when_it_is_gone_the_next_serves_within_a_sec
             hosts[1..]
                 .iter()
                 .all(|host| host.candidate.holder().is_none())
-                || hosts[1].right(ns).is_some()
+                || hosts[1].leader_lease(ns).is_some()
         },
     );
     let after_ns = run(&mut hosts, &mut store, &mut true_ns, &weather, serves(1));
@@ -350,24 +351,25 @@ fn the_first_of_the_list_begins_and_when_it_is_gone_the_next_serves_within_a_sec
             host.step(&mut store, true_ns, true_ns, CALM);
         }
     }
-    let right: Vec<bool> = hosts
+    let leader_lease: Vec<bool> = hosts
         .iter_mut()
-        .map(|host| host.right(true_ns).is_some())
+        .map(|host| host.leader_lease(true_ns).is_some())
         .collect();
-    assert_eq!(right, [false, true, false]);
+    assert_eq!(leader_lease, [false, true, false]);
 }
 
 #[test]
 fn a_wish_moves_the_shard_and_one_for_a_candidate_that_is_gone_does_not_lose_it() {
     let (mut hosts, mut store, mut true_ns) = (hosts(3, &[0; 3]), Store::default(), 1_000_000_000);
-    let serves = |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].right(ns).is_some();
+    let serves =
+        |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].leader_lease(ns).is_some();
     run(&mut hosts, &mut store, &mut true_ns, &[CALM; 3], serves(0));
-    store.wish = Some("host-2".to_owned());
+    store.requested = Some("host-2".to_owned());
     let took_ns = run(&mut hosts, &mut store, &mut true_ns, &[CALM; 3], serves(2));
     assert!(took_ns < TTL_NS + 2_000_000_000, "{took_ns}");
-    assert_eq!(store.wish, None);
-    store.wish = Some("host-9".to_owned());
-    let silent = |hosts: &mut [Host], ns: u64| hosts[2].right(ns).is_none();
+    assert_eq!(store.requested, None);
+    store.requested = Some("host-9".to_owned());
+    let silent = |hosts: &mut [Host], ns: u64| hosts[2].leader_lease(ns).is_none();
     run(&mut hosts, &mut store, &mut true_ns, &[CALM; 3], silent);
     let took_ns = run(&mut hosts, &mut store, &mut true_ns, &[CALM; 3], serves(0));
     // Measured from the lease's end, which comes shortly after the leader stops, however long a
@@ -378,7 +380,8 @@ fn a_wish_moves_the_shard_and_one_for_a_candidate_that_is_gone_does_not_lose_it(
 #[test]
 fn a_link_that_starts_again_goes_on_with_its_lease_and_one_that_hears_a_later_term_gives_way() {
     let (mut hosts, mut store, mut true_ns) = (hosts(2, &[0; 2]), Store::default(), 1_000_000_000);
-    let serves = |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].right(ns).is_some();
+    let serves =
+        |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].leader_lease(ns).is_some();
     run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], serves(0));
     let again = Weather {
         restarts: true,
@@ -390,17 +393,18 @@ fn a_link_that_starts_again_goes_on_with_its_lease_and_one_that_hears_a_later_te
     assert!(took_ns < TTL_NS / 2, "{took_ns}");
     assert_eq!(hosts[0].terms, [1], "the same term");
     // Candidates exchange the highest terms that they know of.
-    hosts.iter_mut().for_each(|host| host.hears(5));
-    assert!(hosts[0].right(true_ns).is_none());
+    hosts.iter_mut().for_each(|host| host.observe_term(5));
+    assert!(hosts[0].leader_lease(true_ns).is_none());
     run(
         &mut hosts,
         &mut store,
         &mut true_ns,
         &[CALM; 2],
         |hosts, ns| {
-            hosts
-                .iter_mut()
-                .any(|host| host.right(ns).is_some_and(|right| right.term > 1))
+            hosts.iter_mut().any(|host| {
+                host.leader_lease(ns)
+                    .is_some_and(|leader_lease| leader_lease.term > 1)
+            })
         },
     );
     let terms: Vec<u64> = hosts.iter().flat_map(|host| host.terms.clone()).collect();
@@ -410,7 +414,8 @@ fn a_link_that_starts_again_goes_on_with_its_lease_and_one_that_hears_a_later_te
 #[test]
 fn a_candidate_whose_worker_is_gone_leaves_the_shard_and_takes_none_until_it_is_back() {
     let (mut hosts, mut store, mut true_ns) = (hosts(2, &[0; 2]), Store::default(), 1_000_000_000);
-    let serves = |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].right(ns).is_some();
+    let serves =
+        |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].leader_lease(ns).is_some();
     run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], serves(0));
     hosts[0].candidate.is_able(false);
     let took_ns = run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], serves(1));
@@ -422,7 +427,11 @@ fn a_candidate_whose_worker_is_gone_leaves_the_shard_and_takes_none_until_it_is_
             .iter_mut()
             .for_each(|host| host.step(&mut store, true_ns, true_ns, CALM));
     }
-    assert!(hosts.iter_mut().all(|host| host.right(true_ns).is_none()));
+    assert!(
+        hosts
+            .iter_mut()
+            .all(|host| host.leader_lease(true_ns).is_none())
+    );
     hosts[0].candidate.is_able(true);
     run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], serves(0));
     assert_eq!(hosts[0].terms, [1, 3]);
@@ -431,9 +440,10 @@ fn a_candidate_whose_worker_is_gone_leaves_the_shard_and_takes_none_until_it_is_
 #[test]
 fn while_the_store_is_away_the_holder_is_silent_from_its_leases_end_and_then_all_goes_on() {
     let (mut hosts, mut store, mut true_ns) = (hosts(2, &[0; 2]), Store::default(), 1_000_000_000);
-    let serves = |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].right(ns).is_some();
+    let serves =
+        |at: usize| move |hosts: &mut [Host], ns: u64| hosts[at].leader_lease(ns).is_some();
     run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], serves(0));
-    let silent = |hosts: &mut [Host], ns: u64| hosts[0].right(ns).is_none();
+    let silent = |hosts: &mut [Host], ns: u64| hosts[0].leader_lease(ns).is_none();
     let took_ns = run(&mut hosts, &mut store, &mut true_ns, &[CUT; 2], silent);
     assert!((TTL_NS / 2..=TTL_NS).contains(&took_ns), "{took_ns}");
     for _ in 0..1_000 {
@@ -441,10 +451,14 @@ fn while_the_store_is_away_the_holder_is_silent_from_its_leases_end_and_then_all
         hosts
             .iter_mut()
             .for_each(|host| host.step(&mut store, true_ns, true_ns, CUT));
-        assert!(hosts.iter_mut().all(|host| host.right(true_ns).is_none()));
+        assert!(
+            hosts
+                .iter_mut()
+                .all(|host| host.leader_lease(true_ns).is_none())
+        );
     }
     let anybody =
-        |hosts: &mut [Host], ns: u64| hosts.iter_mut().any(|host| host.right(ns).is_some());
+        |hosts: &mut [Host], ns: u64| hosts.iter_mut().any(|host| host.leader_lease(ns).is_some());
     run(&mut hosts, &mut store, &mut true_ns, &[CALM; 2], anybody);
 }
 
@@ -452,7 +466,7 @@ fn while_the_store_is_away_the_holder_is_silent_from_its_leases_end_and_then_all
 fn a_lease_of_no_time_or_no_number_is_asked_for_again_and_not_at_once_and_none_lasts_for_ever() {
     for (lease, ttl_ns) in [(0, TTL_NS), (7, 0), (7, 1), (7, 10_000_000)] {
         let mut candidate = Candidate::new("a", 0, TTL_NS, None);
-        candidate.answered(&Call::Look, Reply::Seen(Seen::default()), (0, 1));
+        candidate.answered(&Call::Look, Reply::StoreView(StoreView::default()), (0, 1));
         let now_ns = candidate.look_ns;
         candidate.free_since_ns = Some(0);
         assert_eq!(candidate.next(now_ns), Next::Call(Call::Grant));
@@ -463,42 +477,46 @@ fn a_lease_of_no_time_or_no_number_is_asked_for_again_and_not_at_once_and_none_l
         );
         assert_eq!(
             candidate.next(now_ns),
-            Next::Wait(now_ns + LOOK_EVERY_NS.0),
+            Next::Wait(now_ns + POLL_INTERVAL_NS.0),
             "{lease} {ttl_ns}"
         );
     }
-    let right = Right {
+    let leader_lease = LeaderLease {
         term: 3,
         until_ns: 1_000,
         lease: 7,
     };
-    let mut candidate = Candidate::new("a", 0, TTL_NS, Some(right));
-    for ttl_ns in [LONGEST_NS + 1, u64::MAX / 2, u64::MAX] {
+    let mut candidate = Candidate::new("a", 0, TTL_NS, Some(leader_lease));
+    for ttl_ns in [MAX_TTL_NS + 1, u64::MAX / 2, u64::MAX] {
         candidate.answered(
             &Call::Renew { lease: 7 },
             Reply::Renewed { ttl_ns },
             (10, 20),
         );
-        let until_ns = candidate.right(30).unwrap().until_ns;
-        assert!(until_ns <= 10 + LONGEST_NS, "{ttl_ns}: {until_ns}");
-        assert!(candidate.renew_ns <= 20 + LONGEST_NS / RENEWALS);
+        let until_ns = candidate.leader_lease(30).unwrap().until_ns;
+        assert!(until_ns <= 10 + MAX_TTL_NS, "{ttl_ns}: {until_ns}");
+        assert!(candidate.renew_ns <= 20 + MAX_TTL_NS / RENEWALS);
     }
 }
 
 #[test]
 fn after_the_last_term_nobody_serves_since_two_would_in_one() {
-    for (stored, heard) in [(u64::MAX, 0), (0, u64::MAX)] {
+    for (stored, highest_term) in [(u64::MAX, 0), (0, u64::MAX)] {
         let mut candidate = Candidate::new("a", 0, TTL_NS, None);
-        candidate.hears(heard);
-        let seen = Seen {
+        candidate.observe_term(highest_term);
+        let view = StoreView {
             term: stored,
-            ..Seen::default()
+            ..StoreView::default()
         };
         let mut now_ns = 0;
         for _ in 0..50 {
-            now_ns += LOOK_EVERY_NS.1;
+            now_ns += POLL_INTERVAL_NS.1;
             assert_eq!(candidate.next(now_ns), Next::Call(Call::Look));
-            candidate.answered(&Call::Look, Reply::Seen(seen.clone()), (now_ns, now_ns));
+            candidate.answered(
+                &Call::Look,
+                Reply::StoreView(view.clone()),
+                (now_ns, now_ns),
+            );
         }
     }
 }

@@ -2,21 +2,21 @@
 
 use std::collections::{HashMap, HashSet};
 
-use joulebus_wire::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
-    PlanStateHeader, Sample, SampleHeader, sample_flag,
-};
+use joulebus_capture_format::Frame;
+use joulebus_wire::{Channel, FrameHeader as _, Row as _, Samples, sample_flag};
 
 /// A point in time on both clocks, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(super) struct Moment {
-    pub(super) monotonic_ns: u64,
-    pub(super) unix_ns: u64,
+pub struct Moment {
+    /// Monotonic.
+    pub monotonic_ns: u64,
+    /// Unix.
+    pub unix_ns: u64,
 }
 
 /// One pass through the capture: offset of times and runs.
 #[derive(Debug)]
-pub(super) struct Rebase {
+pub struct Rebase {
     /// Added to every recorded monotonic time, modulo 2^64.
     shift_ns: u64,
     /// The recorded time that becomes `epoch_ns`: runs that began later keep their distances; those
@@ -35,7 +35,8 @@ pub(super) struct Rebase {
 
 impl Rebase {
     /// The first pass: what was recorded at `recorded` becomes `now`.
-    pub(super) fn new(recorded: Moment, now: Moment) -> Self {
+    #[must_use]
+    pub fn new(recorded: Moment, now: Moment) -> Self {
         Self {
             shift_ns: now.monotonic_ns.wrapping_sub(recorded.monotonic_ns),
             recorded_ns: recorded.monotonic_ns,
@@ -50,7 +51,8 @@ impl Rebase {
 
     /// Another pass, with newer runs than this one's and later stamps, even if it was played faster
     /// than recorded. The first sample of each robot is marked as a discontinuity.
-    pub(super) fn again(&self, recorded: Moment, now: Moment) -> Self {
+    #[must_use]
+    pub fn again(&self, recorded: Moment, now: Moment) -> Self {
         let mut next = Self::new(
             recorded,
             Moment {
@@ -64,7 +66,8 @@ impl Rebase {
     }
 
     /// The mapped run for comparison with present runs: all of this pass are at least as new.
-    pub(super) fn epoch(&self, recorded_epoch: u64) -> u64 {
+    #[must_use]
+    pub fn epoch(&self, recorded_epoch: u64) -> u64 {
         let since_ns = recorded_epoch.saturating_sub(self.recorded_ns);
         self.epoch_ns.saturating_add(since_ns)
     }
@@ -88,139 +91,63 @@ impl Rebase {
         epoch
     }
 
-    /// Header of a frame of samples sent at `now`. Frames lost during the recording stay lost: the
+    /// Makes of a recorded frame of samples one that is sent at `now`. Frames lost during the recording stay lost: the
     /// worker counts them.
-    pub(super) fn samples(
-        &mut self,
-        header: &SampleHeader,
-        samples: &mut [Sample],
-        now: Moment,
-    ) -> SampleHeader {
+    pub(super) fn samples(&mut self, frame: &mut Frame<Samples>, now: Moment) {
+        let Frame { header, rows } = frame;
         let (frame_seq, samples_before) = *self
             .first_frame
             .entry((header.source_id, header.source_epoch))
             .or_insert((header.frame_seq, header.samples_before));
-        for sample in samples {
-            sample.stamp_ns = self.ns(sample.stamp_ns);
-            sample.measured_ns = self.ns(sample.measured_ns);
-            self.newest_ns = self.newest_ns.max(sample.stamp_ns);
-            if let Some(joined) = &mut self.joined
-                && joined.insert(sample.robot)
-            {
-                sample.flags |= sample_flag::DISCONTINUITY;
+        header.frame_seq = header.frame_seq.saturating_sub(frame_seq);
+        header.samples_before = header.samples_before.saturating_sub(samples_before);
+        if let Some(joined) = &mut self.joined {
+            for sample in rows {
+                if joined.insert(sample.robot) {
+                    sample.flags |= sample_flag::DISCONTINUITY;
+                }
             }
         }
-        SampleHeader {
-            pid: self.pid,
-            source_epoch: self.run(header.source_epoch),
-            frame_seq: header.frame_seq.saturating_sub(frame_seq),
-            samples_before: header.samples_before.saturating_sub(samples_before),
-            intended_ns: now.monotonic_ns,
-            sent_ns: now.monotonic_ns,
-            sent_unix_ns: now.unix_ns,
-            ..*header
-        }
+        self.frame(frame, now, 1.0);
+        frame.header.intended_ns = now.monotonic_ns;
     }
 
-    /// Header of forecasts sent at `now`; `slower`: factor by which the period is stretched, so
+    /// Makes of a recorded frame one that is sent at `now`; `slower`: factor by which the period is stretched, so
     /// that planners do not take a slow replay for a dead worker.
-    pub(super) fn forecasts(
-        &mut self,
-        header: &ForecastHeader,
-        rows: &mut [Forecast],
-        now: Moment,
-        slower: f64,
-    ) -> ForecastHeader {
+    pub fn frame<C: Channel>(&mut self, frame: &mut Frame<C>, now: Moment, slower: f64) {
+        let Frame { header, rows } = frame;
         for row in rows {
-            row.stamp_ns = self.ns(row.stamp_ns);
-            row.target_ns = self.ns(row.target_ns);
-            row.source_epoch = self.run(row.source_epoch);
-            self.newest_ns = self.newest_ns.max(row.stamp_ns);
+            let mut stamp_ns = None;
+            row.instants(|recorded_ns| {
+                *recorded_ns = self.ns(*recorded_ns);
+                stamp_ns.get_or_insert(*recorded_ns);
+            });
+            row.runs(|run| *run = self.run(*run));
+            self.newest_ns = self.newest_ns.max(stamp_ns.unwrap_or_default());
         }
-        // The worker's own times keep their distances from the time of sending.
-        let own = |recorded_ns: u64| match recorded_ns {
-            0 => 0,
-            recorded_ns => recorded_ns
-                .wrapping_sub(header.sent_ns)
-                .wrapping_add(now.monotonic_ns),
-        };
-        ForecastHeader {
-            pid: self.pid,
-            worker_epoch: self.run(header.worker_epoch),
-            period_ns: (header.period_ns as f64 * slower) as u64,
-            first_intended_ns: own(header.first_intended_ns),
-            first_sent_ns: own(header.first_sent_ns),
-            first_taken_ns: own(header.first_taken_ns),
-            compute_start_ns: own(header.compute_start_ns),
-            compute_end_ns: own(header.compute_end_ns),
-            sent_ns: now.monotonic_ns,
-            sent_unix_ns: now.unix_ns,
-            ..*header
-        }
-    }
-
-    /// Header of diagnostics.
-    pub(super) fn diagnostics(
-        &mut self,
-        header: &DiagnosticHeader,
-        rows: &mut [Diagnostic],
-    ) -> DiagnosticHeader {
-        for row in rows {
-            row.stamp_ns = self.ns(row.stamp_ns);
-            row.source_epoch = self.run(row.source_epoch);
-        }
-        DiagnosticHeader {
-            pid: self.pid,
-            worker_epoch: self.run(header.worker_epoch),
-            ..*header
-        }
-    }
-
-    /// Header of plan states sent at `now`; `slower` as in [`Rebase::forecasts`].
-    pub(super) fn plan_states(
-        &mut self,
-        header: &PlanStateHeader,
-        rows: &mut [PlanState],
-        now: Moment,
-        slower: f64,
-    ) -> PlanStateHeader {
-        for row in rows {
-            row.stamp_ns = self.ns(row.stamp_ns);
-        }
-        PlanStateHeader {
-            pid: self.pid,
-            worker_epoch: self.run(header.worker_epoch),
-            period_ns: (header.period_ns as f64 * slower) as u64,
-            compute_start_ns: self.ns(header.compute_start_ns),
-            sent_ns: now.monotonic_ns,
-            sent_unix_ns: now.unix_ns,
-            ..*header
-        }
-    }
-
-    /// Header of budgets sent at `now`.
-    pub(super) fn budgets(
-        &mut self,
-        header: &BudgetHeader,
-        rows: &mut [Budget],
-        now: Moment,
-    ) -> BudgetHeader {
-        for row in rows {
-            row.stamp_ns = self.ns(row.stamp_ns);
-            row.valid_until_ns = self.ns(row.valid_until_ns);
-        }
-        BudgetHeader {
-            pid: self.pid,
-            worker_epoch: self.run(header.worker_epoch),
-            sent_ns: now.monotonic_ns,
-            sent_unix_ns: now.unix_ns,
-            ..*header
+        let sent_ns = header.sent_ns();
+        header.instants(|recorded_ns| {
+            *recorded_ns = match sent_ns {
+                // The worker's own times keep their distances from the time of sending.
+                Some(sent_ns) if *recorded_ns != 0 => recorded_ns
+                    .wrapping_sub(sent_ns)
+                    .wrapping_add(now.monotonic_ns),
+                _ => self.ns(*recorded_ns),
+            };
+        });
+        header.runs(|run| *run = self.run(*run));
+        header.set_place(self.pid, header.place());
+        header.set_sent(now.monotonic_ns, now.unix_ns);
+        if let Some(period_ns) = header.period_ns() {
+            *period_ns = (*period_ns as f64 * slower) as u64;
         }
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use joulebus_wire::{Forecast, ForecastHeader, Forecasts, Sample, SampleHeader};
+
     use super::*;
 
     const RECORDED: Moment = Moment {
@@ -241,12 +168,14 @@ mod tests {
             samples_before: 10 * frame_seq,
             ..SampleHeader::default()
         };
-        let mut samples = [Sample::new(3, frame_seq, stamp_ns).reading(3.5, stamp_ns - 10)];
+        let rows = vec![Sample::new(3, frame_seq, stamp_ns).reading(3.5, stamp_ns - 10)];
         let now = Moment {
             monotonic_ns: 90_000,
             unix_ns: 2_000_000,
         };
-        (rebase.samples(&header, &mut samples, now), samples[0])
+        let mut frame = Frame { header, rows };
+        rebase.samples(&mut frame, now);
+        (frame.header, frame.rows[0])
     }
 
     #[test]
@@ -268,9 +197,12 @@ mod tests {
             "nothing is marked in the first pass"
         );
         let (unknown, nothing) = (Sample::new(1, 0, 6_000), rebase.ns(0));
-        let mut samples = [unknown];
-        rebase.samples(&SampleHeader::default(), &mut samples, now);
-        assert_eq!((samples[0].measured_ns, nothing), (0, 0));
+        let mut frame = Frame {
+            header: SampleHeader::default(),
+            rows: vec![unknown],
+        };
+        rebase.samples(&mut frame, now);
+        assert_eq!((frame.rows[0].measured_ns, nothing), (0, 0));
     }
 
     #[test]
@@ -312,5 +244,54 @@ mod tests {
         assert!(first.has(sample_flag::DISCONTINUITY) && !early.has(sample_flag::DISCONTINUITY));
         let (_, second) = frame(&mut again, 999_000, 1, 5_200);
         assert!(!second.has(sample_flag::DISCONTINUITY));
+    }
+
+    #[test]
+    fn a_workers_own_times_keep_their_distances_from_the_time_of_sending() {
+        let now = Moment {
+            monotonic_ns: 90_000,
+            unix_ns: 2_000_000,
+        };
+        let header = ForecastHeader {
+            worker_epoch: 999_000,
+            tick: 7,
+            period_ns: 30,
+            first_sent_ns: 0,
+            compute_start_ns: 5_080,
+            sent_ns: 5_100,
+            ..ForecastHeader::default()
+        };
+        let row = Forecast {
+            stamp_ns: 5_050,
+            target_ns: 5_083,
+            reading_age_ns: 4,
+            source_epoch: 999_000,
+            ..Forecast::default()
+        };
+        let mut frame = Frame::<Forecasts> {
+            header,
+            rows: vec![row],
+        };
+        let mut rebase = Rebase::new(RECORDED, now);
+        rebase.frame(&mut frame, now, 2.5);
+        let Frame { header: sent, rows } = frame;
+        let expected = ForecastHeader {
+            pid: std::process::id(),
+            worker_epoch: 1_084_000,
+            period_ns: 75,
+            compute_start_ns: 89_980,
+            sent_ns: 90_000,
+            sent_unix_ns: 2_000_000,
+            ..header
+        };
+        assert_eq!(sent, expected);
+        let expected = Forecast {
+            stamp_ns: 90_050,
+            target_ns: 90_083,
+            source_epoch: 1_084_000,
+            ..row
+        };
+        assert_eq!(rows, [expected]);
+        assert_eq!(rebase.newest_ns, 90_050);
     }
 }

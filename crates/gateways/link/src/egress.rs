@@ -9,25 +9,25 @@ use serde::Serialize;
 
 use crate::network::{Event, Inbox, Kind, Network, NetworkError, Outlet};
 use crate::protocol::carried::Carried;
-use crate::protocol::message::{Body, FleetId, Request, Voice, read};
+use crate::protocol::message::{Body, FleetId, LeaderStatus, Request, read};
 use crate::protocol::stream::{LocalFrame, Sent, Stream};
 use crate::refusals::Refusals;
 use crate::wall_clock::WallClock;
 
 /// Maximum number of receivers at a time.
-const MOST_RECEIVERS: usize = 64;
+const MAX_RECEIVERS: usize = 64;
 
 /// Maximum number of past receivers with a record of their own. Further ones share one record,
 /// because a client may request under any number of names.
-const MOST_PAST: usize = 256;
+const MAX_PAST_RECEIVERS: usize = 256;
 const OTHERS: &str = "others";
 
 /// Maximum size of a request, bytes.
-const LONGEST_REQUEST: usize = 4 << 10;
+const MAX_REQUEST_BYTES: usize = 4 << 10;
 
 /// Totals of the frames sent to one link.
 #[derive(Debug, Clone, Serialize)]
-pub(crate) struct GivenRecord {
+pub(crate) struct EgressRecord {
     pub(crate) to: String,
     #[serde(flatten)]
     pub(crate) sent: Sent,
@@ -35,7 +35,7 @@ pub(crate) struct GivenRecord {
 
 /// The streams of one kind of frames to all their receivers.
 #[derive(Debug)]
-pub(crate) struct Giving {
+pub(crate) struct Egress {
     network: Arc<Network>,
     kind: Kind,
     /// The links that may request. Without it all links may.
@@ -45,19 +45,19 @@ pub(crate) struct Giving {
     streams: BTreeMap<Arc<str>, (Stream, Outlet)>,
     /// Totals of receivers that have left.
     past: BTreeMap<Arc<str>, Sent>,
-    pub(crate) voice: Voice,
+    pub(crate) leader: LeaderStatus,
     clock: WallClock,
     pub(crate) refused: Refusals,
 }
 
-impl Giving {
+impl Egress {
     pub(crate) fn open(
         network: &Arc<Network>,
         kind: Kind,
         only: Option<Vec<String>>,
         fleet: FleetId,
     ) -> Result<Self, NetworkError> {
-        let mut inbox = Inbox::new(LONGEST_REQUEST);
+        let mut inbox = Inbox::new(MAX_REQUEST_BYTES);
         network.take_requests(kind, &mut inbox)?;
         Ok(Self {
             network: Arc::clone(network),
@@ -67,7 +67,7 @@ impl Giving {
             inbox,
             streams: BTreeMap::new(),
             past: BTreeMap::new(),
-            voice: Voice::default(),
+            leader: LeaderStatus::default(),
             clock: network.wall_clock(),
             refused: Refusals::default(),
         })
@@ -107,7 +107,7 @@ impl Giving {
     ///
     /// # Errors
     /// [`NetworkError`].
-    pub(crate) fn turn(&mut self) -> Result<(), NetworkError> {
+    pub(crate) fn poll(&mut self) -> Result<(), NetworkError> {
         self.take()?;
         let now_ns = clock::monotonic_ns();
         let silent = |(name, (stream, _)): (&Arc<str>, &(Stream, Outlet))| {
@@ -117,12 +117,12 @@ impl Giving {
         for name in silent {
             self.forget(&name);
         }
-        let voice = self.voice;
+        let leader = self.leader;
         let realtime_ns = self.clock.read().map(|clock| clock.realtime_ns);
         for (stream, outlet) in self.streams.values_mut() {
-            stream.tells(realtime_ns);
+            stream.set_realtime(realtime_ns);
             let mut out = Vec::new();
-            while stream.due(voice, now_ns, &mut out) {
+            while stream.due(leader, now_ns, &mut out) {
                 outlet.send(std::mem::take(&mut out));
             }
         }
@@ -133,8 +133,8 @@ impl Giving {
     fn forget(&mut self, name: &Arc<str>) {
         if let Some((stream, _)) = self.streams.remove(name) {
             tracing::info!("link {name} no longer asks");
-            let is_told = self.past.len() < MOST_PAST || self.past.contains_key(name);
-            let name = if is_told {
+            let is_logged = self.past.len() < MAX_PAST_RECEIVERS || self.past.contains_key(name);
+            let name = if is_logged {
                 Arc::clone(name)
             } else {
                 OTHERS.into()
@@ -155,9 +155,9 @@ impl Giving {
         }
         let only = self.only.as_deref();
         let is_allowed = only.is_none_or(|only| only.iter().any(|name| **name == **from));
-        if !is_allowed || self.streams.len() == MOST_RECEIVERS {
+        if !is_allowed || self.streams.len() == MAX_RECEIVERS {
             let why = if is_allowed {
-                format!("{MOST_RECEIVERS} links ask already")
+                format!("{MAX_RECEIVERS} links ask already")
             } else {
                 "the file of this link names another".to_owned()
             };
@@ -195,35 +195,35 @@ impl Giving {
         self.offer_to(|_| true, frame);
     }
 
-    /// Same as [`Giving::offer`], for the links that satisfy `meant`.
+    /// Same as [`Egress::offer`], for the links that satisfy `meant`.
     pub(crate) fn offer_to(&mut self, meant: impl Fn(&str) -> bool, frame: LocalFrame<'_>) {
-        let (voice, now_ns) = (self.voice, clock::monotonic_ns());
+        let (leader, now_ns) = (self.leader, clock::monotonic_ns());
         let streams = self.streams.iter_mut();
         for (_, (stream, outlet)) in streams.filter(|(name, _)| meant(name)) {
             let mut out = Vec::new();
-            if stream.offer(frame, voice, now_ns, &mut out) {
+            if stream.offer(frame, leader, now_ns, &mut out) {
                 outlet.send(out);
             }
         }
     }
 
     /// Sends the worker's current state to all receivers.
-    pub(crate) fn tell(&mut self) {
-        let (voice, now_ns) = (self.voice, clock::monotonic_ns());
+    pub(crate) fn send_status(&mut self) {
+        let (leader, now_ns) = (self.leader, clock::monotonic_ns());
         for (stream, outlet) in self.streams.values_mut() {
             let mut out = Vec::new();
-            stream.tell(voice, now_ns, &mut out);
+            stream.write_status(leader, now_ns, &mut out);
             outlet.send(out);
         }
     }
 
     /// The totals sent, by link.
-    pub(crate) fn records(&self) -> Vec<GivenRecord> {
+    pub(crate) fn records(&self) -> Vec<EgressRecord> {
         let mut all = self.past.clone();
         for (name, (stream, _)) in &self.streams {
             add(all.entry(Arc::clone(name)).or_default(), stream.sent());
         }
-        let record = |(name, sent): (Arc<str>, Sent)| GivenRecord {
+        let record = |(name, sent): (Arc<str>, Sent)| EgressRecord {
             to: name.to_string(),
             sent,
         };

@@ -8,19 +8,19 @@ use joulebus_standby::{Permit, PermitError, Places};
 
 /// Whether this host's worker leads its shard, and in which term. Shared by the threads.
 #[derive(Debug)]
-pub(crate) struct Turn {
+pub(crate) struct Leadership {
     places: Places,
     /// Term in which this host leads; 0 if another or no candidate does.
     term: AtomicU64,
     /// As [`Permit::until_ns`].
     until_ns: AtomicU64,
     /// Highest term in which any candidate is known to have led, this one included.
-    heard: AtomicU64,
+    highest_term: AtomicU64,
     /// When this host's worker last sent as leader, monotonic ns.
-    able_ns: AtomicU64,
+    active_ns: AtomicU64,
 }
 
-impl Turn {
+impl Leadership {
     /// Continues with the permit of the previous link on this host, if it still holds.
     ///
     /// # Errors
@@ -29,17 +29,17 @@ impl Turn {
         let now_ns = clock::monotonic_ns();
         let boot_ns = clock::boot_ns();
         let permit = Permit::read(&places.permit)?.filter(|permit| permit.holds(boot_ns));
-        let turn = Self {
+        let leadership = Self {
             places,
             term: AtomicU64::new(0),
             until_ns: AtomicU64::new(0),
-            heard: AtomicU64::new(0),
-            able_ns: AtomicU64::new(now_ns),
+            highest_term: AtomicU64::new(0),
+            active_ns: AtomicU64::new(now_ns),
         };
         if let Some(permit) = &permit {
-            turn.begin(permit);
+            leadership.begin(permit);
         }
-        Ok((turn, permit))
+        Ok((leadership, permit))
     }
 
     pub(crate) const fn places(&self) -> &Places {
@@ -70,11 +70,11 @@ impl Turn {
     }
 
     fn begin(&self, permit: &Permit) {
-        self.hear(permit.term);
+        self.observe_term(permit.term);
         if self.term.load(Ordering::Acquire) != permit.term {
             self.term.store(0, Ordering::Release);
             // Give a new leader time to restore a state.
-            self.worker_works();
+            self.worker_active();
         }
         let until_ns = permit.until_ns.unwrap_or(u64::MAX);
         self.until_ns.store(until_ns, Ordering::Release);
@@ -91,22 +91,23 @@ impl Turn {
     }
 
     /// Notes that this host's worker has sent, or has just been permitted to.
-    pub(crate) fn worker_works(&self) {
-        self.able_ns.store(clock::monotonic_ns(), Ordering::Release);
+    pub(crate) fn worker_active(&self) {
+        self.active_ns
+            .store(clock::monotonic_ns(), Ordering::Release);
     }
 
     /// Time since this host's worker last sent, ns.
     pub(crate) fn idle_ns(&self) -> u64 {
-        let able_ns = self.able_ns.load(Ordering::Acquire);
-        clock::monotonic_ns().saturating_sub(able_ns)
+        let active_ns = self.active_ns.load(Ordering::Acquire);
+        clock::monotonic_ns().saturating_sub(active_ns)
     }
 
     /// Notes a term in which a candidate leads or has led.
-    pub(crate) fn hear(&self, term: u64) {
-        self.heard.fetch_max(term, Ordering::AcqRel);
+    pub(crate) fn observe_term(&self, term: u64) {
+        self.highest_term.fetch_max(term, Ordering::AcqRel);
     }
 
-    pub(crate) fn heard(&self) -> u64 {
-        self.heard.load(Ordering::Acquire)
+    pub(crate) fn highest_term(&self) -> u64 {
+        self.highest_term.load(Ordering::Acquire)
     }
 }

@@ -13,11 +13,11 @@ use crate::refusals::Refusals;
 use crate::wall_clock::WallClock;
 
 /// Time without any message after which a link is reported as absent.
-pub(crate) const ABSENT_AFTER_NS: u64 = 5_000_000_000;
+pub(crate) const ABSENCE_TIMEOUT_NS: u64 = 5_000_000_000;
 
 /// Totals of the frames received from one link.
 #[derive(Debug, Clone, Serialize)]
-pub(crate) struct TakenRecord {
+pub(crate) struct IngressRecord {
     pub(crate) from: String,
     #[serde(flatten)]
     pub(crate) received: Received,
@@ -41,7 +41,7 @@ pub(crate) struct TakenRecord {
 
 /// The stream from one link.
 #[derive(Debug)]
-pub(crate) struct Taking {
+pub(crate) struct Ingress {
     from: String,
     fleet: FleetId,
     /// Maximum number of elements of a frame.
@@ -57,7 +57,7 @@ pub(crate) struct Taking {
     pub(crate) refused: Refusals,
 }
 
-impl Taking {
+impl Ingress {
     /// Subscribes the inbox to frames of the link `from`.
     pub(crate) fn open(
         network: &Arc<Network>,
@@ -106,13 +106,13 @@ impl Taking {
         };
         let (number, before) = (message.number, self.receiver.received());
         let contradictions = self.receiver.offset().contradictions;
-        self.receiver.reads(self.clock.read());
+        self.receiver.set_clock(self.clock.read());
         let taken = self.receiver.take(&message, bytes.len(), arrived_ns);
         let after = self.receiver.received();
         if before.contested == 0 && after.contested > 0 {
             tracing::warn!(
-                "another link than the one that is heard sends as {from}, and is not heard: the files of two hosts have this name, or \
-                 a stranger does; give each link a name of its own",
+                "a second link sends as {from}, and is ignored: the files of two hosts have this name, or a \
+                 stranger uses it; give each link a name of its own",
                 from = self.from
             );
         }
@@ -139,22 +139,22 @@ impl Taking {
     }
 
     /// Sends a request if one is due, and logs once that the link is absent.
-    pub(crate) fn ask(&mut self) {
+    pub(crate) fn request_if_due(&mut self) {
         let now_ns = clock::monotonic_ns();
-        if let Some(request) = self.receiver.ask(now_ns) {
+        if let Some(request) = self.receiver.request_if_due(now_ns) {
             self.outlet.send(request);
         }
         if !self.is_known {
-            let is_heard = self.receiver.is_heard();
-            let is_absent = now_ns.saturating_sub(self.opened_ns) > ABSENT_AFTER_NS;
-            if is_absent && !is_heard {
+            let is_sending = self.receiver.is_sending();
+            let is_absent = now_ns.saturating_sub(self.opened_ns) > ABSENCE_TIMEOUT_NS;
+            if is_absent && !is_sending {
                 tracing::warn!(
                     "nothing has come from {from} so far: does its link run, can the two hosts reach each other, is {from} the name in \
                      its file and, with TLS, in its certificate, and does one of the files name the other's address?",
                     from = self.from
                 );
             }
-            self.is_known = is_heard || is_absent;
+            self.is_known = is_sending || is_absent;
         }
     }
 
@@ -162,11 +162,11 @@ impl Taking {
         &mut self.receiver
     }
 
-    pub(crate) fn record(&self) -> TakenRecord {
+    pub(crate) fn record(&self) -> IngressRecord {
         let offset = self.receiver.offset();
         let now_ns = clock::monotonic_ns();
         let uncertainty_ns = offset.uncertainty_ns(now_ns);
-        TakenRecord {
+        IngressRecord {
             from: self.from.clone(),
             received: self.receiver.received(),
             before_clock: self.before_clock,
@@ -174,7 +174,7 @@ impl Taking {
             clock_uncertainty_s: uncertainty_ns.map(|ns| ns as f64 * 1e-9),
             clock_refits: offset.refits,
             clock_steps: offset.steps,
-            clock_realtime: offset.is_kept(now_ns),
+            clock_realtime: offset.uses_realtime(now_ns),
             clock_contradictions: offset.contradictions,
             refused: self.refused.clone(),
         }

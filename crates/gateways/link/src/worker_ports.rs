@@ -10,8 +10,8 @@ use crate::protocol::carried::Carried;
 use crate::protocol::receiver::Accepted;
 use crate::protocol::shift::shift;
 
-/// The ports.
-pub(crate) struct Outlets {
+/// The worker's ports of this host.
+pub(crate) struct WorkerPorts {
     pub(crate) forecasts: Writer<Forecasts>,
     pub(crate) diagnostics: Writer<Diagnostics>,
     pub(crate) budgets: Writer<Budgets>,
@@ -19,11 +19,11 @@ pub(crate) struct Outlets {
     ticks: Writer<Ticks>,
     pub(crate) planners: Waker,
     runs: Runs,
-    /// Every how many ticks a frame comes, at least 1.
+    /// A frame comes every n-th tick, n at least 1.
     every: u32,
 }
 
-impl Outlets {
+impl WorkerPorts {
     pub(crate) fn open(bus: &Bus, config: &Config, every: u32) -> anyhow::Result<Self> {
         let limits = config.limits();
         Ok(Self {
@@ -45,7 +45,7 @@ impl Outlets {
         }
     }
 
-    /// Writes a frame where the worker of this host would.
+    /// Writes a frame as the worker of this host would.
     pub(crate) fn pass_on(&mut self, accepted: &Accepted<'_>) -> Result<(), PassError> {
         let to = (&mut self.runs, self.every);
         match accepted.frame.service {
@@ -58,14 +58,14 @@ impl Outlets {
             Carried::BUDGETS => pass_on(&mut self.budgets, accepted, to),
             Carried::PLAN_STATES => pass_on(&mut self.plan_states, accepted, to),
             Carried::TICKS => pass_on(&mut self.ticks, accepted, to),
-            // Not asked for, and therefore not accepted.
+            // Other services are not requested, and therefore not accepted.
             _ => Ok(()),
         }
     }
 }
 
-/// Writes a frame as of a slower worker of this host: consecutive where none is lost, so that readers miss only what was
-/// lost. A worker's frame from the future is refused.
+/// Writes a frame as of a slower worker of this host. Ticks are consecutive if no frame is lost, so
+/// that readers miss only lost ones. A worker's frame from the future is refused.
 pub(crate) fn pass_on<C: Channel>(
     writer: &mut Writer<C>,
     accepted: &Accepted<'_>,
@@ -89,7 +89,7 @@ pub(crate) fn pass_on<C: Channel>(
     Ok(())
 }
 
-/// The header of a frame with the times of this host, where every n-th tick has a frame.
+/// The header of a frame with the times of this host, if only every n-th tick has a frame.
 pub(crate) fn header_here<C: Channel>(
     accepted: &Accepted<'_>,
     every: u32,
@@ -97,7 +97,7 @@ pub(crate) fn header_here<C: Channel>(
     let mut header: C::Header = accepted.frame.header();
     shift(&mut header, accepted.offset_ns);
     if let Some(period_ns) = header.period_ns() {
-        // One of two periods without a frame is stale.
+        // A frame counts as stale after two periods without one.
         *period_ns = period_ns.saturating_mul(u64::from(every));
     }
     if accepted.frame.service == Carried::FORECASTS {
@@ -110,11 +110,11 @@ pub(crate) fn header_here<C: Channel>(
     Ok(header)
 }
 
-/// Runs of the worker. Planners take a later run for one with a greater number, and a host that has booted counts from
-/// the beginning.
+/// Maps the worker's runs to increasing numbers. Planners take the greater number for the later
+/// run, but a host that has booted restarts its clock.
 #[derive(Debug, Default)]
 pub(crate) struct Runs {
-    /// The worker's own number, and that under which it is known here.
+    /// The worker's own number, and its number on this host.
     now: Option<(u64, u64)>,
 }
 

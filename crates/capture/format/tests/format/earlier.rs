@@ -1,0 +1,55 @@
+//! A capture written by the program of 24 November 2026 (1bf363c, whose captures are those of the release df6ba14): it is read to
+//! the same bits, and the same is written.
+
+use std::collections::BTreeSet;
+use std::io::Cursor;
+
+use joulebus_capture_format::{ForEachChannel, Message, MessageKind, Reader};
+use joulebus_wire::{Channel, Queries};
+
+use crate::bits::{assert_described, assert_query, dynamic};
+
+/// Three messages of each kind, with arbitrary bits.
+const EARLIER: &[u8] = include_bytes!("../earlier.mcap");
+
+/// Compares a message with what the file's schema says of the same bytes.
+struct Same<'a>(&'a Message, &'a [u8]);
+
+impl ForEachChannel for Same<'_> {
+    fn channel<C: Channel>(&mut self, _: bool) {
+        let kind = MessageKind::of::<C>();
+        if self.0.kind() == Some(kind) {
+            let read = dynamic(kind, self.1);
+            if kind == MessageKind::of::<Queries>() {
+                assert_query(self.0.get().unwrap(), &read);
+            } else {
+                assert_described::<C>(self.0, &read);
+            }
+        }
+    }
+}
+
+#[test]
+fn an_earlier_capture_is_read_to_the_same_bits_and_the_same_is_written() {
+    let mut reader = Reader::new(Cursor::new(EARLIER)).unwrap();
+    let mut schemas = BTreeSet::new();
+    let mut count = 0;
+    for earlier in mcap::MessageStream::new(EARLIER).unwrap() {
+        let earlier = earlier.unwrap();
+        let entry = reader.next_entry().unwrap().unwrap();
+        let kind = entry.message.kind().unwrap();
+        let robot = entry.message.robot().unwrap_or(0);
+        assert_eq!(earlier.channel.topic, kind.topic("lab", robot));
+        let schema = earlier.channel.schema.as_ref().unwrap();
+        assert_eq!(schema.name, kind.schema());
+        assert!(*schema.data == kind.descriptors(), "{kind:?}");
+        schemas.insert(schema.name.clone());
+        let mut written = Vec::new();
+        entry.message.encode(&mut written);
+        assert_eq!(*earlier.data, written, "{kind:?}");
+        MessageKind::each_channel(&mut Same(&entry.message, &earlier.data));
+        count += 1;
+    }
+    assert!(reader.next_entry().unwrap().is_none());
+    assert_eq!((schemas.len(), count), (MessageKind::ALL.len(), 36));
+}
