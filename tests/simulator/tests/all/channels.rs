@@ -33,7 +33,9 @@ fn frames_of_any_channel_reach_readers_and_only_those_of_the_worker_are_read() {
     let (worker, reader, stranger) = (11, 12, 13);
     host::begin(1, 1_000_000_000);
     bus::begin();
-    [worker, reader, stranger].map(host::begin_life);
+    for pid in [worker, reader, stranger] {
+        host::begin_life(pid);
+    }
     let domain = Domain::new("test", Path::new("/dev/shm/test"), "jbt_").unwrap();
     let limits = Limits::default();
     let open = |pid| {
