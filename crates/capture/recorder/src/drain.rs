@@ -31,6 +31,8 @@ pub enum DrainError {
     Open(#[from] OpenError),
 }
 
+type Open = fn(&Bus, &Limits) -> Result<Box<dyn Intake>, OpenError>;
+
 /// A channel that is recorded.
 #[derive(Debug, Clone, Copy)]
 pub struct RecordedChannel {
@@ -38,7 +40,7 @@ pub struct RecordedChannel {
     pub kind: MessageKind,
     /// Whether its rows are repeated as messages of single robots, where that is asked for.
     pub has_robots: bool,
-    open: fn(&Bus, &Limits) -> Result<Box<dyn Intake>, OpenError>,
+    open: Open,
 }
 
 impl RecordedChannel {

@@ -11,10 +11,15 @@ use std::time::{Duration, Instant};
 
 use joulebus_bus::{Bus, Domain, SampleWriter, WorkerLock, Writer as BusWriter, clock};
 use joulebus_capture_format::{
-    Attachments, CaptureSettings, Clock, Entry, Frame, Message, ReadError, Reader, Times, Writer,
+    Attachments, CaptureSettings, Clock, Entry, Frame, Message, MessageKind, ReadError, Reader,
+    Times, Writer,
 };
-use joulebus_capture_recorder::{Options, Recorder, Snapshot, Summary, Target, attach, host_clock};
+use joulebus_capture_recorder::replay::{Moment, PlayedChannel, Rebase, ReplayPorts, now};
+use joulebus_capture_recorder::{
+    Options, RecordedChannel, Recorder, Snapshot, Summary, Target, attach, host_clock,
+};
 use joulebus_config::Config;
+use joulebus_testkit_channels::{Signal, SignalHeader, Signals};
 use joulebus_wire::{
     Budget, BudgetHeader, Budgets, Diagnostic, DiagnosticHeader, Diagnostics, Forecast,
     ForecastHeader, Forecasts, PlanState, PlanStateHeader, PlanStates, SCHEMA_VERSION, Sample,
@@ -35,7 +40,7 @@ struct Stage {
     budgets: BusWriter<Budgets>,
     plan_states: BusWriter<PlanStates>,
     ticks: BusWriter<Ticks>,
-    _bus: Bus,
+    bus: Bus,
     _lock: WorkerLock,
     source_epoch: u64,
     worker_epoch: u64,
@@ -74,7 +79,7 @@ impl Stage {
             budgets: bus.writer(&limits).unwrap(),
             plan_states: bus.writer(&limits).unwrap(),
             ticks: bus.writer(&limits).unwrap(),
-            _bus: bus,
+            bus,
             _lock: lock,
             source_epoch: clock::monotonic_ns(),
             worker_epoch: clock::monotonic_ns(),
@@ -710,4 +715,70 @@ fn no_files_are_left_in_shared_memory() {
     });
     assert_eq!(ours.count(), 0);
     assert!(!domain.root().exists());
+}
+
+#[test]
+fn a_channel_that_is_declared_elsewhere_is_recorded_and_played() {
+    let stage = Stage::new();
+    let (path, limits) = (stage.path("signals.mcap"), stage.config.limits());
+    let mut writer = stage.bus.writer::<Signals>(&limits).unwrap();
+    let mut options = Options::default();
+    options.channels.push(RecordedChannel::of::<Signals>(true));
+    let recorder = stage.record(Target::File(path.clone()), &options);
+    let begun_ns = clock::monotonic_ns();
+    // One is missing.
+    for tick in [1, 2, 4] {
+        let header = SignalHeader {
+            schema: SCHEMA_VERSION,
+            worker_epoch: stage.worker_epoch,
+            tick,
+            sent_ns: clock::monotonic_ns(),
+            ..SignalHeader::default()
+        };
+        let signal = |robot| Signal {
+            robot: robot as u32,
+            stamp_ns: begun_ns + tick,
+            level_dbm: tick as f32,
+            ..Signal::default()
+        };
+        writer.send(header, ROBOTS, signal).unwrap();
+    }
+    let summary = recorder.finish();
+    assert_eq!(lost(&summary, "joulebus/rec/signals"), 1, "{summary:?}");
+    let kind = MessageKind::of::<Signals>();
+    let reader = Reader::open(&path).unwrap().with_kinds([kind]);
+    let found: Vec<Entry> = reader.collect::<Result<_, _>>().unwrap();
+    assert_eq!(found.len(), 3);
+
+    let again = config("again", stage.config.root());
+    let domain = again.domain().unwrap();
+    let bus = Bus::join(&domain, "watch").unwrap();
+    let mut played = bus.reader::<Signals>(&limits).unwrap();
+    let channels = [PlayedChannel::of::<Signals>()];
+    let mut ports = ReplayPorts::open(&domain, &limits, &channels, &[kind]).unwrap();
+    let recorded = Moment {
+        monotonic_ns: begun_ns,
+        unix_ns: 0,
+    };
+    let mut rebase = Rebase::new(recorded, now());
+    for entry in found {
+        let recorded = entry.message.clone();
+        let mut message = entry.message;
+        ports.send(&mut message, &mut rebase, 1.0).unwrap();
+        let sent = message.frame::<Signals>().unwrap();
+        let received = played.take_next().unwrap().unwrap();
+        assert_eq!(
+            (received.header(), received.payload()),
+            (&sent.header, &sent.rows[..])
+        );
+        let Frame { header, rows } = recorded.frame::<Signals>().unwrap();
+        assert_eq!(header.tick, sent.header.tick);
+        let moved_ns = sent.rows[3].stamp_ns - rows[3].stamp_ns;
+        let restored = sent.rows.iter().map(|row| Signal {
+            stamp_ns: row.stamp_ns - moved_ns,
+            ..*row
+        });
+        assert_eq!(&restored.collect::<Vec<Signal>>(), rows);
+    }
+    ports.end();
 }

@@ -125,40 +125,34 @@ impl Assembler {
     }
 
     /// Takes a message; other kinds are ignored.
-    pub(super) fn push(&mut self, message: Message) {
-        if self.take(message).is_ok() {
-            self.release(false);
+    pub(super) fn push(&mut self, mut message: Message) {
+        if let Some(frame) = message.frame_mut::<Samples>() {
+            self.put(std::mem::take(frame));
+        } else if let Some(piece) = message.frame::<State>() {
+            self.add_piece(piece.header, &piece.rows);
+        } else if let (Some(kind), Some(place)) = (message.kind(), message.place())
+            && self.is_of_tick(kind)
+        {
+            let parts = self.parts(place, kind);
+            match message.into_frame::<Ticks>() {
+                Ok(journal) => {
+                    parts.journal = Some(journal);
+                    parts.wanted = None;
+                }
+                Err(output) => {
+                    parts.outputs.retain(|before| before.kind() != Some(kind));
+                    parts.outputs.push(output);
+                }
+            }
+        } else {
+            return;
         }
+        self.release(false);
     }
 
-    fn take(&mut self, message: Message) -> Result<(), Message> {
-        let message = match message.into_frame::<Samples>() {
-            Ok(samples) => return Ok(self.put(samples)),
-            Err(message) => message,
-        };
-        let message = match message.into_frame::<State>() {
-            Ok(piece) => return Ok(self.add_piece(piece.header, &piece.rows)),
-            Err(message) => message,
-        };
-        let (Some(kind), Some(Place { run, number })) = (message.kind(), message.place()) else {
-            return Err(message);
-        };
-        let message = match message.into_frame::<Ticks>() {
-            Ok(journal) => {
-                let parts = self.parts((run, number), kind);
-                parts.journal = Some(journal);
-                parts.wanted = None;
-                return Ok(());
-            }
-            Err(message) => message,
-        };
-        if !self.outputs.iter().any(|output| output.kind == kind) {
-            return Err(message);
-        }
-        let outputs = &mut self.parts((run, number), kind).outputs;
-        outputs.retain(|before| before.kind() != Some(kind));
-        outputs.push(message);
-        Ok(())
+    fn is_of_tick(&self, kind: MessageKind) -> bool {
+        let mut outputs = self.outputs.iter();
+        kind == MessageKind::of::<Ticks>() || outputs.any(|output| output.kind == kind)
     }
 
     /// Ends the input: releases the waiting parts.
@@ -222,7 +216,8 @@ impl Assembler {
             .is_some_and(|(first_run, first)| run == first_run && tick < first + WINDOW)
     }
 
-    fn parts(&mut self, (worker_epoch, tick): (u64, u64), kind: MessageKind) -> &mut TickParts {
+    fn parts(&mut self, place: Place, kind: MessageKind) -> &mut TickParts {
+        let (worker_epoch, tick) = (place.run, place.number);
         let newest = self.newest.entry((worker_epoch, kind)).or_default();
         *newest = tick.max(*newest);
         self.first.get_or_insert((worker_epoch, tick));

@@ -5,7 +5,7 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use bytemuck::cast_slice;
-use joulebus_capture_format::{Message, MessageKind, ReadError, Reader};
+use joulebus_capture_format::{Frame, Message, MessageKind, ReadError, Reader};
 use joulebus_dataset::rows::trial_rows as rows_of;
 use joulebus_dataset::trial::{Column, Row, Trial, TrialError};
 use joulebus_predictor::INPUTS;
@@ -76,36 +76,16 @@ pub(crate) fn read_capture<'py>(
 struct Readable {
     kind: MessageKind,
     /// Adds the wanted rows of a frame; returns its number, and that of the rows.
-    add: fn(&mut Vec<u8>, &Message, Option<&HashSet<u32>>) -> Option<(u64, usize)>,
+    add: fn(&mut Found, &Message) -> Option<(u64, usize)>,
 }
 
 impl Readable {
     const fn of<C: Channel>() -> Self {
         Self {
             kind: MessageKind::of::<C>(),
-            add: add::<C>,
+            add: Found::add::<C>,
         }
     }
-}
-
-fn add<C: Channel>(
-    bytes: &mut Vec<u8>,
-    message: &Message,
-    wanted: Option<&HashSet<u32>>,
-) -> Option<(u64, usize)> {
-    let frame = message.frame::<C>()?;
-    let number = frame.header.place().number;
-    let Some(wanted) = wanted else {
-        bytes.extend_from_slice(cast_slice(&frame.rows));
-        return Some((number, frame.rows.len()));
-    };
-    let is_wanted = |row: &&C::Row| C::robot(row).is_some_and(|robot| wanted.contains(&robot));
-    let mut added = 0;
-    for row in frame.rows.iter().filter(is_wanted) {
-        bytes.extend_from_slice(bytemuck::bytes_of(row));
-        added += 1;
-    }
-    Some((number, added))
 }
 
 struct Found {
@@ -157,17 +137,33 @@ impl Found {
             {
                 continue;
             }
-            let robots = self.robots.as_ref();
-            let added = (self.of.add)(&mut self.bytes, &entry.message, robots);
-            let Some((tick, rows)) = added else {
+            let Some((number, rows)) = (self.of.add)(self, &entry.message) else {
                 continue;
             };
             self.rows.push(rows as i64);
-            self.tick.push(tick);
+            self.tick.push(number);
             self.log_ns.push(entry.log_time_ns);
             self.sent_ns.push(entry.publish_time_ns);
         }
         false
+    }
+
+    /// Adds the wanted rows of a frame; returns its number, and that of the rows.
+    fn add<C: Channel>(&mut self, message: &Message) -> Option<(u64, usize)> {
+        let Frame { header, rows } = message.frame::<C>()?;
+        let number = header.place().number;
+        let Some(wanted) = &self.robots else {
+            self.bytes.extend_from_slice(cast_slice(rows));
+            return Some((number, rows.len()));
+        };
+        let mut added = 0;
+        for row in rows {
+            if C::robot(row).is_some_and(|robot| wanted.contains(&robot)) {
+                self.bytes.extend_from_slice(bytemuck::bytes_of(row));
+                added += 1;
+            }
+        }
+        Some((number, added))
     }
 
     /// Whether it was recorded, and of one fleet.

@@ -296,7 +296,7 @@ impl Encoder {
         for row in rows {
             self.reserve(table.longest + 2 * MAX_VARINT);
             self.inner(key, &mut guess, |this| {
-                this.write(table, bytemuck::bytes_of(row))
+                this.write(table, bytemuck::bytes_of(row));
             });
         }
     }
@@ -426,7 +426,7 @@ impl Encoder {
                     }
                 }
                 Form::Struct(table) => {
-                    self.inner(field.key, &mut 1, |this| this.write(table, from))
+                    self.inner(field.key, &mut 1, |this| this.write(table, from));
                 }
                 Form::Structs { of, elements, .. } => {
                     let size = of.empty.len();

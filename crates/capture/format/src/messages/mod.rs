@@ -140,7 +140,7 @@ impl Message {
     /// Its contents, if they are of this type.
     #[must_use]
     pub fn get<T: Content>(&self) -> Option<&T> {
-        let content: &dyn Any = &**self.known()?;
+        let content: &dyn Any = self.known()?;
         content.downcast_ref()
     }
 
@@ -155,9 +155,9 @@ impl Message {
         }
     }
 
-    const fn known(&self) -> Option<&Box<dyn Content>> {
+    fn known(&self) -> Option<&dyn Content> {
         match self {
-            Self::Known(content) => Some(content),
+            Self::Known(content) => Some(&**content),
             Self::Other { .. } => None,
         }
     }
@@ -165,7 +165,7 @@ impl Message {
     /// Its kind; `None` for messages of other programs.
     #[must_use]
     pub fn kind(&self) -> Option<MessageKind> {
-        self.known().map(|content| content.kind())
+        self.known().map(Content::kind)
     }
 
     /// Its robot, if it concerns a single one.

@@ -11,12 +11,14 @@ use joulebus_wire::{Channel, Flow, Forecasts, Samples, WakeEvent};
 
 pub use rebase::{Moment, Rebase};
 
+type Open = fn(&Bus, &Limits) -> Result<Box<dyn Outlet>, OpenError>;
+
 /// A channel that can be played.
 #[derive(Debug, Clone, Copy)]
 pub struct PlayedChannel {
     /// Kind of its messages.
     pub kind: MessageKind,
-    open: fn(&Bus, &Limits) -> Result<Box<dyn Outlet>, OpenError>,
+    open: Open,
 }
 
 impl PlayedChannel {

@@ -9,13 +9,14 @@ use joulebus_capture_format::{
 use joulebus_capture_verify::{Loss, Output, Verification, Verifier};
 use joulebus_fleet::Fleet;
 use joulebus_plan::{Fleet as PlanFleet, Plan, Question, Refused, RobotRows};
+use joulebus_testkit_channels::{Signal, SignalHeader, Signals};
 use joulebus_testkit_fleets::random::Noise;
 use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, Source, healthy};
 use joulebus_wire::{
-    AnswerHeader, BudgetHeader, Budgets, Channel, DiagnosticHeader, Diagnostics, Flow,
-    ForecastHeader, Forecasts, FrameRows, PlanStateHeader, PlanStates, QUERY_STEPS, QueryRecord,
-    QueryRefusal, Row, SCHEMA_VERSION, Sample, Samples, Service, State, StateHeader, TakenFrame,
-    TickHeader, Ticks, fnv1a, sample_flag, tick_flag,
+    AnswerHeader, BudgetHeader, Budgets, Channel, DiagnosticHeader, Diagnostics, Forecast,
+    ForecastHeader, Forecasts, PlanStateHeader, PlanStates, QUERY_STEPS, QueryRecord, QueryRefusal,
+    Row, SCHEMA_VERSION, Sample, Samples, State, StateHeader, TakenFrame, TickHeader, Ticks, fnv1a,
+    sample_flag, tick_flag,
 };
 use proptest::prelude::*;
 
@@ -570,24 +571,24 @@ fn frames_of_a_channel_that_is_declared_elsewhere_are_compared() {
     let mut messages = Vec::new();
     for message in recorded(4, 90) {
         if let Some(Frame { header, rows }) = message.frame::<Forecasts>() {
-            let mut header = StateHeader {
+            let mut header = SignalHeader {
                 worker_epoch: header.worker_epoch,
                 tick: header.tick,
-                ..StateHeader::default()
+                ..SignalHeader::default()
             };
-            header.total_bytes = 7 * header.tick;
+            header.sent_unix_ns = 7 * header.tick;
             let halves = rows.iter().map(half).collect();
-            messages.push(Message::of::<Halves>(header, halves));
+            messages.push(Message::of::<Signals>(header, halves));
         }
         messages.push(message);
     }
     let verify = |messages: &[Message]| {
         let verifier = Verifier::new(world::settings(CAPACITY), world::models()).unwrap();
-        let halves = Output::of::<Halves>(
-            &["total_bytes"],
-            |tick| StateHeader {
-                total_bytes: 7 * tick.journal.tick,
-                ..StateHeader::default()
+        let halves = Output::of::<Signals>(
+            &["sent_unix_ns"],
+            |tick| SignalHeader {
+                sent_unix_ns: 7 * tick.journal.tick,
+                ..SignalHeader::default()
             },
             |tick, place| half(&tick.fleet.forecast(place)),
         );
@@ -598,38 +599,23 @@ fn frames_of_a_channel_that_is_declared_elsewhere_are_compared() {
         report.is_clean() && report.not_recorded.is_empty(),
         "{report}"
     );
-    let is_it = |message: &Message| message.frame::<Halves>().is_some();
+    let is_it = |message: &Message| message.frame::<Signals>().is_some();
     let mut places = (0..messages.len()).filter(|place| is_it(&messages[*place]));
     let place = places.nth(70).unwrap();
     let mut spoilt = messages.clone();
-    spoilt[place].frame_mut::<Halves>().unwrap().rows[2].frame_seq ^= 1;
+    spoilt[place].frame_mut::<Signals>().unwrap().rows[2].noise_dbm = 1.0;
     let first = verify(&spoilt).first.unwrap();
-    assert_eq!((first.tick, &*first.field), (71, "taken_frame.frame_seq"));
+    assert_eq!((first.tick, &*first.field), (71, "signal.noise_dbm"));
     spoilt.remove(place);
     let report = verify(&spoilt);
-    assert_eq!(report.outputs_missing["halves"], 1, "{report}");
+    assert_eq!(report.outputs_missing["signals"], 1, "{report}");
 }
 
-#[derive(Debug, Clone, Copy)]
-struct Halves;
-
-impl Channel for Halves {
-    const SERVICE: Service = Service::named("halves");
-    const MESSAGE: &'static str = "Halves";
-    const FLOW: Flow = Flow::Planners {
-        kept: 0,
-        history: 0,
-    };
-    const ROWS: FrameRows = FrameRows::Taken;
-    type Header = StateHeader;
-    type Row = TakenFrame;
-}
-
-fn half(forecast: &joulebus_wire::Forecast) -> TakenFrame {
-    TakenFrame {
-        source_id: forecast.robot.into(),
-        frame_seq: (forecast.power_w / 2.0).to_bits().into(),
-        ..TakenFrame::default()
+fn half(forecast: &Forecast) -> Signal {
+    Signal {
+        robot: forecast.robot,
+        level_dbm: forecast.power_w / 2.0,
+        ..Signal::default()
     }
 }
 
