@@ -1,4 +1,5 @@
-//! Implausible readings: every verb that uses recordings names them, with the option that mends them, and stops.
+//! Implausible readings: every verb that uses recordings names them, with the option that mends
+//! them, and stops.
 
 use std::fs;
 use std::path::PathBuf;
@@ -19,7 +20,8 @@ const DOORS: [&str; 8] = [
     "model compare builtin:gternal-sim builtin:gternal-sim RECORDING --resamples 0",
 ];
 
-/// A recording of 24 V and some 2 A at 30 Hz: time, voltage, current, v, in these units and with this sign.
+/// A recording of 24 V and some 2 A at 30 Hz: time, voltage, current, v, in these units and with
+/// this sign.
 fn recording(fleet: &Fleet, name: &str, header: &str, [voltage, current]: [f64; 2]) -> PathBuf {
     let mut text = format!("{header}\n");
     for row in 0..600 {

@@ -1,6 +1,6 @@
 //! Commands that apply long after their controller fell silent.
 
-use crate::Observation;
+use crate::observation::Observation;
 
 /// Speeds that a command must have to be missed, m/s and rad/s.
 const COMMANDED_MPS: f64 = 0.05;

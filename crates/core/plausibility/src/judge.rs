@@ -4,6 +4,7 @@ use crate::clock::{RATE_HZ, Times};
 use crate::column::Column;
 use crate::finding::{Finding, Kind, Remedy, Severity};
 use crate::hold::Hold;
+use crate::observation::Observation;
 use crate::quantity::{Quantity, number};
 use crate::saturation::{saturated, wraps};
 use crate::sign::{Sign, negative_voltage};
@@ -20,61 +21,6 @@ const MIN_MISSING: u64 = 50;
 const MOSTLY: f64 = 0.5;
 /// Speed at which a robot drives, m/s.
 const DRIVES_MPS: f64 = 0.1;
-
-/// What was seen of a robot at one time, in SI units; NaN where it is unknown.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Observation {
-    /// Time, s since any start.
-    pub time_s: f64,
-    /// Commanded linear velocity, m/s.
-    pub v_mps: f64,
-    /// Commanded angular velocity, rad/s.
-    pub omega_radps: f64,
-    /// Measured linear velocity, m/s.
-    pub v_measured_mps: f64,
-    /// Measured angular velocity, rad/s.
-    pub omega_measured_radps: f64,
-    /// Electrical power, W.
-    pub power_w: f64,
-    /// Battery voltage, V.
-    pub voltage_v: f64,
-    /// Battery current, A.
-    pub current_a: f64,
-    /// State of charge, 0 to 1.
-    pub soc: f64,
-    /// Whether it is on a charger, if that is known.
-    pub charging: Option<bool>,
-}
-
-impl Observation {
-    /// Of a time, with nothing known.
-    #[must_use]
-    pub const fn at(time_s: f64) -> Self {
-        Self {
-            time_s,
-            v_mps: f64::NAN,
-            omega_radps: f64::NAN,
-            v_measured_mps: f64::NAN,
-            omega_measured_radps: f64::NAN,
-            power_w: f64::NAN,
-            voltage_v: f64::NAN,
-            current_a: f64::NAN,
-            soc: f64::NAN,
-            charging: None,
-        }
-    }
-
-    const fn value(&self, quantity: Quantity) -> f64 {
-        match quantity {
-            Quantity::Power => self.power_w,
-            Quantity::Voltage => self.voltage_v,
-            Quantity::Current => self.current_a,
-            Quantity::Soc => self.soc,
-            Quantity::V => self.v_mps,
-            Quantity::Omega => self.omega_radps,
-        }
-    }
-}
 
 /// What is known beforehand.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]

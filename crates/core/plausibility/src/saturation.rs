@@ -68,8 +68,9 @@ pub(crate) fn saturated(column: &Column) -> Option<(u64, f64)> {
 
 /// Dips by 2^16 of a monitor's steps: how many were seen, and their size.
 ///
-/// A load that is switched has equal steps as well, and a robot that brakes feeds energy back. So the
-/// dips have to end below 0, and only they; or the values fill a signed register from end to end.
+/// A load that is switched has equal steps as well, and a robot that brakes feeds energy back. So
+/// the dips have to end below 0, and only they; or the values fill a signed register from end to
+/// end.
 pub(crate) fn wraps(column: &Column) -> Option<(u64, f64)> {
     if !(column.least < 0.0 && column.greatest > 0.0) {
         return None;

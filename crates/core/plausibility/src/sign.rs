@@ -1,13 +1,13 @@
 //! Whether power and current are positive while the battery discharges.
 //!
-//! A robot that brakes or drives downhill feeds energy back, one on a charger takes it from there, and
-//! one that stands still still consumes. So readings are counted apart by motion, and where motion
-//! decides nothing, the battery does: its voltage falls while it delivers more, its charge falls while
-//! it delivers at all.
+//! A robot that brakes or drives downhill feeds energy back, one on a charger takes it from there,
+//! and one that stands still still consumes. So readings are counted apart by motion, and where
+//! motion decides nothing, the battery does: its voltage falls while it delivers more, its charge
+//! falls while it delivers at all.
 
-use crate::Observation;
 use crate::column::Column;
 use crate::finding::Severity;
+use crate::observation::Observation;
 
 /// Readings of a state of motion before they count.
 const MIN_READINGS: u64 = 20;
@@ -181,7 +181,8 @@ impl Sign {
             })
         };
         if self.moving.count() >= MIN_READINGS {
-            // Electronics never feed back: a robot that consumes at rest is one that drives downhill.
+            // Electronics never feed back: a robot that consumes at rest is one that drives
+            // downhill.
             let consumes_at_rest =
                 self.still.count() >= MIN_READINGS && self.still.negative_share() < 0.5;
             // A short stretch may be all braking.

@@ -1,7 +1,7 @@
 //! Whether magnitudes fit the units, by all values of a robot.
 //!
-//! Wheeled robots have batteries of 1 to 900 V and draw 5 mA to 300 A and 0.02 W to 20 kW, so that a
-//! factor of a thousand is seen. Power beside voltage and current is compared with their product.
+//! Wheeled robots have batteries of 1 to 900 V and draw 5 mA to 300 A and 0.02 W to 20 kW, so that
+//! a factor of a thousand is seen. Power beside voltage and current is compared with their product.
 
 use crate::column::Column;
 use crate::finding::{Finding, Kind, Remedy, Severity};
@@ -261,7 +261,8 @@ impl Magnitudes<'_> {
             );
             return Some(self.finding(Quantity::Soc, what, allowed.to_owned(), "percent"));
         }
-        // A percentage of a share. A battery that is nearly empty looks the same, so it has to vary.
+        // A percentage of a share. A battery that is nearly empty looks the same, so it has to
+        // vary.
         let is_hundredth = column.varies
             && column.greatest <= FULL / 100.0
             && column.greatest > 0.0

@@ -16,8 +16,8 @@ use serde::Serialize;
 /// Findings that the user lets through.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub(crate) struct AcceptArguments {
-    /// Findings to let through, because you know better: sign, unit, clock, hold, never-came, range, saturation,
-    /// constant
+    /// Findings to let through, because you know better: sign, unit, clock, hold, never-came,
+    /// range, saturation, constant
     #[arg(long, value_name = "FINDING,…", value_delimiter = ',')]
     pub(crate) accept: Vec<Kind>,
     /// The recordings were judged before.
@@ -61,7 +61,8 @@ impl AcceptArguments {
         }
     }
 
-    /// The option again, for a command that uses the same recordings: empty, or with a space in front.
+    /// The option again, for a command that uses the same recordings: empty, or with a space in
+    /// front.
     pub(crate) fn option(&self) -> String {
         let kinds: Vec<&str> = self.accept.iter().map(|kind| kind.name()).collect();
         match kinds.is_empty() {

@@ -26,8 +26,8 @@ pub(crate) struct Recordings {
 #[derive(Debug, Clone, Default, clap::Args)]
 pub(crate) struct ColumnArguments {
     /// Names of columns in CSV files, where they are not found by themselves:
-    /// time=timestamp_s,power=load_W (`data check --help` lists the accepted names); a minus turns the sign:
-    /// current_A=-i
+    /// time=timestamp_s,power=load_W (`data check --help` lists the accepted names); a minus turns
+    /// the sign: current_A=-i
     #[arg(long, value_name = "QUANTITY=COLUMN,…", value_delimiter = ',')]
     map: Vec<MappedColumn>,
     /// Sign of the current, and of a power that has its sign [default: discharge-positive; of bags
@@ -46,7 +46,8 @@ pub(crate) enum Sign {
 }
 
 impl ColumnArguments {
-    /// The options again, for a command that reads the same recordings: empty, or with a space in front.
+    /// The options again, for a command that reads the same recordings: empty, or with a space in
+    /// front.
     pub(crate) fn options(&self) -> String {
         let mut options = String::new();
         if !self.map.is_empty() {

@@ -464,8 +464,8 @@ impl Track {
         TimeSource::Log
     }
 
-    /// Whether the percentage is one, 0 to 100, though the message defines it as a share: one unit for
-    /// all readings.
+    /// Whether the percentage is one, 0 to 100, though the message defines it as a share: one unit
+    /// for all readings.
     fn has_percentages(&self) -> bool {
         let all = self.battery.items.iter();
         let known = all.filter(|(_, reading)| reading.soc.is_finite()).count() as u64;

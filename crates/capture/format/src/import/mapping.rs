@@ -16,8 +16,8 @@ pub enum TimeSource {
     /// joined with the other topics, else the log time.
     #[default]
     Auto,
-    /// The measurement time in its header; readings without a stamp are refused, other messages use the
-    /// log time.
+    /// The measurement time in its header; readings without a stamp are refused, other messages use
+    /// the log time.
     Header,
     /// The log time.
     Log,
@@ -80,7 +80,8 @@ const fn one() -> f64 {
 }
 
 /// Configuration of an import. As TOML: `time`, `burst_s`, `odometry_max_age_s`,
-/// `command_holds_s`, `command_expired`, `current`, and a table `[[robot]]` for each robot; without robots every battery topic is one.
+/// `command_holds_s`, `command_expired`, `current`, and a table `[[robot]]` for each robot; without
+/// robots every battery topic is one.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Mapping {

@@ -375,8 +375,8 @@ fn an_invalid_mapping_is_refused() {
     }
 }
 
-/// Readings with stamps that lie `ahead_s` before the time of recording, 0 for none; commands of 0.2 m/s in the
-/// first half, then 0, every 100 ms.
+/// Readings with stamps that lie `ahead_s` before the time of recording, 0 for none; commands of
+/// 0.2 m/s in the first half, then 0, every 100 ms.
 fn two_clocks(stamp: impl Fn(u64) -> u64, stamped: Option<u64>) -> Bag {
     let mut bag = Bag::new();
     bag.channel("/battery", "sensor_msgs/msg/BatteryState", "cdr", BATTERY);

@@ -315,8 +315,8 @@ impl fmt::Display for MappedColumn {
     }
 }
 
-/// How a recording is read: the columns that the caller names, and the sign of its current. The other
-/// columns are found by their spelling.
+/// How a recording is read: the columns that the caller names, and the sign of its current. The
+/// other columns are found by their spelling.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ColumnMap {
     columns: Vec<MappedColumn>,

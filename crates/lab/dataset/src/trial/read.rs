@@ -28,8 +28,8 @@ impl Table {
         Self::read_mapped(path, &ColumnMap::default())
     }
 
-    /// Same as [`Table::read_robots`], with names for the columns of a CSV, and the sign of the current
-    /// in any format.
+    /// Same as [`Table::read_robots`], with names for the columns of a CSV, and the sign of the
+    /// current in any format.
     ///
     /// # Errors
     /// Same as [`Table::read_robots`], and for a mapped column that the file lacks.

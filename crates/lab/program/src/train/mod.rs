@@ -103,9 +103,9 @@ fn simulated(sim: &Sim, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Trains on recordings that were judged before, by the default recipe. Returns false if the run was interrupted. `full`
-/// states that velocities are recorded. A few files are split in time, because there is no trial to
-/// hold out.
+/// Trains on recordings that were judged before, by the default recipe. Returns false if the run
+/// was interrupted. `full` states that velocities are recorded. A few files are split in time,
+/// because there is no trial to hold out.
 ///
 /// # Errors
 /// The recordings cannot be read or are too few, or the model cannot be written.
