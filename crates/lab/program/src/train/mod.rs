@@ -41,7 +41,7 @@ enum Verb {
         claim about real robots; its file states this.")]
     Sim(Sim),
     /// Train on recorded trials (.npy, .csv, .csv.gz), one robot per file
-    Trials(trials::Args),
+    Trials(Box<trials::Args>),
 }
 
 #[derive(Debug, clap::Args)]
