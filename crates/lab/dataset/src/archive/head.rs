@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::trial::SourceColumn;
+
 /// The metadata of a trial in its file, beside the rows.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Head {
@@ -23,6 +25,9 @@ pub struct Head {
     pub no_final_line_break: bool,
     /// Rows without a robot's name, while others have one.
     pub unnamed_rows: usize,
+    /// The columns of a CSV that were read.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub sources: Vec<SourceColumn>,
 }
 
 /// Exact integers of a row of a capture.

@@ -300,6 +300,7 @@ fn assemble(path: &Path, head: &Head, values: Values) -> Result<Table, TrialErro
         ignored_columns: head.ignored_columns.clone(),
         no_final_line_break: head.no_final_line_break,
         unnamed_rows: head.unnamed_rows,
+        sources: head.sources.clone(),
         ..Table::default()
     };
     let Values {

@@ -3,11 +3,13 @@
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
+
 use super::error::TrialError;
 use super::limits::{MAX_ROBOTS, MAX_ROWS};
 
 /// A column of a trial, without robot and time.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Column {
     /// Phase of the experiment, a number.
     Phase,
@@ -113,7 +115,7 @@ impl Column {
 }
 
 /// A column of a CSV that was read.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct SourceColumn {
     /// What it holds.
     pub column: Column,
@@ -276,6 +278,12 @@ impl Table {
                 }
             }
         }
+    }
+
+    /// The columns of a CSV that were read.
+    #[must_use]
+    pub fn sources(&self) -> &[SourceColumn] {
+        &self.sources
     }
 
     /// Removes a column.

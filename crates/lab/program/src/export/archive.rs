@@ -272,6 +272,7 @@ impl Adding<'_> {
             ignored_columns: table.ignored_columns().to_vec(),
             no_final_line_break: table.no_final_line_break(),
             unnamed_rows: table.unnamed_rows(),
+            sources: table.sources().to_vec(),
         };
         let unix_ns = stamps.and_then(|stamps| stamps.first());
         let unix_ns = unix_ns.map(|stamp| stamp.unix_ns);
