@@ -47,7 +47,14 @@ fn the_core_uses_no_clock_file_thread_or_shared_memory() {
         "tracing",
         "joulebus_bus",
     ];
-    let pure = ["settings", "fleet", "energy", "plan", "predictor"];
+    let pure = [
+        "settings",
+        "fleet",
+        "energy",
+        "plan",
+        "predictor",
+        "plausibility",
+    ];
     for name in pure {
         assert_eq!(places(&src(name), &words, &[]), Vec::<String>::new());
     }
