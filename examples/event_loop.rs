@@ -1,5 +1,6 @@
-//! A planner in an event loop that waits for other things as well, here of tokio: forecasts, a timer, and the worker's
-//! exit. `cargo run -p joulebus-examples --example event_loop configs/fleet.toml`
+//! A planner in an event loop that waits for other things as well, here of tokio: forecasts, a
+//! timer, and the worker's exit.
+//! `cargo run -p joulebus-examples --example event_loop configs/fleet.toml`
 //!
 //! `epoll` and mio wait for the same descriptor.
 

@@ -66,7 +66,7 @@ impl<'a, C: Channel> Frame<'a, C> {
     }
 }
 
-/// A frame of forecasts that is kept beyond the next call: [`crate::Subscriber::keep`]. Belongs to the planner's thread,
+/// A frame of forecasts that is kept beyond the next call: [`crate::Subscriber::take_current`]. Belongs to the planner's thread,
 /// and may outlive the planner.
 #[derive(Debug)]
 pub struct KeptForecasts(pub(crate) KeptFrame<Forecasts>);

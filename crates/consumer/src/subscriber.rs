@@ -25,13 +25,13 @@ type Each<'a> = &'a mut dyn FnMut(&ForecastHeader, &[Forecast]);
 
 /// A reader of forecasts: for planners, live views, recorders.
 ///
-/// | method | waits | returns |
-/// |---|---|---|
-/// | [`wait_next`](Self::wait_next) | for something new | the newest frame, or what happened |
-/// | [`wait_each`](Self::wait_each) | for something new | the same, after a call for each frame since |
-/// | [`latest`](Self::latest) | no | the newest frame, also one that was returned before |
-/// | [`current`](Self::current) | no | the frame that was returned last, without looking for another |
-/// | [`take_current`](Self::take_current) | no | the same, which the caller keeps: `current` is then `None` |
+/// | method | returns |
+/// |---|---|
+/// | [`wait_next`](Self::wait_next) | after a wait: the newest frame, or what happened |
+/// | [`wait_each`](Self::wait_each) | the same, after a call for each frame since |
+/// | [`latest`](Self::latest) | at once: the newest frame, also one returned before |
+/// | [`current`](Self::current) | the frame returned last, without looking for another |
+/// | [`take_current`](Self::take_current) | the same, to keep: `current` is then `None` |
 ///
 /// [`readiness`](Self::readiness) is for programs that wait for something else as well.
 ///
@@ -185,7 +185,7 @@ impl Subscriber {
 
     /// Waits until there is a frame that was not returned before, the worker ends or is stale, a
     /// signal arrives, or `timeout` is over. Of several frames it returns the newest; skipped ones
-    /// are counted in [`Forecasts::arrival`]. A frame takes precedence over the other events.
+    /// are counted in [`Frame::arrival`]. A frame takes precedence over the other events.
     /// Allocates nothing.
     ///
     /// # Errors
@@ -258,42 +258,26 @@ impl Subscriber {
         Some(Frame::new(held, number, &self.index, self.arrival))
     }
 
-    /// Takes the frame of [`Subscriber::current`] out, as [`Option::take`] does, to keep it in shared memory beyond the
-    /// next call. There is no current one then until a newer frame arrives. Two may be kept: with more,
-    /// reading is an error until one is dropped.
+    /// Takes the frame of [`Subscriber::current`] out, as [`Option::take`] does, to keep it in shared
+    /// memory beyond the next call. There is no current one then until a newer frame arrives. Two may
+    /// be kept: with more, reading is an error until one is dropped.
     #[must_use]
     pub fn take_current(&mut self) -> Option<KeptForecasts> {
         self.reader.take_held().map(KeptForecasts)
     }
 
-    /// A descriptor that is readable when [`Subscriber::wait_next`] is likely to have something to return, for
-    /// `epoll`, tokio or mio. It is readable when a frame has arrived or the worker's process has exited.
+    /// A descriptor that is readable when [`Subscriber::wait_next`] is likely to have something to
+    /// return, for `epoll`, tokio or mio. It is readable when a frame has arrived or the worker's
+    /// process has exited.
     ///
-    /// - **When it is readable**, call [`Subscriber::wait_next`] with a timeout of zero until it returns
-    ///   [`Event::TimedOut`]. It may return that at once.
-    /// - **Call it without readiness as well**, within [`Subscriber::look_within`]: the descriptor tells nothing of a
-    ///   worker that is silent ([`Event::Stale`]), nor of signals, and may miss a frame that arrives while
-    ///   an earlier one is read. Of a [polling](Subscriber::polling) subscriber it tells the worker's exit only.
+    /// - **When it is readable**, call [`Subscriber::wait_next`] with a timeout of zero until it
+    ///   returns [`Event::TimedOut`]. It may return that at once.
+    /// - **Call it without readiness as well**, within [`Subscriber::look_within`]. The descriptor
+    ///   tells nothing of a worker that is silent ([`Event::Stale`]), nor of signals, and may miss a
+    ///   frame that arrives while an earlier one is read. Of a [polling](Subscriber::polling)
+    ///   subscriber it tells the worker's exit only.
     ///
-    /// ```no_run
-    /// # use joulebus_consumer::{Event, Subscriber};
-    /// # use std::time::Duration;
-    /// # async fn example(mut subscriber: Subscriber) -> anyhow::Result<()> {
-    /// let readiness = tokio::io::unix::AsyncFd::new(subscriber.readiness()?)?;
-    /// loop {
-    ///     match subscriber.wait_next(Duration::ZERO)? {
-    ///         Event::Frame(frame) => println!("tick {}", frame.header().tick),
-    ///         Event::TimedOut => {
-    ///             let ready = tokio::time::timeout(subscriber.look_within(), readiness.readable());
-    ///             if let Ok(ready) = ready.await {
-    ///                 ready?.clear_ready();
-    ///             }
-    ///         }
-    ///         _ => println!("do not rely on forecasts"),
-    ///     }
-    /// }
-    /// # }
-    /// ```
+    /// `examples/event_loop.rs` does so with tokio.
     ///
     /// # Errors
     /// The operating system's, when it has no descriptor left.
@@ -310,8 +294,8 @@ impl Subscriber {
         Ok(readiness)
     }
 
-    /// The longest time to wait for [`Subscriber::readiness`] before [`Subscriber::wait_next`] is called anyway. At most
-    /// 100 ms.
+    /// The longest time to wait for [`Subscriber::readiness`] before [`Subscriber::wait_next`] is
+    /// called anyway. At most 100 ms.
     #[must_use]
     pub fn look_within(&self) -> Duration {
         let left_ns = self.next_look_ns().saturating_sub(clock::monotonic_ns());

@@ -19,6 +19,7 @@ use serde_json::json;
 
 use crate::config::{MqttSettings, Ros2Settings, RosWrite, Settings};
 use crate::mapping::account::UnmappedRecord;
+use crate::mapping::judgement::Implausible;
 use crate::mapping::outgoing::What;
 use crate::mapping::ros::incoming::RosRoute;
 use crate::mapping::ros::names::ros_type;
@@ -50,6 +51,8 @@ struct BridgeReport {
     not_written: u64,
     /// Messages and values that could not be mapped.
     unmapped: Vec<UnmappedRecord>,
+    /// What robots report that is implausible.
+    implausible: Vec<Implausible>,
 }
 
 impl BridgeReport {
@@ -324,6 +327,9 @@ impl Bridge {
         ended.extend(self.connections.drain(..).map(join));
         ended.into_iter().collect::<anyhow::Result<()>>()?;
         let outlet = self.outlet.as_ref();
+        // Guards in one expression would wait for each other.
+        let implausible = self.shared.intake().judgement().records();
+        let unmapped = self.shared.account().records();
         Ok(BridgeReport {
             fleet: config.fleet().to_owned(),
             bridge: settings.name.clone(),
@@ -335,7 +341,8 @@ impl Bridge {
             not_written: self.lost.load(Ordering::Relaxed)
                 + self.ros2.lost()
                 + outlet.map_or(0, |outlet| outlet.lost()),
-            unmapped: self.shared.account().records(),
+            unmapped,
+            implausible,
         })
     }
 }
@@ -368,6 +375,7 @@ impl fmt::Display for BridgeReport {
             written,
             not_written,
             unmapped,
+            implausible,
         } = self;
         writeln!(
             out,
@@ -384,9 +392,13 @@ impl fmt::Display for BridgeReport {
             "published {samples} samples in {frames} frames, {frames_unheard} without a worker, {frames_failed} not sent"
         )?;
         writeln!(out, "wrote {written} messages, {not_written} lost")?;
-        unmapped
-            .iter()
-            .try_for_each(|line| writeln!(out, "not mapped: {line}"))
+        for line in unmapped {
+            writeln!(out, "not mapped: {line}")?;
+        }
+        implausible.iter().try_for_each(|one| {
+            let (robot, finding, remedy) = (one.robot, &one.finding, &one.remedy);
+            writeln!(out, "implausible: robot {robot}: {finding}: {remedy}")
+        })
     }
 }
 
@@ -462,6 +474,7 @@ mod tests {
                 written: 0,
                 not_written,
                 unmapped: Vec::new(),
+                implausible: Vec::new(),
             };
             assert_eq!(report.outcome(unmapped), outcome, "{report:?}");
         }

@@ -17,6 +17,9 @@ use crate::shared::Shared;
 /// Maximum sleep: the delay until a stop is noticed.
 const POLL_INTERVAL_NS: u64 = 50_000_000;
 
+/// Interval of logging what is implausible.
+const LOG_EVERY_NS: u64 = 1_000_000_000;
+
 /// Totals of the published frames.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
 pub(crate) struct PublishedRecord {
@@ -49,6 +52,7 @@ pub(crate) fn run(
     ready();
     let mut groups = groups(config, robots, clock::monotonic_ns());
     let (mut record, mut states) = (PublishedRecord::default(), Vec::new());
+    let mut news_ns = clock::monotonic_ns();
     while !shared.is_stopped() {
         let now_ns = clock::monotonic_ns();
         let due_ns = groups.iter().map(|group| group.grid.due_ns()).min();
@@ -70,6 +74,10 @@ pub(crate) fn run(
                         .filter_map(|robot| intake.sample(*robot, now_ns)),
                 );
             }
+        }
+        if now_ns >= news_ns {
+            news_ns = now_ns + LOG_EVERY_NS;
+            shared.log_news();
         }
         if !states.is_empty() {
             count(

@@ -37,11 +37,15 @@ impl Shared {
         lock(&self.account)
     }
 
-    /// Logs each unmapped message of a new reason or name.
+    /// Logs each unmapped message of a new reason or name, and each new implausible value.
     pub(crate) fn log_news(&self) {
         let news = self.account().take_news();
         for line in news {
             say(&format!("not mapped: {line}"));
+        }
+        let news = self.intake().judgement().take_news();
+        for line in news {
+            say(&format!("implausible: {line}"));
         }
     }
 

@@ -31,7 +31,7 @@ pub use names::{ColumnMap, MapError, MappedColumn, Quantity, column_names};
 pub use note::{Gap, TrialNotes};
 pub use resample::{Method, Resample, ResampleError, Resampled};
 pub use stored::Stored;
-pub use table::{Column, Table};
+pub use table::{Column, SourceColumn, Table};
 pub use write::{Form, Row, WriteError};
 
 pub(crate) use table::Cell;
@@ -48,6 +48,7 @@ pub struct Trial {
     offset_ns: Vec<i64>,
     period_ns: u64,
     columns: Columns,
+    sources: Vec<SourceColumn>,
     notes: TrialNotes,
 }
 
@@ -79,6 +80,7 @@ impl Trial {
             ignored_columns,
             no_final_line_break,
             unnamed_rows,
+            sources,
         } = table;
         for column in &mut columns {
             if column
@@ -103,6 +105,7 @@ impl Trial {
             offset_ns,
             period_ns,
             columns,
+            sources,
             notes: TrialNotes::default(),
         };
         trial.notes = TrialNotes {
@@ -171,6 +174,12 @@ impl Trial {
     #[must_use]
     pub fn period_ns(&self) -> u64 {
         self.period_ns
+    }
+
+    /// The columns of a CSV that were read; empty for other formats, which state their units.
+    #[must_use]
+    pub fn sources(&self) -> &[SourceColumn] {
+        &self.sources
     }
 
     /// Quality notes on the trial.

@@ -15,6 +15,7 @@ use joulebus_program::model_source;
 use joulebus_program::output::Output;
 use serde::Serialize;
 
+use crate::judgement::{AcceptArguments, report};
 use crate::recordings::{Recordings, Resampling, open};
 use crate::split_unit::SplitUnit;
 
@@ -33,6 +34,8 @@ use crate::split_unit::SplitUnit;
 pub(crate) struct Args {
     #[command(flatten)]
     recordings: Recordings,
+    #[command(flatten)]
+    accept: AcceptArguments,
     /// Lags of the autocorrelation, 1 to 10,000
     #[arg(long, value_name = "N", default_value_t = 10)]
     lags: usize,
@@ -85,15 +88,14 @@ struct AnalyzeReport {
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let models = args.models()?;
     let recordings = open(args.recordings.find()?, &args.recordings.map())?;
+    let implausible = args.accept.recordings(&recordings)?;
     let analysis = analyze(&recordings, &args.settings(), &models);
     let analysis = analysis.map_err(|error| match error {
         AnalyzeError::Trial(error) => anyhow::Error::from(error),
         error => UsageError(error.to_string()).into(),
     })?;
-    output.report(&AnalyzeReport {
-        analysis,
-        each: args.each,
-    })?;
+    let each = args.each;
+    report(output, &AnalyzeReport { analysis, each }, implausible)?;
     Ok(Outcome::Done)
 }
 

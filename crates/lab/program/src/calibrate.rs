@@ -19,6 +19,7 @@ use joulebus_settings::Platform;
 use serde::Serialize;
 
 use crate::eval::load;
+use crate::judgement::{AcceptArguments, report};
 use crate::recordings::Recordings;
 use joulebus_program::utc::Utc;
 
@@ -40,6 +41,8 @@ use joulebus_program::utc::Utc;
 pub(crate) struct Args {
     #[command(flatten)]
     recordings: Recordings,
+    #[command(flatten)]
+    accept: AcceptArguments,
     #[command(flatten)]
     config: ConfigFile,
     /// Platform of the config that recorded [default: the config's only platform]
@@ -88,6 +91,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         None => load_models(&config)?.swap_remove(place),
     };
     let (trials, recorded) = args.trials(own)?;
+    let implausible = args.accept.judge(&trials)?;
     let robots = args.robots.unwrap_or(recorded);
     say(&format!(
         "platform {}, model {}: {} recordings, a fleet of {robots} robots",
@@ -109,12 +113,13 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     if let Some(out) = &args.out {
         write(out, args.file(&config, place, &model, &found)?.as_bytes())?;
     }
-    output.report(&CalibrateReport {
+    let calibrated = CalibrateReport {
         platform: own.name.clone(),
         model: model.name().to_owned(),
         found,
         written: args.out.clone(),
-    })?;
+    };
+    report(output, &calibrated, implausible)?;
     Ok(Outcome::Done)
 }
 

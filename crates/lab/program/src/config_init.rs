@@ -15,6 +15,7 @@ use joulebus_program::output::{Output, say};
 use joulebus_settings::bounds;
 use serde::Serialize;
 
+use crate::judgement::{AcceptArguments, report};
 use crate::next_command::{recordings, word};
 use crate::recordings::{ColumnArguments, find_recordings};
 use crate::train::train_recordings;
@@ -36,6 +37,8 @@ pub(crate) struct Args {
     from: Vec<PathBuf>,
     #[command(flatten)]
     columns: ColumnArguments,
+    #[command(flatten)]
+    accept: AcceptArguments,
     /// Directory for fleet.toml, platforms/ and models/
     #[arg(short, long, value_name = "DIR", default_value = ".")]
     out: PathBuf,
@@ -81,6 +84,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     for file in &files {
         trials.extend(Trial::read_mapped(file, &map)?);
     }
+    let implausible = args.accept.judge(&trials)?;
     let Some(recorded) = profile(&trials) else {
         let what = "power is constant in all recordings, or there are fewer than two readings";
         return Err(UsageError(format!("{what}; give recordings of a working robot")).into());
@@ -121,24 +125,28 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         say(&format!("warning: {warning}"));
     }
     let (file, from) = (word(&places.fleet), recordings(&args.from));
+    let reading = args.columns.options() + &args.accept.option();
     let mut next = Vec::new();
     if model.is_none() {
         next.push(format!(
-            "joulebus train trials {from} --out {}",
+            "joulebus train trials {from} --out {}{reading}",
             word(&places.model)
         ));
     }
     next.push(format!("joulebus config check {file}"));
     next.push(format!("joulebus run --config {file}"));
-    next.push(format!("joulebus publish trial {from} --config {file}"));
-    output.report(&InitReport {
+    next.push(format!(
+        "joulebus publish trial {from} --config {file}{reading}"
+    ));
+    let written = InitReport {
         fleet: places.fleet,
         platform: places.platform,
         model: model.map(PathBuf::from),
         recorded,
         warnings,
         next,
-    })?;
+    };
+    report(output, &written, implausible)?;
     Ok(Outcome::Done)
 }
 

@@ -13,6 +13,7 @@ use joulebus_program::exit::Outcome;
 use joulebus_program::model_source;
 use joulebus_program::output::{Output, say};
 
+use crate::judgement::report;
 use part::PartArguments;
 pub(crate) use subject::{Selection, usage};
 
@@ -60,6 +61,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         Some(model) => vec![model.clone(); config.settings().platforms.len()],
     };
     let sections = args.asked.sections(config.settings(), named.is_some())?;
+    let implausible = args.asked.judge(&sections)?;
     if let Some(asked) = args.parts.asked() {
         return part::run(args, &asked, (&sections, &models), output);
     }
@@ -87,7 +89,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     if let (true, Some(error)) = (evaluations.is_empty(), refused) {
         return Err(error);
     }
-    output.report(&EvalReport::of_reported(evaluations))?;
+    report(output, &EvalReport::of_reported(evaluations), implausible)?;
     Ok(Outcome::Done)
 }
 

@@ -10,7 +10,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, anyhow, bail};
-use joulebus_capture_format::import::{Imported, Mapping, RobotReport};
+use joulebus_capture_format::import::{Imported, Mapping, RobotReport, Row as ImportedRow};
 use joulebus_dataset::trial::{ColumnMap, Row, Trial, is_capture};
 use joulebus_files::disk;
 use joulebus_program::config_file::ConfigFile;
@@ -18,6 +18,7 @@ use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 use serde::Serialize;
 
+use crate::judgement::{self, AcceptArguments, Judged};
 use crate::recordings::ColumnArguments;
 use bag::BagRead;
 use options::ImportArguments;
@@ -41,7 +42,9 @@ use options::ImportArguments;
     A mapping file (all keys except name and battery are optional):\n\n  \
     time = \"auto\"              # header, log, publish\n  \
     burst_s = 0.005            # of readings closer than this the last counts\n  \
-    odometry_max_age_s = 1.0\n\n  \
+    odometry_max_age_s = 1.0\n  \
+    command_holds_s = 0.5      # a command applies so long if no other one comes\n  \
+    command_expired = \"unknown\"   # or \"stops\": 0 afterwards\n\n  \
     [[robot]]\n  \
     name = \"r1\"                # in datasets\n  \
     id = 7                     # in captures\n  \
@@ -63,6 +66,8 @@ pub(crate) struct Args {
     options: ImportArguments,
     #[command(flatten)]
     columns: ColumnArguments,
+    #[command(flatten)]
+    accept: AcceptArguments,
     /// Id in a capture of the first robot without one; the others are numbered on [default: the
     /// lowest of the config]
     #[arg(long, value_name = "ID")]
@@ -76,6 +81,8 @@ pub(crate) struct Args {
 struct Recording {
     name: String,
     id: Option<u32>,
+    /// Whether it is of a bag, whose signs and units are those of ROS.
+    is_of_bag: bool,
     /// Time of its first row, Unix ns, if the recording has it.
     start_unix_ns: Option<u64>,
     trial: Trial,
@@ -84,6 +91,9 @@ struct Recording {
 #[derive(Debug, Serialize)]
 struct ImportReport {
     sources: Vec<Source>,
+    /// What is implausible, but no reason to stop.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    implausible: Vec<Judged>,
     /// Files written.
     written: Vec<Written>,
 }
@@ -108,7 +118,7 @@ struct Written {
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    let mapping = args.options.mapping()?;
+    let mapping = args.options.mapping(args.columns.current)?;
     let mut recordings = Vec::new();
     let mut sources = Vec::new();
     for file in &args.files {
@@ -120,11 +130,18 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
     let mut report = ImportReport {
         sources,
+        implausible: Vec::new(),
         written: Vec::new(),
     };
     if recordings.is_empty() {
         bail!("nothing could be used\n{}", report.to_string().trim_end());
     }
+    let source = |recording: &Recording| match recording.is_of_bag {
+        true => judgement::Source::Bag,
+        false => judgement::Source::Recording,
+    };
+    let judged = recordings.iter().map(|one| (source(one), &one.trial));
+    report.implausible = args.accept.judge_from(judged)?;
     report.written = write(args, recordings)?;
     output.report(&report)?;
     let is_whole = report.sources.iter().all(|source| {
@@ -152,9 +169,11 @@ fn read_bag(
         mut left_out,
     } = bag::read(path, &stem(path), mapping).with_context(named)?;
     for robot in &imported.robots {
-        match recording(path, robot) {
-            Ok(recording) => recordings.push(recording),
-            Err(error) => left_out.push(format!("{}: {error}", robot.name)),
+        for found in runs(path, robot) {
+            match found {
+                Ok(recording) => recordings.push(recording),
+                Err(error) => left_out.push(format!("{}: {error}", robot.name)),
+            }
         }
     }
     Ok(Source {
@@ -165,12 +184,31 @@ fn read_bag(
     })
 }
 
-fn recording(path: &Path, robot: &RobotReport) -> anyhow::Result<Recording> {
-    let Some(first) = robot.rows.first() else {
+/// The recordings of a robot: one for each run of the recorder's clock.
+fn runs<'a>(
+    path: &'a Path,
+    robot: &'a RobotReport,
+) -> impl Iterator<Item = anyhow::Result<Recording>> + 'a {
+    let ends = robot.runs_from.iter().copied();
+    let starts = std::iter::once(0).chain(ends.clone());
+    let ends = ends.chain([robot.rows.len()]);
+    starts.zip(ends).zip(1..).map(|((from, to), run)| {
+        let rows = robot.rows.get(from..to).unwrap_or_default();
+        let mut recording = recording(path, robot, rows)?;
+        if run > 1 {
+            recording.name = format!("{}_run_{run}", recording.name);
+            recording.id = None;
+        }
+        Ok(recording)
+    })
+}
+
+fn recording(path: &Path, robot: &RobotReport, rows: &[ImportedRow]) -> anyhow::Result<Recording> {
+    let Some(first) = rows.first() else {
         bail!("no row of it can be used");
     };
     let start_ns = first.time_ns;
-    let rows = robot.rows.iter().map(|row| Row {
+    let rows = rows.iter().map(|row| Row {
         timestamp_s: (row.time_ns - start_ns) as f64 / 1e9,
         values: [
             f64::NAN,
@@ -190,6 +228,7 @@ fn recording(path: &Path, robot: &RobotReport) -> anyhow::Result<Recording> {
     Ok(Recording {
         name: robot.name.clone(),
         id: robot.id,
+        is_of_bag: true,
         start_unix_ns: Some(start_ns),
         trial: Trial::from_rows(path, &robot.name, rows)?,
     })
@@ -203,7 +242,7 @@ fn read_trials(
 ) -> anyhow::Result<Source> {
     let from_capture = is_capture(path);
     let trials = match from_capture {
-        true => Trial::read_robots(path)?,
+        true => Trial::read_mapped(path, map)?,
         false => vec![crate::trials::read_one(path, map)?],
     };
     let notes: Vec<String> = trials
@@ -230,6 +269,7 @@ fn read_trials(
         recordings.push(Recording {
             name,
             id: robot.parse().ok().filter(|_| from_capture && *run == 1),
+            is_of_bag: false,
             start_unix_ns: None,
             trial,
         });

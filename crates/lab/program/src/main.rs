@@ -13,6 +13,7 @@ mod data;
 mod eval;
 mod export;
 mod import;
+mod judgement;
 mod mission;
 mod model;
 mod next_command;

@@ -17,6 +17,7 @@ use joulebus_source::report::{PlayedTrial, PublishReport};
 use joulebus_source::window::Window;
 use joulebus_wire::Sample;
 
+use crate::judgement::{self, AcceptArguments, limits};
 use crate::trials::TrialFiles;
 
 /// Default number of frames in flight when the source could send faster than the worker ticks.
@@ -39,6 +40,8 @@ const LATE_NS: u64 = 50_000_000;
 pub(crate) struct Args {
     #[command(flatten)]
     trials: TrialFiles,
+    #[command(flatten)]
+    accept: AcceptArguments,
     #[command(flatten)]
     config: ConfigFile,
     /// Speed: 1 as recorded, 2 twice as fast, max as fast as the worker answers
@@ -70,6 +73,14 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let stop = Stop::on_signals()?;
     let config = args.config.load()?;
     let trials = args.trials.read(config.settings())?;
+    let limits = |robot: u32| {
+        let is_its = |ids: &std::ops::RangeInclusive<u32>| ids.contains(&robot);
+        let mut platforms = config.settings().platforms.iter();
+        let own = platforms.find(|platform| platform.robots.iter().any(is_its));
+        own.map(limits).unwrap_or_default()
+    };
+    let judged = trials.iter().map(|(robot, trial)| (limits(*robot), trial));
+    let implausible = args.accept.judge_within(judged)?;
     for (robot, trial) in trials.iter().filter(|(_, trial)| !trial.notes().is_clean()) {
         tracing::info!(robot, "{}: {}", trial.path().display(), trial.notes());
     }
@@ -81,7 +92,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     } else {
         report(args, &config, &trials)
     };
-    output.report(&report)?;
+    judgement::report(output, &report, implausible)?;
     Ok(Outcome::unless_lost(report.has_lost()))
 }
 

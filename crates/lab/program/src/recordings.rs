@@ -9,6 +9,8 @@ use joulebus_eval::score::{ROWS_IN_MEMORY, Recording, open_recordings};
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::say;
 
+use crate::next_command::quoted;
+
 /// Recordings on the command line.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct Recordings {
@@ -24,15 +26,43 @@ pub(crate) struct Recordings {
 #[derive(Debug, Clone, Default, clap::Args)]
 pub(crate) struct ColumnArguments {
     /// Names of columns in CSV files, where they are not found by themselves:
-    /// time=timestamp_s,power=load_W (`data check --help` lists the accepted names)
+    /// time=timestamp_s,power=load_W (`data check --help` lists the accepted names); a minus turns the sign:
+    /// current_A=-i
     #[arg(long, value_name = "QUANTITY=COLUMN,…", value_delimiter = ',')]
     map: Vec<MappedColumn>,
+    /// Sign of the current, and of a power that has its sign [default: discharge-positive; of bags
+    /// discharge-negative, as in ROS]
+    #[arg(long, value_name = "SIGN")]
+    pub(crate) current: Option<Sign>,
+}
+
+/// Sign of the current.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Sign {
+    /// Negative while discharging
+    DischargeNegative,
+    /// Positive while discharging
+    DischargePositive,
 }
 
 impl ColumnArguments {
-    /// The names given.
+    /// The options again, for a command that reads the same recordings: empty, or with a space in front.
+    pub(crate) fn options(&self) -> String {
+        let mut options = String::new();
+        if !self.map.is_empty() {
+            let columns: Vec<String> = self.map.iter().map(ToString::to_string).collect();
+            options += &format!(" --map {}", quoted(&columns.join(",")));
+        }
+        if let Some(sign) = self.current.and_then(|sign| sign.to_possible_value()) {
+            options += &format!(" --current {}", sign.get_name());
+        }
+        options
+    }
+
+    /// How recordings are read: the names and the sign given.
     pub(crate) fn map(&self) -> ColumnMap {
-        self.map.clone().into()
+        let turned = self.current == Some(Sign::DischargeNegative);
+        ColumnMap::from(self.map.clone()).discharge_negative(turned)
     }
 }
 

@@ -47,7 +47,14 @@ fn the_core_uses_no_clock_file_thread_or_shared_memory() {
         "tracing",
         "joulebus_bus",
     ];
-    let pure = ["settings", "fleet", "energy", "plan", "predictor"];
+    let pure = [
+        "settings",
+        "fleet",
+        "energy",
+        "plan",
+        "predictor",
+        "plausibility",
+    ];
     for name in pure {
         assert_eq!(places(&src(name), &words, &[]), Vec::<String>::new());
     }
@@ -135,7 +142,7 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         "publisher/src/publisher.rs",
         "predictor-worker/src/outbox.rs",
         "predictor-worker/src/keyframes.rs",
-        "cli/src/replay/ports.rs",
+        "capture/recorder/src/replay/mod.rs",
         // Age of a file, which only the wall clock gives.
         "bus/src/cleanup/objects.rs",
         "cli/src/doctor/host.rs",

@@ -5,7 +5,8 @@ use std::ops::RangeInclusive;
 
 use mcap::records::MessageHeader;
 
-use super::mapping::{CurrentSign, Mapping, RobotMapping, TimeSource};
+use super::mapping::{CurrentSign, Expired, Mapping, RobotMapping, TimeSource};
+use joulebus_plausibility::{StampState, Stamps};
 use joulebus_ros_messages::{BatteryState, Header, Message, Odometry, RosType, Twist};
 
 /// Maximum number of rows per robot, that of a trial; further ones are refused.
@@ -46,7 +47,14 @@ struct Times {
     header_ns: Option<u64>,
     log_ns: u64,
     publish_ns: u64,
+    /// Number of the recorder's clock: it was set back so often before.
+    run: u32,
 }
+
+/// Step back of the time of recording that is no reordering, ns.
+const SET_BACK_NS: u64 = 1_000_000_000;
+/// Difference of two clocks beyond which they must not be mixed, s.
+const MAX_OFFSET_S: f64 = 0.1;
 
 /// States of charge that the worker takes.
 const SOC: RangeInclusive<f64> = -0.05..=1.05;
@@ -104,11 +112,29 @@ impl<T: Copy> Lane<T> {
         }
     }
 
-    /// Sorted by the selected clock; messages without that time are refused.
-    fn timed(&mut self, clock: TimeSource) -> Vec<(u64, T)> {
-        let mut timed = Vec::with_capacity(self.items.len());
-        for (times, item) in std::mem::take(&mut self.items) {
+    /// The stamps of its headers.
+    fn stamps(&self) -> Stamps {
+        let seconds = |ns: u64, since_ns: u64| (ns as i128 - i128::from(since_ns)) as f64 * 1e-9;
+        let mut stamps = Stamps::default();
+        // A whole second, so that stamps in whole seconds stay such.
+        let since_ns = self.items.first().map_or(0, |(times, _)| times.log_ns);
+        let since_ns = since_ns - since_ns % 1_000_000_000;
+        for (times, _) in &self.items {
+            let stamp_s = times.header_ns.map(|ns| seconds(ns, since_ns));
+            stamps.take(stamp_s, seconds(times.log_ns, since_ns));
+        }
+        stamps
+    }
+
+    /// Those of one run, sorted by the selected clock. Messages without that time are refused, or
+    /// `by_log` use the time of recording.
+    fn timed(&mut self, clock: TimeSource, run: u32, by_log: bool) -> Vec<(u64, T)> {
+        let own = self.items.iter().filter(|(times, _)| times.run == run);
+        let own: Vec<(Times, T)> = own.copied().collect();
+        let mut timed = Vec::with_capacity(own.len());
+        for (times, item) in own {
             let time_ns = match clock {
+                TimeSource::Header if by_log => times.header_ns.or(Some(times.log_ns)),
                 TimeSource::Header => times.header_ns,
                 TimeSource::Publish => Some(times.publish_ns),
                 TimeSource::Auto | TimeSource::Log => Some(times.log_ns),
@@ -128,20 +154,28 @@ pub(super) struct Track {
     pub(super) robot: RobotMapping,
     burst_ns: u64,
     odometry_age_ns: u64,
+    command_ns: u64,
+    expired: Expired,
     wanted_time: TimeSource,
     pub(super) battery: Lane<Reading>,
     pub(super) command: Lane<Command>,
     pub(super) odometry: Lane<Motion>,
+    /// Latest time of recording in this run and file.
+    latest_log_ns: u64,
+    run: u32,
     without_stamp: u64,
     not_present: u64,
     charging: u64,
-    /// Readings whose state of charge is none.
+    /// Readings whose state of charge is no share, and those of them that could be percentages.
     odd_soc: u64,
+    percent_soc: u64,
 }
 
 /// A robot's rows, with notes.
 pub(super) struct Joined {
     pub(super) rows: Vec<Row>,
+    /// The first row of each run but the first: there the recorder's clock was set back.
+    pub(super) runs_from: Vec<usize>,
     pub(super) clock: TimeSource,
     /// Readings merged into the last one of their burst.
     pub(super) merged: u64,
@@ -156,15 +190,35 @@ impl Track {
             robot,
             burst_ns: ns(mapping.burst_s),
             odometry_age_ns: ns(mapping.odometry_max_age_s),
+            command_ns: ns(mapping.command_holds_s),
+            expired: mapping.command_expired,
             wanted_time: mapping.time,
             battery: Lane::default(),
             command: Lane::default(),
             odometry: Lane::default(),
+            latest_log_ns: 0,
+            run: 0,
             without_stamp: 0,
             not_present: 0,
             charging: 0,
             odd_soc: 0,
+            percent_soc: 0,
         }
+    }
+
+    /// Another file of the recording begins, in any order.
+    pub(super) fn begin_file(&mut self) {
+        self.latest_log_ns = 0;
+    }
+
+    /// The run of a message: another one begins where the recorder's clock was set back.
+    fn run_of(&mut self, log_ns: u64) -> u32 {
+        if log_ns.saturating_add(SET_BACK_NS) < self.latest_log_ns {
+            self.run += 1;
+            self.latest_log_ns = 0;
+        }
+        self.latest_log_ns = self.latest_log_ns.max(log_ns);
+        self.run
     }
 
     pub(super) fn take(&mut self, topic: &str, kind: RosType, header: &MessageHeader, data: &[u8]) {
@@ -191,10 +245,12 @@ impl Track {
             }
             return;
         }
+        let run = self.run_of(header.log_time);
         let times = |stamped: Option<&Header>| Times {
             header_ns: stamped.and_then(|header| header.stamp.unix_ns()),
             log_ns: header.log_time,
             publish_ns: header.publish_time,
+            run,
         };
         let messages = if as_battery {
             &mut self.battery.messages
@@ -206,12 +262,7 @@ impl Track {
         *messages += 1;
         match kind.decode(data) {
             Ok(Message::BatteryState(state)) => self.reading(times(Some(&state.header)), &state),
-            // A Twist has no stamp: its log time is used.
-            Ok(Message::Twist(twist)) => {
-                let mut times = times(None);
-                times.header_ns = Some(times.log_ns);
-                self.twist(times, &twist);
-            }
+            Ok(Message::Twist(twist)) => self.twist(times(None), &twist),
             Ok(Message::TwistStamped(stamped)) => {
                 self.twist(times(Some(&stamped.header)), &stamped.twist);
             }
@@ -242,12 +293,13 @@ impl Track {
         let soc = f64::from(state.percentage);
         let known = !soc.is_finite() || SOC.contains(&soc);
         self.odd_soc += u64::from(!known);
+        self.percent_soc += u64::from(!known && SOC.contains(&(soc / 100.0)));
         self.battery.push(
             times,
             Reading {
                 voltage_v,
                 current_a,
-                soc: if known { soc } else { f64::NAN },
+                soc: if soc.is_finite() { soc } else { f64::NAN },
             },
         );
     }
@@ -277,49 +329,147 @@ impl Track {
         self.odometry.push(times, motion);
     }
 
-    /// All accepted messages as rows in order of time.
+    /// All accepted messages as rows, in order of time in each run.
     pub(super) fn join(&mut self) -> Joined {
         let mut notes = self.notes();
-        let clock = match self.wanted_time {
-            TimeSource::Auto if self.without_stamp == 0 && !self.battery.items.is_empty() => {
-                TimeSource::Header
-            }
-            TimeSource::Auto => TimeSource::Log,
-            chosen => chosen,
-        };
-        if clock == TimeSource::Header
-            && self
-                .command
-                .items
-                .iter()
-                .any(|(times, _)| times.header_ns == Some(times.log_ns))
-        {
-            notes.push("commands without a stamp use the time of recording".to_owned());
-        }
-        let readings = self.battery.timed(clock);
-        let commands = self.command.timed(clock);
-        let motions = self.odometry.timed(clock);
-        let taken = readings.len();
-        let readings = last_of_bursts(&readings, self.burst_ns);
-        let merged = (taken - readings.len()) as u64;
+        let clock = self.clock(&mut notes);
+        let (mut rows, mut runs_from) = (Vec::new(), Vec::new());
+        let (mut merged, mut expired) = (0, 0);
         // Drivers that do not measure it leave it at zero instead of NaN.
-        let measures_soc = readings.iter().any(|(_, reading)| reading.soc != 0.0);
-        let (mut command, mut motion) = (Follow::new(&commands), Follow::new(&motions));
-        let rows = readings
-            .iter()
-            .map(|(time_ns, reading)| {
-                let command = command.at(*time_ns, u64::MAX);
+        let has_percentages = self.has_percentages();
+        for (_, reading) in &mut self.battery.items {
+            reading.soc = share(reading.soc, has_percentages);
+        }
+        let mut readings = self.battery.items.iter();
+        let measures_soc = readings.any(|(_, reading)| reading.soc != 0.0);
+        for run in 0..=self.run {
+            if !rows.is_empty() && rows.len() > runs_from.last().copied().unwrap_or(0) {
+                runs_from.push(rows.len());
+            }
+            let readings = self.battery.timed(clock, run, false);
+            let commands = self.command.timed(clock, run, true);
+            let motions = self.odometry.timed(clock, run, true);
+            let taken = readings.len();
+            let readings = last_of_bursts(&readings, self.burst_ns);
+            merged += (taken - readings.len()) as u64;
+            let (mut command, mut motion) = (Follow::new(&commands), Follow::new(&motions));
+            rows.extend(readings.iter().map(|(time_ns, reading)| {
+                let given = command.at(*time_ns, self.command_ns);
+                let is_expired = given.is_none() && command.has_begun();
+                expired += u64::from(is_expired);
+                let stopped = Command {
+                    v_mps: 0.0,
+                    omega_radps: 0.0,
+                };
+                let stops = is_expired && self.expired == Expired::Stops;
+                let command = given.or(stops.then_some(stopped));
                 let motion = motion.at(*time_ns, self.odometry_age_ns);
                 let soc = if measures_soc { reading.soc } else { f64::NAN };
                 row(*time_ns, Reading { soc, ..*reading }, command, motion)
-            })
-            .collect();
+            }));
+        }
+        runs_from.retain(|from| *from < rows.len());
+        if expired > 0 {
+            let holds_s = self.command_ns as f64 * 1e-9;
+            let what = match self.expired {
+                Expired::Unknown => "unknown",
+                Expired::Stops => "0",
+            };
+            notes.push(format!(
+                "{expired} of {} rows are more than {holds_s} s after the last command: it is {what} (command_holds_s)",
+                rows.len()
+            ));
+        }
+        if !runs_from.is_empty() {
+            notes.push(format!(
+                "the recorder's clock was set back {} times: each begins another trial",
+                runs_from.len()
+            ));
+        }
         Joined {
             rows,
+            runs_from,
             clock,
             merged,
             notes,
         }
+    }
+
+    /// The clock of all topics: two that differ are not mixed.
+    fn clock(&self, notes: &mut Vec<String>) -> TimeSource {
+        let all = [
+            ("commands", self.command.stamps(), self.command.items.len()),
+            (
+                "odometry",
+                self.odometry.stamps(),
+                self.odometry.items.len(),
+            ),
+        ];
+        let others = all.iter().filter(|(_, _, count)| *count > 0);
+        let unstamped: Vec<&str> = others
+            .clone()
+            .filter(|(_, stamps, _)| stamps.state() == StampState::Missing)
+            .map(|(name, ..)| *name)
+            .collect();
+        let readings = self.battery.stamps();
+        if self.battery.items.is_empty() {
+            return match self.wanted_time {
+                TimeSource::Auto => TimeSource::Log,
+                chosen => chosen,
+            };
+        }
+        let by_log = || {
+            let names = unstamped.join(" and ");
+            format!("{names} without a stamp use the time of recording")
+        };
+        if self.wanted_time != TimeSource::Auto {
+            if self.wanted_time == TimeSource::Header && !unstamped.is_empty() {
+                notes.push(by_log());
+            }
+            return self.wanted_time;
+        }
+        let why = match readings.state() {
+            // Said in another note.
+            StampState::Missing => return TimeSource::Log,
+            StampState::Still => "the stamps of readings stand still".to_owned(),
+            StampState::WholeSeconds => "the stamps of readings have whole seconds".to_owned(),
+            StampState::Backward(back_s) => {
+                format!("the stamps of readings go back by {back_s:.1} s")
+            }
+            StampState::Good { offset_s, drift_s } => {
+                let fits = |(_, stamps, _): &&(&str, Stamps, usize)| match stamps.state() {
+                    StampState::Missing => readings.fits_log(),
+                    StampState::Good {
+                        offset_s: other_s,
+                        drift_s: other_drift_s,
+                    } => {
+                        let away_s = (offset_s - other_s).abs();
+                        let end_s = (offset_s + drift_s - other_s - other_drift_s).abs();
+                        away_s.max(end_s) <= MAX_OFFSET_S
+                    }
+                    _ => false,
+                };
+                match others.clone().find(|other| !fits(other)) {
+                    None => {
+                        if !unstamped.is_empty() {
+                            notes.push(by_log());
+                        }
+                        return TimeSource::Header;
+                    }
+                    Some((name, stamps, _)) => apart((offset_s, drift_s), name, stamps.state()),
+                }
+            }
+        };
+        notes.push(format!("{why}: the time of recording is used for all"));
+        TimeSource::Log
+    }
+
+    /// Whether the percentage is one, 0 to 100, though the message defines it as a share: one unit for
+    /// all readings.
+    fn has_percentages(&self) -> bool {
+        let all = self.battery.items.iter();
+        let known = all.filter(|(_, reading)| reading.soc.is_finite()).count() as u64;
+        self.percent_soc > 0 && 2 * self.percent_soc > known
     }
 
     fn notes(&self) -> Vec<String> {
@@ -337,7 +487,12 @@ impl Track {
                 self.not_present
             ));
         }
-        if self.odd_soc > 0 {
+        if self.has_percentages() {
+            notes.push(format!(
+                "{} of {all} readings have a percentage above 1: it is read as 0 to 100 in all of them",
+                self.percent_soc
+            ));
+        } else if self.odd_soc > 0 {
             notes.push(format!(
                 "{} of {all} readings have a percentage outside 0 to 1: it is left out",
                 self.odd_soc
@@ -355,6 +510,42 @@ impl Track {
         }
         notes
     }
+}
+
+/// The share that a percentage is, if it is one.
+fn share(percentage: f64, is_percent: bool) -> f64 {
+    let share = if is_percent {
+        percentage / 100.0
+    } else {
+        percentage
+    };
+    if SOC.contains(&share) {
+        share
+    } else {
+        f64::NAN
+    }
+}
+
+/// How the clock of readings, and that of another topic, differ.
+fn apart((offset_s, drift_s): (f64, f64), name: &str, other: StampState) -> String {
+    let (size_s, side) = match offset_s < 0.0 {
+        true => (-offset_s, "ahead of"),
+        false => (offset_s, "behind"),
+    };
+    let drift = match drift_s.abs() > 0.05 {
+        true => format!(" and drift by {drift_s:.2} s"),
+        false => String::new(),
+    };
+    let other = match other {
+        StampState::Missing => format!("{name} have none"),
+        StampState::Good { offset_s, .. } => {
+            format!("those of {name} differ from it by {offset_s:.2} s")
+        }
+        _ => format!("those of {name} do not advance"),
+    };
+    format!(
+        "the stamps of readings are {size_s:.2} s {side} the time of recording{drift}, and {other}"
+    )
 }
 
 /// The last reading of each burst.
@@ -382,6 +573,11 @@ struct Follow<'a, T> {
 impl<'a, T: Copy> Follow<'a, T> {
     const fn new(items: &'a [(u64, T)]) -> Self {
         Self { items, next: 0 }
+    }
+
+    /// Whether there was any item up to now.
+    const fn has_begun(&self) -> bool {
+        self.next > 0
     }
 
     /// The last item up to `time_ns`, unless it is older than `most_age_ns`.

@@ -12,10 +12,12 @@ use joulebus_ros_messages::RosType;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum TimeSource {
-    /// The header's if every battery message of the robot has one, else the log time.
+    /// The header's if every battery message of the robot has one that advances and that can be
+    /// joined with the other topics, else the log time.
     #[default]
     Auto,
-    /// The measurement time in its header; messages without a stamp are refused.
+    /// The measurement time in its header; readings without a stamp are refused, other messages use the
+    /// log time.
     Header,
     /// The log time.
     Log,
@@ -32,6 +34,17 @@ pub enum CurrentSign {
     DischargeNegative,
     /// Positive while discharging, as in many drivers.
     DischargePositive,
+}
+
+/// What a robot does when its command has expired.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Expired {
+    /// Not known.
+    #[default]
+    Unknown,
+    /// Its controller stops it: the command is 0.
+    Stops,
 }
 
 /// A robot of a recording.
@@ -66,8 +79,8 @@ const fn one() -> f64 {
     1.0
 }
 
-/// Configuration of an import. As TOML: `time`, `burst_s`, `odometry_max_age_s`, `command`, and a
-/// table `[[robot]]` for each robot; without robots every battery topic is one.
+/// Configuration of an import. As TOML: `time`, `burst_s`, `odometry_max_age_s`,
+/// `command_holds_s`, `command_expired`, `current`, and a table `[[robot]]` for each robot; without robots every battery topic is one.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Mapping {
@@ -80,6 +93,12 @@ pub struct Mapping {
     /// Maximum age of odometry, s.
     #[serde(default = "usual_age_s")]
     pub odometry_max_age_s: f64,
+    /// Time for which a command applies if no other one comes, s: that of a bridge.
+    #[serde(default = "usual_hold_s")]
+    pub command_holds_s: f64,
+    /// What follows.
+    #[serde(default)]
+    pub command_expired: Expired,
     /// Sign of the current of robots that do not set it.
     #[serde(default)]
     pub current: CurrentSign,
@@ -96,12 +115,18 @@ const fn usual_age_s() -> f64 {
     1.0
 }
 
+const fn usual_hold_s() -> f64 {
+    0.5
+}
+
 impl Default for Mapping {
     fn default() -> Self {
         Self {
             time: TimeSource::default(),
             burst_s: usual_burst_s(),
             odometry_max_age_s: usual_age_s(),
+            command_holds_s: usual_hold_s(),
+            command_expired: Expired::default(),
             current: CurrentSign::default(),
             robots: Vec::new(),
         }
@@ -154,6 +179,7 @@ impl Mapping {
         for (key, found) in [
             ("burst_s", self.burst_s),
             ("odometry_max_age_s", self.odometry_max_age_s),
+            ("command_holds_s", self.command_holds_s),
         ] {
             if !(0.0..=3600.0).contains(&found) {
                 return refuse(key.to_owned(), found, "0 to 3600 s");

@@ -20,7 +20,7 @@ pub use error::ImportError;
 pub use join::Row;
 use joulebus_ros_messages::RosType;
 
-pub use mapping::{CurrentSign, Mapping, MappingError, RobotMapping, TimeSource};
+pub use mapping::{CurrentSign, Expired, Mapping, MappingError, RobotMapping, TimeSource};
 pub use report::{Imported, RobotReport, TopicReport, Unusable};
 
 /// Reads a recording.
@@ -109,6 +109,7 @@ fn read_tracks(
     input: &mut (impl Read + Seek),
     tracks: &mut [join::Track],
 ) -> Result<Vec<String>, ScanError> {
+    tracks.iter_mut().for_each(join::Track::begin_file);
     let mut schemas = BTreeMap::new();
     let mut kinds: BTreeMap<u16, (String, RosType)> = BTreeMap::new();
     scan::each_record(input, |record| {

@@ -57,7 +57,10 @@ pub struct RobotReport {
     pub row_count: u64,
     /// Notes.
     pub notes: Vec<String>,
-    /// The rows.
+    /// The first row of each run but the first: there the recorder's clock was set back.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub runs_from: Vec<usize>,
+    /// The rows, in order of time in each run.
     #[serde(skip)]
     pub rows: Vec<Row>,
 }
@@ -164,6 +167,7 @@ fn robot(mut track: Track) -> RobotReport {
         merged_in_bursts: joined.merged,
         row_count: joined.rows.len() as u64,
         notes: joined.notes,
+        runs_from: joined.runs_from,
         rows: joined.rows,
     }
 }

@@ -374,3 +374,226 @@ fn an_invalid_mapping_is_refused() {
         assert!(error.contains(says), "{text}: {error}");
     }
 }
+
+/// Readings with stamps that lie `ahead_s` before the time of recording, 0 for none; commands of 0.2 m/s in the
+/// first half, then 0, every 100 ms.
+fn two_clocks(stamp: impl Fn(u64) -> u64, stamped: Option<u64>) -> Bag {
+    let mut bag = Bag::new();
+    bag.channel("/battery", "sensor_msgs/msg/BatteryState", "cdr", BATTERY);
+    let kind = match stamped {
+        None => "geometry_msgs/msg/Twist",
+        Some(_) => "geometry_msgs/msg/TwistStamped",
+    };
+    bag.channel("/cmd_vel", kind, "cdr", "");
+    for step in 0..60_u64 {
+        let now_ns = START_NS + step * TENTH_NS;
+        let twist = twist(if step < 30 { 0.2 } else { 0.0 }, 0.0);
+        match stamped {
+            None => bag.message("/cmd_vel", now_ns, &twist),
+            Some(ahead_ns) => {
+                let stamp_ns = if ahead_ns == u64::MAX {
+                    0
+                } else {
+                    now_ns + ahead_ns
+                };
+                let header = header(stamp_ns);
+                bag.message("/cmd_vel", now_ns, &TwistStamped { header, twist });
+            }
+        }
+        bag.message(
+            "/battery",
+            now_ns + 1_000_000,
+            &battery(stamp(now_ns), 12.0, -1.0),
+        );
+    }
+    bag
+}
+
+#[test]
+fn stamps_are_not_joined_with_times_of_another_clock() {
+    type Stamp = fn(u64) -> u64;
+    const SECOND_NS: u64 = 1_000_000_000;
+    let cases: [(&str, Stamp, Option<u64>, &str, &str); 9] = [
+        (
+            "own clock",
+            |ns| ns,
+            None,
+            "header",
+            "commands without a stamp use",
+        ),
+        (
+            "unstamped TwistStamped",
+            |ns| ns,
+            Some(u64::MAX),
+            "header",
+            "commands without a stamp use",
+        ),
+        (
+            "simulated",
+            |ns| ns - START_NS + 12 * SECOND_NS,
+            None,
+            "log",
+            "s behind",
+        ),
+        (
+            "ahead",
+            |ns| ns + 90 * SECOND_NS,
+            None,
+            "log",
+            "90.00 s ahead of",
+        ),
+        (
+            "behind",
+            |ns| ns - 2 * SECOND_NS,
+            None,
+            "log",
+            "2.00 s behind",
+        ),
+        (
+            "drifting",
+            |ns| ns + (ns - START_NS) / 10,
+            None,
+            "log",
+            "drift by",
+        ),
+        (
+            "whole seconds",
+            |ns| ns / SECOND_NS * SECOND_NS,
+            None,
+            "log",
+            "whole seconds",
+        ),
+        ("standing still", |_| START_NS, None, "log", "stand still"),
+        // All have the robot's clock.
+        (
+            "ahead, stamped",
+            |ns| ns + 90 * SECOND_NS,
+            Some(90 * SECOND_NS),
+            "header",
+            "",
+        ),
+    ];
+    for (name, stamp, stamped, clock, says) in cases {
+        let imported = two_clocks(stamp, stamped).import("").unwrap();
+        let robot = &imported.robots[0];
+        let notes = robot.notes.join("\n");
+        assert!(
+            imported.is_whole() && notes.contains(says),
+            "{name}: {imported}"
+        );
+        assert_eq!(
+            (robot.time, robot.row_count),
+            (clock, 60),
+            "{name}: {notes}"
+        );
+        for (step, row) in robot.rows.iter().enumerate() {
+            assert_eq!(
+                row.v_mps,
+                if step < 30 { 0.2 } else { 0.0 },
+                "{name}: row {step}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_recorder_whose_clock_is_set_back_begins_another_trial() {
+    let mut bag = Bag::new();
+    bag.channel("/battery", "sensor_msgs/msg/BatteryState", "cdr", BATTERY);
+    for step in 0..60_u64 {
+        let back_ns = if step < 40 { 0 } else { 30 * TENTH_NS };
+        let now_ns = START_NS + step * TENTH_NS - back_ns;
+        bag.message("/battery", now_ns, &battery(0, 12.0, -1.0 - step as f32));
+    }
+    let imported = bag.import("").unwrap();
+    let robot = &imported.robots[0];
+    assert_eq!(
+        (robot.row_count, robot.runs_from.as_slice()),
+        (60, &[40][..]),
+        "{imported}"
+    );
+    assert!(
+        robot.notes.join("\n").contains("set back 1 times"),
+        "{imported}"
+    );
+    for (step, row) in robot.rows.iter().enumerate() {
+        assert_eq!(row.power_w, 12.0 * (1.0 + step as f64));
+    }
+}
+
+/// A remote control that falls silent.
+#[test]
+fn a_command_expires_as_in_the_bridge() {
+    let bag = || {
+        let mut bag = Bag::new();
+        bag.channel("/battery", "sensor_msgs/msg/BatteryState", "cdr", BATTERY);
+        bag.channel("/cmd_vel", "geometry_msgs/msg/Twist", "cdr", "");
+        for step in 0..60_u64 {
+            let now_ns = START_NS + step * TENTH_NS;
+            if (10..20).contains(&step) {
+                bag.message("/cmd_vel", now_ns, &twist(0.5, 0.0));
+            }
+            bag.message("/battery", now_ns, &battery(now_ns, 12.0, -1.0));
+        }
+        bag
+    };
+    for (mapping, last, after) in [
+        ("", 24, f64::NAN),
+        ("command_expired = \"stops\"", 24, 0.0),
+        ("command_holds_s = 2", 39, f64::NAN),
+        ("command_holds_s = 3600", 59, f64::NAN),
+    ] {
+        let imported = bag().import(mapping).unwrap();
+        let robot = &imported.robots[0];
+        for (step, row) in robot.rows.iter().enumerate() {
+            let expected = match step {
+                ..10 => f64::NAN,
+                _ if step <= last => 0.5,
+                _ => after,
+            };
+            assert_eq!(
+                row.v_mps.to_bits(),
+                expected.to_bits(),
+                "{mapping}: row {step}"
+            );
+        }
+        let notes = robot.notes.join("\n");
+        let counted = format!("{} of 60 rows", 59 - last);
+        assert_eq!(notes.contains(&counted), last < 59, "{mapping}: {notes}");
+    }
+}
+
+/// One unit for all readings: 1 % is not full.
+#[test]
+fn percentages_are_read_as_such_in_all_readings() {
+    let bag = |charge: fn(u64) -> f32| {
+        let mut bag = Bag::new();
+        bag.channel("/battery", "sensor_msgs/msg/BatteryState", "cdr", BATTERY);
+        for step in 0..60_u64 {
+            let now_ns = START_NS + step * TENTH_NS;
+            let mut state = battery(now_ns, 12.0, -1.0);
+            state.percentage = charge(step);
+            bag.message("/battery", now_ns, &state);
+        }
+        bag.import("").unwrap().robots.remove(0)
+    };
+    let percent = bag(|step| 60.0 - step as f32);
+    assert_eq!(percent.rows[0].soc, 0.6);
+    assert!(
+        (percent.rows[59].soc - 0.01).abs() < 1e-9,
+        "{}",
+        percent.rows[59].soc
+    );
+    assert!(
+        percent.notes.join("\n").contains("0 to 100"),
+        "{:?}",
+        percent.notes
+    );
+    let share = bag(|step| if step == 7 { -1.0 } else { 0.5 });
+    assert!(share.rows[7].soc.is_nan() && share.rows[8].soc == 0.5);
+    assert!(
+        share.notes.join("\n").contains("left out"),
+        "{:?}",
+        share.notes
+    );
+}

@@ -36,8 +36,9 @@ const COLUMNS: usize = size_of::<AdmissionState>()
 const _: () =
     assert!(COLUMNS + size_of::<Ledger>() + Departed::BYTES + 1 + 3 * size_of::<u32>() <= 672);
 
-/// Declares the columns once: name, type of a block of robots, and what a check of a saved state calls it. `apart` are not read
-/// where the output of a block is computed; `optional` are empty unless a platform needs them.
+/// Declares the columns once: name, type of a block of robots, and what a check of a saved state
+/// calls it. `apart` are not read where the output of a block is computed; `optional` are empty
+/// unless a platform needs them.
 macro_rules! columns {
     (
         apart { $($apart:ident: $apart_type:ty, $apart_name:literal;)* }
@@ -52,7 +53,8 @@ macro_rules! columns {
             $($(#[doc = $doc])* pub $optional: Option<&'a $optional_type>,)*
         }
 
-        /// The columns, for the capacity rounded up to a whole block; of a saved state, for the slots ever used.
+        /// The columns, for the capacity rounded up to a whole block; of a saved state, for the
+        /// slots ever used.
         #[derive(Debug, Clone, Default, Serialize, Deserialize)]
         pub(crate) struct Columns {
             pub admissions: Vec<AdmissionState>,
@@ -84,7 +86,8 @@ macro_rules! columns {
                 $(self.$optional.clear();)*
             }
 
-            /// Becomes a copy of the first `robots` of `from`, without allocating where there is room.
+            /// Becomes a copy of the first `robots` of `from`, without allocating where there is
+            /// room.
             pub(crate) fn copy(&mut self, from: &Self, robots: usize) {
                 let blocks = robots.div_ceil(LANES);
                 self.clear();
@@ -95,7 +98,8 @@ macro_rules! columns {
                     .extend_from_slice(&from.$optional[..blocks.min(from.$optional.len())]);)*
             }
 
-            /// Takes the blocks of a saved state, which is [`Columns::check`]ed; others stay. All other slots are free.
+            /// Takes the blocks of a saved state, which is [`Columns::check`]ed; others stay. All
+            /// other slots are free.
             pub(crate) fn restore(&mut self, from: &Self) {
                 let robots = from.admissions.len();
                 self.admissions[..robots].copy_from_slice(&from.admissions);
@@ -144,8 +148,8 @@ macro_rules! columns {
             }
         }
 
-        /// Columns of a contiguous range of slots, all of one length, and a bit for each slot in use.
-        /// Ranges of different shards are disjoint.
+        /// Columns of a contiguous range of slots, all of one length, and a bit for each slot in
+        /// use. Ranges of different shards are disjoint.
         #[derive(Debug)]
         pub(crate) struct ColumnsMut<'a> {
             pub admissions: &'a mut [AdmissionState],

@@ -33,6 +33,8 @@ pub(super) struct BridgeSection {
     pub(super) command_expired: ExpiredWord,
     pub(super) reading_holds_s: f64,
     pub(super) silent_after_s: f64,
+    /// Findings that are not told.
+    pub(super) accept: Vec<Text>,
 }
 
 impl Default for BridgeSection {
@@ -43,6 +45,7 @@ impl Default for BridgeSection {
             command_expired: ExpiredWord::Unknown,
             reading_holds_s: 2.0,
             silent_after_s: 3.0,
+            accept: Vec::new(),
         }
     }
 }

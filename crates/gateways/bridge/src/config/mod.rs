@@ -12,11 +12,13 @@ use std::time::Duration;
 
 use joulebus_config::Config;
 use joulebus_config::ConfigError;
+use joulebus_plausibility::Kind;
 use toml::Value;
 
 use crate::config::check::Check;
 use crate::config::file::BridgeFile;
 use crate::mapping::intake::{Holds, Intake};
+use crate::mapping::judgement::Judgement;
 use crate::mapping::outgoing::What;
 use crate::mapping::robots::Robots;
 
@@ -32,6 +34,8 @@ pub(crate) struct Settings {
     /// Name of the source and of the planners.
     pub(crate) name: String,
     pub(crate) holds: Holds,
+    /// Findings that are not told.
+    pub(crate) accepted: Vec<Kind>,
     pub(crate) robots: Robots,
     pub(crate) mqtt: Option<MqttSettings>,
     pub(crate) ros2: Option<Ros2Settings>,
@@ -92,7 +96,8 @@ impl Settings {
                 reading.unwrap_or(joulebus_settings::ChargeReading::Load),
             ))
         });
-        Intake::new(self.holds, self.reports_charging(), robots)
+        let judgement = Judgement::accepting(self.accepted.clone());
+        Intake::new(self.holds, self.reports_charging(), robots).judged_by(judgement)
     }
 
     /// Whether MQTT messages report that a robot charges. ROS 2 messages with a battery's power
@@ -137,6 +142,11 @@ impl Check<'_> {
             reading_ns: self.nanoseconds("bridge.reading_holds_s", section.reading_holds_s),
             silent_ns: self.nanoseconds("bridge.silent_after_s", section.silent_after_s),
         };
+        let accepted = section
+            .accept
+            .iter()
+            .filter_map(|name| self.checked(name, "bridge.accept", name.get_ref().parse::<Kind>()));
+        let accepted = accepted.collect();
         let robots = self.robots(&file, config);
         let mqtt = file.mqtt.map(|section| self.mqtt(section, &name, &robots));
         let ros2 = file.ros2.map(|section| self.ros2(&section, &robots));
@@ -147,6 +157,7 @@ impl Check<'_> {
         Some(Settings {
             name,
             holds,
+            accepted,
             robots,
             mqtt: mqtt.flatten(),
             ros2: ros2.flatten(),

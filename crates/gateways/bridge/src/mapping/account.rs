@@ -9,6 +9,10 @@ use serde::Serialize;
 const MAX_NAMES: usize = 16;
 /// Maximum number of pairs of route and reason that are counted separately.
 const MAX_KINDS: usize = 1_000;
+/// Maximum number of pairs of route and robot whose fields are watched.
+const MAX_ROBOTS: usize = 10_000;
+/// Messages after which a field that none of them had is named.
+const MANY_MESSAGES: u32 = 20;
 /// Maximum length of a kept name, letters.
 const MAX_LETTERS: usize = 80;
 
@@ -37,6 +41,8 @@ pub(crate) enum Reason {
     OutOfRange,
     /// Retained by the broker, so of unknown age.
     Retained,
+    /// A field that none of the first messages of a robot had.
+    NeverCame,
     /// An answer without a request of this bridge.
     NotAsked,
     /// A request without an answer.
@@ -60,16 +66,17 @@ impl Reason {
             Self::NotFinite => "not_finite",
             Self::OutOfRange => "out_of_range",
             Self::Retained => "retained",
+            Self::NeverCame => "never_came",
             Self::NotAsked => "not_asked",
             Self::NoAnswer => "no_answer",
             Self::Refused => "refused",
         }
     }
 
-    /// Whether a value was lost. Retained messages are skipped on purpose, and robots that are
-    /// switched off do not answer.
+    /// Whether a value was lost. Retained messages are skipped on purpose, robots that are switched
+    /// off do not answer, and a field that never came is not lost.
     const fn is_loss(self) -> bool {
-        !matches!(self, Self::Retained | Self::NoAnswer)
+        !matches!(self, Self::Retained | Self::NoAnswer | Self::NeverCame)
     }
 }
 
@@ -78,8 +85,18 @@ impl Reason {
 pub(crate) struct Account {
     kinds: BTreeMap<(String, Reason), Kind>,
     lost: u64,
+    /// The fields that came, by route and robot.
+    came: BTreeMap<(String, String), Came>,
     /// Pairs and names that were not logged yet.
     news: Vec<String>,
+}
+
+/// What came from a robot on a route.
+#[derive(Debug, Clone, Copy, Default)]
+struct Came {
+    messages: u32,
+    /// A bit for each field.
+    fields: u32,
 }
 
 #[derive(Debug, Clone, Default)]
@@ -122,6 +139,30 @@ impl Account {
         }
     }
 
+    /// Adds which of the mapped fields a message of a robot had. After [`MANY_MESSAGES`] the fields
+    /// that none of them had are counted by name.
+    pub(crate) fn came(&mut self, route: &str, robot: &str, fields: &[(&'static str, bool)]) {
+        let key = (route.to_owned(), robot.to_owned());
+        let is_full = self.came.len() >= MAX_ROBOTS;
+        if is_full && !self.came.contains_key(&key) {
+            return;
+        }
+        let came = self.came.entry(key).or_default();
+        came.messages = came.messages.saturating_add(1);
+        for (place, (_, has)) in fields.iter().enumerate().take(32) {
+            came.fields |= u32::from(*has) << place;
+        }
+        let seen = came.fields;
+        if came.messages != MANY_MESSAGES {
+            return;
+        }
+        for (place, (name, _)) in fields.iter().enumerate().take(32) {
+            if seen & (1 << place) == 0 {
+                self.count(route, Reason::NeverCame, &format!("{name} of {robot}"));
+            }
+        }
+    }
+
     /// The new entries since the last call, one line for each kept name.
     pub(crate) fn take_news(&mut self) -> Vec<String> {
         std::mem::take(&mut self.news)
@@ -159,6 +200,21 @@ impl fmt::Display for UnmappedRecord {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_field_that_never_came_is_named_once_and_is_no_loss() {
+        let mut account = Account::default();
+        for message in 0..100 {
+            account.came(
+                "a",
+                "r1",
+                &[("power", false), ("soc", true), ("v", message == 7)],
+            );
+            account.came("a", "r2", &[("power", true), ("soc", true), ("v", true)]);
+        }
+        assert_eq!(account.take_news(), ["a: never_came: power of r1"]);
+        assert_eq!((account.records().len(), account.lost()), (1, 0));
+    }
 
     #[test]
     fn everything_is_counted_and_only_the_first_names_are_kept() {

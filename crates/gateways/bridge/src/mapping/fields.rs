@@ -132,7 +132,12 @@ pub(crate) struct Fields {
     pub(crate) full: Option<Flag>,
     /// Position of the robot's name, unless the topic has it.
     pub(crate) robot: Option<Place>,
+    /// The standard lets robots leave fields out.
+    pub(crate) may_lack: bool,
 }
+
+/// States of charge that the worker takes.
+const SOC: std::ops::RangeInclusive<f32> = -0.05..=1.05;
 
 impl Fields {
     /// Reads the values of a document. An unusable value is passed to `refused` with its name, and
@@ -159,6 +164,8 @@ impl Fields {
             soc: number(&self.soc, "soc"),
             ..Observation::default()
         };
+        // It is judged with the others of its robot, and in no sample.
+        let is_odd = seen.soc.is_some_and(|soc| !SOC.contains(&soc));
         if let Some(vy_mps) = number(&self.vy, "vy").filter(|vy_mps| *vy_mps != 0.0) {
             let speed_mps = seen.v_mps.map(|v_mps| v_mps.hypot(vy_mps));
             seen.v_mps = speed_mps.filter(|speed_mps| speed_mps.is_finite());
@@ -182,7 +189,27 @@ impl Fields {
         };
         seen.charging = flag(&self.charging, "charging");
         seen.full = flag(&self.full, "full");
+        if is_odd {
+            refused(Reason::OutOfRange, "soc");
+        }
         seen
+    }
+
+    /// The fields that the mapping names, and whether a message had them.
+    pub(crate) fn came(&self, seen: &Observation) -> Vec<(&'static str, bool)> {
+        let power = self.power.is_some() || self.power_of_current;
+        let fields = [
+            ("v", self.v.is_some(), seen.v_mps.is_some()),
+            ("omega", self.omega.is_some(), seen.omega_radps.is_some()),
+            ("power", power, seen.power.is_some()),
+            ("voltage", self.voltage.is_some(), seen.voltage_v.is_some()),
+            ("current", self.current.is_some(), seen.current_a.is_some()),
+            ("soc", self.soc.is_some(), seen.soc.is_some()),
+            ("charging", self.charging.is_some(), seen.charging.is_some()),
+            ("full", self.full.is_some(), seen.full.is_some()),
+        ];
+        let named = fields.into_iter().filter(|(_, is_named, _)| *is_named);
+        named.map(|(name, _, has)| (name, has)).collect()
     }
 
     /// The robot's name in the document: a text or an integer.
@@ -215,6 +242,7 @@ impl Fields {
                 "/batteryState/batteryVoltage",
             )),
             charging: Some(Flag::at("/batteryState/charging")),
+            may_lack: true,
             ..Self::default()
         }
     }

@@ -21,7 +21,11 @@ use std::collections::BTreeMap;
 use joulebus_publisher::{Charger, RobotState};
 use joulebus_settings::ChargeReading;
 
+use crate::mapping::judgement::Judgement;
 use crate::mapping::observation::{Observation, PowerOf, PowerReading};
+
+/// States of charge that the worker takes.
+const SOC: std::ops::RangeInclusive<f32> = -0.05..=1.05;
 
 /// What a robot does after its command has expired.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -79,6 +83,7 @@ pub(crate) struct Intake {
     holds: Holds,
     robots: BTreeMap<u32, Robot>,
     observations: u64,
+    judgement: Judgement,
 }
 
 impl Intake {
@@ -109,7 +114,19 @@ impl Intake {
             holds,
             robots: robots.into_iter().map(robot).collect(),
             observations: 0,
+            judgement: Judgement::default(),
         }
+    }
+
+    /// With another judgement of what robots report.
+    #[must_use]
+    pub(crate) fn judged_by(self, judgement: Judgement) -> Self {
+        Self { judgement, ..self }
+    }
+
+    /// The judgement of what robots report.
+    pub(crate) const fn judgement(&mut self) -> &mut Judgement {
+        &mut self.judgement
     }
 
     /// Adds an observation of a robot made at `at_ns` (monotonic). A robot that the mapping does
@@ -162,7 +179,9 @@ impl Intake {
         let number = |timed: Option<Timed<f32>>| timed?.within(holds.reading_ns, now_ns);
         state.voltage_v = number(known.voltage_v);
         state.current_a = number(known.current_a);
-        state.soc = number(known.soc);
+        let soc = number(known.soc);
+        // The worker would refuse the whole sample.
+        state.soc = soc.filter(|soc| SOC.contains(soc));
         if let Some(timed) = &mut known.power {
             // The message may have come after `now_ns` was read. A held reading keeps the time that
             // its sample had.
@@ -175,6 +194,9 @@ impl Intake {
             state.measured_ns = state.power_w.map(|_| timed.at_ns);
             state.held = known.sampled && state.power_w.is_some();
             known.sampled |= state.power_w.is_some();
+        }
+        if state.power_w.is_some() && !state.held {
+            self.judgement.take(&state, soc, now_ns);
         }
         Some(state)
     }
@@ -456,7 +478,8 @@ mod tests {
                 let command = newest(|seen| seen.v_mps.is_some()).filter(|(at_ns, _)| now_ns - at_ns <= 50);
                 prop_assert_eq!(state.v_mps, command.and_then(|(_, seen)| seen.v_mps));
                 let soc = newest(|seen| seen.soc.is_some()).filter(|(at_ns, _)| now_ns - at_ns <= 100);
-                prop_assert_eq!(state.soc, soc.and_then(|(_, seen)| seen.soc));
+                let soc = soc.and_then(|(_, seen)| seen.soc).filter(|soc| SOC.contains(soc));
+                prop_assert_eq!(state.soc, soc);
             }
         }
     }

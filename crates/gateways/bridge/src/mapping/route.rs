@@ -13,6 +13,10 @@ use crate::mapping::vizier;
 
 /// Number of rounds after which a request counts as unanswered.
 const ROUNDS: u64 = 3;
+/// What some programs write in front of a text.
+const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
+/// Numbers that Python and JavaScript write though JSON has none of them: they are not known.
+const NOT_NUMBERS: [&[u8]; 3] = [b"NaN", b"-Infinity", b"Infinity"];
 /// Name of the route of a vizier's answers.
 const VIZIER: &str = "vizier";
 
@@ -158,6 +162,34 @@ impl Reader {
     }
 }
 
+/// The text with null for numbers that JSON does not have.
+fn without_nan(payload: &[u8]) -> Vec<u8> {
+    let mut text = Vec::with_capacity(payload.len());
+    let (mut rest, mut in_string) = (payload, false);
+    while let Some((first, after)) = rest.split_first() {
+        let word = NOT_NUMBERS
+            .iter()
+            .find(|word| !in_string && rest.starts_with(word));
+        if let Some(word) = word {
+            text.extend_from_slice(b"null");
+            rest = &rest[word.len()..];
+            continue;
+        }
+        text.push(*first);
+        rest = after;
+        match (first, in_string) {
+            (b'"', _) => in_string = !in_string,
+            // What follows ends no string.
+            (b'\\', true) => {
+                text.extend(rest.first());
+                rest = rest.get(1..).unwrap_or_default();
+            }
+            _ => {}
+        }
+    }
+    text
+}
+
 /// One message on one route.
 struct Reading<'a> {
     route: &'a str,
@@ -181,7 +213,9 @@ impl Reading<'_> {
         } else if retained {
             Reason::Retained
         } else {
-            match serde_json::from_slice(payload) {
+            let payload = payload.strip_prefix(BYTE_ORDER_MARK).unwrap_or(payload);
+            let read = serde_json::from_slice(payload);
+            match read.or_else(|_| serde_json::from_slice(&without_nan(payload))) {
                 Ok(document) => return Some(document),
                 Err(_) => Reason::NotJson,
             }
@@ -232,6 +266,10 @@ impl Reading<'_> {
             }
         };
         let seen = self.observation(&route.fields, &document, &robot);
+        if !route.fields.may_lack {
+            let came = route.fields.came(&seen);
+            self.account.came(self.route, &robot, &came);
+        }
         if seen.is_empty() {
             self.count(Reason::Nothing, &robot);
             return None;
@@ -358,6 +396,12 @@ mod tests {
             (
                 "fleet/r1/power",
                 r#"{"power": NaN}"#,
+                "nothing_mapped",
+                "r1",
+            ),
+            (
+                "fleet/r1/power",
+                r#"{"power": Nan}"#,
                 "not_json",
                 "fleet/r1/power",
             ),
@@ -425,6 +469,21 @@ mod tests {
             panic!("nobody knows how old it is")
         });
         assert_eq!(account.records()[0].reason, "retained");
+    }
+
+    /// As Python and PlotJuggler write them.
+    #[test]
+    fn numbers_that_json_does_not_have_are_unknown_and_the_rest_is_read() {
+        for payload in [
+            r#"{"v": NaN, "power": 3}"#,
+            r#"{"v": [-Infinity, Infinity], "power": 3, "note": "NaN \" NaN \\"}"#,
+            "\u{feff}{\"power\": 3}",
+        ] {
+            let read = read(&mut reader(), "fleet/r1/power", payload.as_bytes());
+            assert_eq!(read, (vec![(1, 3.0)], vec![]), "{payload}");
+        }
+        let kept = br#"{"note": "NaN, \"Infinity\""}"#;
+        assert_eq!(without_nan(kept), kept);
     }
 
     fn vizier() -> Reader {

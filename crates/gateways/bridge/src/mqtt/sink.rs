@@ -189,6 +189,8 @@ impl MqttSink {
 
     fn publish_status(&mut self, place: usize, board: &Board, times: Times) {
         let topic = &mut self.topics[place];
+        let unmapped = self.shared.account().records();
+        let implausible = self.shared.intake().judgement().records();
         let status = json!({
             "fleet": self.fleet,
             "bridge": self.name,
@@ -196,7 +198,8 @@ impl MqttSink {
             "at_unix_ns": times.now_unix_ns,
             "worker": board.link.name(),
             "messages": self.shared.messages(),
-            "unmapped": self.shared.account().records(),
+            "unmapped": unmapped,
+            "implausible": implausible,
         });
         let (to, retain) = (topic.write.topic.of(""), topic.write.retain);
         if self.outlet.write(

@@ -9,8 +9,9 @@ use rustix::event::epoll;
 use super::wait::Waiter;
 use crate::PeerWatch;
 
-/// A descriptor that is readable when events wait or a watched process is gone: an `epoll` of both, which can itself be
-/// polled. It belongs to any thread, and tells nothing after its waiter and watches are gone.
+/// A descriptor that is readable when events wait or a watched process is gone: an `epoll` of both,
+/// which can itself be polled. It belongs to any thread, and tells nothing after its waiter and
+/// watches are gone.
 #[derive(Debug, Clone)]
 pub struct Readiness {
     epoll: Arc<OwnedFd>,

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
+use joulebus_plausibility::{Finding as Judged, Kind, Quantity, Severity};
 use rayon::iter::{IntoParallelRefIterator as _, ParallelIterator as _};
 use serde::Serialize;
 use sha2::{Digest as _, Sha256};
@@ -10,8 +11,9 @@ use sha2::{Digest as _, Sha256};
 use super::constant::only_value;
 use super::finding::{Finding, FindingKind, Place};
 use super::hold::runs;
+use super::judge::judge;
 use super::limits::Limits;
-use super::units::{power_check, suspicions};
+use super::units::power_check;
 use crate::trial::{Column, ColumnMap, Trial};
 
 /// Result of checking a set of files.
@@ -36,6 +38,18 @@ impl Check {
     #[must_use]
     pub const fn is_sound(&self) -> bool {
         self.faults == 0
+    }
+
+    /// Lets findings through: they are no faults any more.
+    pub fn accept(&mut self, kinds: &[Kind]) {
+        for finding in &mut self.findings {
+            let is_accepted = kinds.iter().any(|kind| finding.kind.is_of(*kind));
+            if finding.fault && is_accepted {
+                (finding.fault, finding.accepted) = (false, true);
+                self.faults -= finding.count;
+            }
+        }
+        self.findings.sort_by_key(|finding| !finding.fault);
     }
 
     /// The finding of a kind, if there is one.
@@ -218,8 +232,15 @@ pub fn check_trial(trial: &Trial, limits: &Limits, places: usize) -> Vec<Finding
     check_readings(trial, limits, &mut found);
     check_columns(trial, limits, &mut found);
     check_power(trial, limits, &mut found);
-    for (column, what) in suspicions(trial) {
-        found.add(FindingKind::Unit, 1, || whole(trial, column, what));
+    for implausible in judge(trial, limits) {
+        // What merely never changes is a note below.
+        let Judged { kind, severity, .. } = &implausible.finding;
+        let is_note = *kind == Kind::Constant
+            && *severity == Severity::Warning
+            && implausible.finding.quantity == Some(Quantity::Power);
+        if let Some(kind) = FindingKind::judged(*kind).filter(|_| !is_note) {
+            found.add(kind, 1, || implausible.place);
+        }
     }
     check_file(trial, &mut found);
     in_one_file(found.finish())

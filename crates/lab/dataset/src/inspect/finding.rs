@@ -3,6 +3,7 @@
 use std::fmt;
 use std::path::PathBuf;
 
+use joulebus_plausibility::Kind;
 use serde::Serialize;
 
 /// Kind of a finding.
@@ -28,8 +29,20 @@ pub enum FindingKind {
     OutOfRange,
     /// Power differs from voltage times current.
     PowerMismatch,
+    /// Power or current with the other sign.
+    Sign,
     /// Magnitudes that suggest another unit.
     Unit,
+    /// Times that stand still or go back in many rows.
+    Clock,
+    /// A command that applies long after its controller fell silent.
+    Hold,
+    /// A mapped column without any value.
+    NeverCame,
+    /// A monitor at the end of its range, or one that wraps.
+    Saturation,
+    /// Readings that never change.
+    Constant,
     /// A reading that is held far longer than usual.
     Stuck,
     /// No final newline: the file may be truncated.
@@ -47,6 +60,26 @@ pub enum FindingKind {
 }
 
 impl FindingKind {
+    /// The finding of a judgement. Values out of range have places of their own.
+    pub(super) const fn judged(kind: Kind) -> Option<Self> {
+        match kind {
+            Kind::Sign => Some(Self::Sign),
+            Kind::Unit => Some(Self::Unit),
+            Kind::Clock => Some(Self::Clock),
+            Kind::Hold => Some(Self::Hold),
+            Kind::NeverCame => Some(Self::NeverCame),
+            Kind::Saturation => Some(Self::Saturation),
+            Kind::Constant => Some(Self::Constant),
+            _ => None,
+        }
+    }
+
+    /// Whether `--accept` with this kind lets it through.
+    pub(super) fn is_of(self, kind: Kind) -> bool {
+        let is_range = kind == Kind::Range && self == Self::OutOfRange;
+        is_range || Self::judged(kind) == Some(self)
+    }
+
     /// Whether it is a fault, to be resolved before the recording is used. Other findings are
     /// informative.
     #[must_use]
@@ -70,6 +103,12 @@ impl fmt::Display for FindingKind {
             Self::MissingValue => "missing values in recorded columns",
             Self::OutOfRange => "values out of range",
             Self::PowerMismatch => "rows whose power differs from voltage times current",
+            Self::Sign => "columns that seem to have the other sign",
+            Self::Clock => "clocks that stand still or go back",
+            Self::Hold => "commands that never end",
+            Self::NeverCame => "mapped columns without any value",
+            Self::Saturation => "monitors at the end of their range",
+            Self::Constant => "readings that never change",
             Self::Unit => "columns that seem to be in another unit",
             Self::Stuck => "readings held too long",
             Self::CutOff => "files that may be truncated",
@@ -116,6 +155,9 @@ pub struct Finding {
     pub kind: FindingKind,
     /// Whether it is a fault.
     pub fault: bool,
+    /// Whether the user lets it through, so that it is no fault.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub accepted: bool,
     /// Number of occurrences.
     pub count: usize,
     /// Number of files with an occurrence.
@@ -129,6 +171,7 @@ impl Finding {
         Self {
             kind,
             fault: kind.is_fault(),
+            accepted: false,
             count: 0,
             files: 0,
             places: Vec::new(),

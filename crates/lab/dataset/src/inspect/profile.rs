@@ -1,22 +1,12 @@
 //! A platform's profile from recordings: rate, ranges, resolution, holds, and steps of the
 //! readings.
 
+use joulebus_plausibility::resolution;
 use serde::Serialize;
 
 use super::hold::runs;
 use crate::trial::{Column, Trial};
 
-/// Share of the readings that must lie on a grid for its step to be the resolution.
-const ON_GRID: f64 = 0.95;
-/// Distance from the grid that counts as on it, steps.
-const NEAR_GRID: f64 = 0.05;
-/// Steps that are tried, from the quantiles of the gaps between readings.
-const CANDIDATES: usize = 40;
-/// Number of different readings that is too small to infer their step.
-const FEW_VALUES: usize = 10;
-/// Maximum number of steps from the lowest to the highest reading. A finer grid is due to the
-/// file's decimals.
-const MAX_STEPS: f64 = 2e4;
 /// A step longer than this many median steps is a gap.
 const MAX_STEP: f64 = 1.5;
 
@@ -80,7 +70,7 @@ pub fn profile(trials: &[Trial]) -> Option<Profile> {
         readings: readings.len(),
         rate_hz: 1e9 / period_ns as f64,
         power_w: (least, greatest),
-        resolution_w: resolution(readings),
+        resolution_w: resolution(&readings),
         difference_w: difference(trials)?,
         usual_hold_s,
         longest_hold_s,
@@ -115,70 +105,4 @@ fn difference(trials: &[Trial]) -> Option<f64> {
         }
     }
     (count > 0).then(|| (sum / count as f64).sqrt())
-}
-
-/// The largest step such that nearly all readings differ by multiples of it.
-fn resolution(mut sorted: Vec<f64>) -> Option<f64> {
-    sorted.dedup();
-    if sorted.len() <= FEW_VALUES {
-        return None;
-    }
-    let mut gaps: Vec<f64> = sorted.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    gaps.sort_unstable_by(f64::total_cmp);
-    let last = gaps.len() - 1;
-    // Recorded numbers are rounded, so the smallest gap may be due to rounding.
-    let candidates = (0..=CANDIDATES)
-        .rev()
-        .map(|nth| gaps[last * nth / CANDIDATES]);
-    candidates.filter_map(|step| grid(&sorted, step)).next()
-}
-
-/// The exact step, if nearly all values are whole steps above the first.
-fn grid(sorted: &[f64], step: f64) -> Option<f64> {
-    let start = *sorted.first()?;
-    let span = *sorted.last()? - start;
-    if !(step > 0.0 && span / step < MAX_STEPS) {
-        return None;
-    }
-    let (mut exact, mut on_grid) = (step, 0);
-    for value in sorted {
-        let steps = (value - start) / exact;
-        if (steps - steps.round()).abs() <= NEAR_GRID {
-            on_grid += 1;
-            // The further from the start, the more exact.
-            if steps.round() >= 1.0 {
-                exact = (value - start) / steps.round();
-            }
-        }
-    }
-    (f64::from(on_grid) / sorted.len() as f64 >= ON_GRID).then_some(exact)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_grid_is_found_and_a_continuum_has_none() {
-        let grid = (0..200)
-            .map(|step| 3.0 + 0.01 * f64::from(step * 7 % 101))
-            .collect();
-        let mut grid: Vec<f64> = grid;
-        grid.sort_unstable_by(f64::total_cmp);
-        let step = resolution(grid).expect("a grid");
-        assert!((step - 0.01).abs() < 1e-9, "{step}");
-        // Steps of 615.38 mW in a file of two decimals.
-        let mut rounded: Vec<f64> = (0..400)
-            .map(|at| {
-                let exact = f64::from(at % 61) * 0.615_384_6 + f64::from(at % 3) * 1e-5;
-                (exact * 1e5).round() / 1e5
-            })
-            .collect();
-        rounded.sort_unstable_by(f64::total_cmp);
-        let step = resolution(rounded).expect("a grid");
-        assert!((step - 0.615_384_6).abs() < 1e-4, "{step}");
-        let mut smooth: Vec<f64> = (0..200).map(|at| f64::from(at).sqrt()).collect();
-        smooth.sort_unstable_by(f64::total_cmp);
-        assert_eq!(resolution(smooth), None);
-    }
 }

@@ -231,10 +231,12 @@ fn plain(name: &str) -> String {
 /// that states none, `power_mW=p1`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MappedColumn {
+    /// As it was given.
+    text: String,
     quantity: Quantity,
     /// The name in the file.
     name: String,
-    /// Factor to the unit of the layout.
+    /// Factor to the unit of the layout, negative for a column with the other sign.
     factor: f64,
 }
 
@@ -272,13 +274,19 @@ impl FromStr for MappedColumn {
                 found: text.to_owned(),
             });
         };
+        // A minus turns the sign.
+        let (name, sign) = match name.strip_prefix('-') {
+            Some(name) if !name.is_empty() => (name, -1.0),
+            _ => (name, 1.0),
+        };
         let wanted = plain(quantity);
         for spelling in &SPELLINGS {
             if wanted == spelling.name {
                 return Ok(Self {
+                    text: text.to_owned(),
                     quantity: spelling.quantity,
                     name: name.to_owned(),
-                    factor: spelling.mapped_factor(name),
+                    factor: sign * spelling.mapped_factor(name),
                 });
             }
             let unit = wanted
@@ -287,9 +295,10 @@ impl FromStr for MappedColumn {
             let factor = spelling.units.iter().find(|(name, _)| Some(*name) == unit);
             if let Some((_, factor)) = factor {
                 return Ok(Self {
+                    text: text.to_owned(),
                     quantity: spelling.quantity,
                     name: name.to_owned(),
-                    factor: *factor,
+                    factor: sign * factor,
                 });
             }
         }
@@ -300,19 +309,59 @@ impl FromStr for MappedColumn {
     }
 }
 
-/// The columns that the caller names; the others are found by their spelling.
+impl fmt::Display for MappedColumn {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(&self.text)
+    }
+}
+
+/// How a recording is read: the columns that the caller names, and the sign of its current. The other
+/// columns are found by their spelling.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ColumnMap {
     columns: Vec<MappedColumn>,
+    turned: bool,
 }
 
 impl From<Vec<MappedColumn>> for ColumnMap {
     fn from(columns: Vec<MappedColumn>) -> Self {
-        Self { columns }
+        Self {
+            columns,
+            turned: false,
+        }
     }
 }
 
+/// A column that was found in a file.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Found {
+    /// Its position.
+    pub(super) position: usize,
+    /// Factor to the unit of the layout.
+    pub(super) factor: f64,
+    /// Whether the name or the caller states the unit.
+    pub(super) states_unit: bool,
+}
+
 impl ColumnMap {
+    /// For recordings whose current is negative while the battery discharges, in any format.
+    #[must_use]
+    pub fn discharge_negative(self, turned: bool) -> Self {
+        Self { turned, ..self }
+    }
+
+    /// Whether the current is negative while the battery discharges.
+    pub(crate) const fn turns(&self) -> bool {
+        self.turned
+    }
+
+    /// Whether the caller names the column of a quantity.
+    pub(super) fn maps(&self, quantity: Quantity) -> bool {
+        self.columns
+            .iter()
+            .any(|column| column.quantity == quantity)
+    }
+
     /// The mapped columns: `(quantity, name in the file)`.
     pub(super) fn named(&self) -> impl Iterator<Item = (Quantity, &str)> {
         self.columns
@@ -322,7 +371,7 @@ impl ColumnMap {
 
     /// Positions of a quantity among a file's columns, with the factor to the layout's unit: mapped
     /// columns, else the layout's names, else other spellings. A file should have at most one.
-    pub(super) fn positions(&self, quantity: Quantity, names: &[String]) -> Vec<(usize, f64)> {
+    pub(super) fn positions(&self, quantity: Quantity, names: &[String]) -> Vec<Found> {
         let mapped: Vec<&MappedColumn> = self
             .columns
             .iter()
@@ -333,21 +382,35 @@ impl ColumnMap {
         if !mapped.is_empty() {
             let found = mapped.iter().flat_map(|column| {
                 let same = each().filter(|(_, name)| **name == column.name);
-                same.map(|(at, _)| (at, column.factor))
+                same.map(|(position, _)| Found {
+                    position,
+                    factor: column.factor,
+                    states_unit: true,
+                })
             });
             return found.collect();
         }
         let spelling = spelling(quantity);
-        let layout: Vec<(usize, f64)> = each()
+        let layout: Vec<Found> = each()
             .filter(|(_, name)| spelling.layout.contains(&name.as_str()) && !taken(name))
-            .map(|(at, _)| (at, 1.0))
+            .map(|(position, name)| Found {
+                position,
+                factor: 1.0,
+                states_unit: spelling.layout.first() == Some(&name.as_str()),
+            })
             .collect();
         if !layout.is_empty() {
             return layout;
         }
         each()
             .filter(|(_, name)| !taken(name))
-            .filter_map(|(at, name)| Some((at, spelling.factor(name)?)))
+            .filter_map(|(position, name)| {
+                Some(Found {
+                    position,
+                    factor: spelling.factor(name)?,
+                    states_unit: true,
+                })
+            })
             .collect()
     }
 }
@@ -450,6 +513,7 @@ mod tests {
             ("current_A", of(Column::Current), 1e3),
         ] {
             let found = map.positions(quantity, &[name.to_owned()]);
+            let found: Vec<_> = found.iter().map(|one| (one.position, one.factor)).collect();
             assert_eq!(found, [(0, factor)], "{name}");
         }
         // Neither watt nor milliwatt: not guessed.
@@ -466,16 +530,16 @@ mod tests {
             ("power=load", 1e3),
             ("power_mW=load", 1.0),
             ("power_mW=load_W", 1.0),
+            ("power=-load_W", -1e3),
+            ("power_mW=-load_W", -1.0),
         ] {
             let mapped: MappedColumn = mapping.parse().expect(mapping);
             let name = mapped.name.clone();
             let map = ColumnMap::from(vec![mapped]);
             let names = ["power_mW".to_owned(), name];
-            assert_eq!(
-                map.positions(of(Column::Power), &names),
-                [(1, factor)],
-                "{mapping}"
-            );
+            let found = map.positions(of(Column::Power), &names);
+            let found: Vec<_> = found.iter().map(|one| (one.position, one.factor)).collect();
+            assert_eq!(found, [(1, factor)], "{mapping}");
         }
         for wrong in ["power", "=a", "power=", "speed=a", "power_hp=a"] {
             assert!(wrong.parse::<MappedColumn>().is_err(), "{wrong}");

@@ -28,12 +28,20 @@ impl Table {
         Self::read_mapped(path, &ColumnMap::default())
     }
 
-    /// Same as [`Table::read_robots`], with names for the columns of a CSV.
+    /// Same as [`Table::read_robots`], with names for the columns of a CSV, and the sign of the current
+    /// in any format.
     ///
     /// # Errors
     /// Same as [`Table::read_robots`], and for a mapped column that the file lacks.
     pub fn read_mapped(path: impl AsRef<Path>, map: &ColumnMap) -> Result<Vec<Self>, TrialError> {
-        let path = path.as_ref();
+        let mut tables = Self::read_as_recorded(path.as_ref(), map)?;
+        if map.turns() {
+            tables.iter_mut().for_each(Self::turn);
+        }
+        Ok(tables)
+    }
+
+    fn read_as_recorded(path: &Path, map: &ColumnMap) -> Result<Vec<Self>, TrialError> {
         if archive::is_listing(path) {
             return archive::tables(path);
         }

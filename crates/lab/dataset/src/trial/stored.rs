@@ -20,7 +20,7 @@ pub struct Stored {
 enum Place {
     File(ColumnMap),
     /// Number of the trial in the listing, from 0.
-    Listed(Arc<Listing>, usize),
+    Listed(Arc<Listing>, usize, bool),
 }
 
 impl Stored {
@@ -39,7 +39,8 @@ impl Stored {
         }
         let listing = Arc::new(archive::open(path)?);
         let trials = 0..listing.trials.len();
-        let each = trials.map(|number| stored(Place::Listed(Arc::clone(&listing), number)));
+        let each =
+            trials.map(|number| stored(Place::Listed(Arc::clone(&listing), number, map.turns())));
         Ok(each.collect())
     }
 
@@ -50,10 +51,7 @@ impl Stored {
     pub fn read(&self) -> Result<Vec<Trial>, TrialError> {
         match &self.place {
             Place::File(map) => Trial::read_mapped(&self.path, map),
-            Place::Listed(listing, number) => {
-                let table = archive::listed(&self.path, listing, *number)?;
-                Ok(vec![table.into_trial()?])
-            }
+            Place::Listed(..) => Ok(vec![self.read_again()?]),
         }
     }
 
@@ -64,8 +62,12 @@ impl Stored {
     pub fn read_again(&self) -> Result<Trial, TrialError> {
         match &self.place {
             Place::File(map) => Table::only_of(&self.path, map)?.into_trial(),
-            Place::Listed(listing, number) => {
-                archive::listed(&self.path, listing, *number)?.into_trial()
+            Place::Listed(listing, number, turns) => {
+                let mut table = archive::listed(&self.path, listing, *number)?;
+                if *turns {
+                    table.turn();
+                }
+                table.into_trial()
             }
         }
     }
@@ -75,7 +77,7 @@ impl Stored {
     pub fn is_one_of_several(&self) -> bool {
         match &self.place {
             Place::File(_) => false,
-            Place::Listed(listing, _) => listing.trials.len() > 1,
+            Place::Listed(listing, ..) => listing.trials.len() > 1,
         }
     }
 
@@ -87,7 +89,7 @@ impl Stored {
                 .path
                 .metadata()
                 .map_or(0, |about| about.len().div_ceil(BYTES_A_ROW)),
-            Place::Listed(listing, number) => listing.trials[*number].rows,
+            Place::Listed(listing, number, _) => listing.trials[*number].rows,
         }
     }
 }

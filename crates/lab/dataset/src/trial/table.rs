@@ -112,6 +112,19 @@ impl Column {
     }
 }
 
+/// A column of a CSV that was read.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SourceColumn {
+    /// What it holds.
+    pub column: Column,
+    /// Its name in the file.
+    pub name: String,
+    /// Whether its name, or the caller, states the unit; the layout's is assumed otherwise.
+    pub states_unit: bool,
+    /// Whether the caller named it.
+    pub is_mapped: bool,
+}
+
 /// Accepted names of the robot column in a CSV.
 pub(super) const ROBOT_NAMES: &[&str] = &["robot_id"];
 /// Accepted names of the time column in a CSV.
@@ -130,6 +143,8 @@ pub struct Table {
     pub(crate) ignored_columns: Vec<String>,
     pub(crate) no_final_line_break: bool,
     pub(crate) unnamed_rows: usize,
+    /// The columns of a CSV that were read.
+    pub(crate) sources: Vec<SourceColumn>,
 }
 
 /// Values of each [`Column`], in the order of [`Column::ALL`].
@@ -232,6 +247,35 @@ impl Table {
     #[must_use]
     pub fn column(&self, column: Column) -> Option<&[f64]> {
         self.columns[column as usize].as_deref()
+    }
+
+    /// Turns the sign of the current, and of a power that has its sign: one that was made of it, or
+    /// that is positive where the current is.
+    pub(super) fn turn(&mut self) {
+        let [power, current] = [Column::Power, Column::Current].map(|column| self.column(column));
+        let agrees = match (power, current) {
+            (Some(power), Some(current)) => {
+                let products = power
+                    .iter()
+                    .zip(current)
+                    .map(|(power, current)| power * current);
+                products.filter(|product| !product.is_nan()).sum::<f64>() >= 0.0
+            }
+            _ => true,
+        };
+        let turned = if agrees {
+            &[Column::Power, Column::Current][..]
+        } else {
+            &[Column::Current]
+        };
+        for column in turned {
+            for value in self.columns[*column as usize].iter_mut().flatten() {
+                // 0 stays 0, and NaN keeps its bits.
+                if *value != 0.0 && !value.is_nan() {
+                    *value = -*value;
+                }
+            }
+        }
     }
 
     /// Removes a column.

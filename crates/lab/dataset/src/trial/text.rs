@@ -9,7 +9,7 @@ use flate2::bufread::MultiGzDecoder;
 use super::TrialError;
 use super::limits::{FREE_TEXT_BYTES, MAX_EXPANSION, MAX_ROW_BYTES, MAX_TEXT_BYTES};
 use super::names::{ColumnMap, Quantity, accepted};
-use super::table::{Cell, Column, TIME_NAMES, Table, Tables};
+use super::table::{Cell, Column, SourceColumn, TIME_NAMES, Table, Tables};
 
 /// Reads the table; `zipped`: the bytes are gzip, with the size of the file.
 pub(super) fn read(
@@ -46,7 +46,7 @@ pub(super) fn read(
             found: "a compressed NumPy array (decompress it first)",
         });
     }
-    let (layout, ignored_columns) = Layout::find(path, &header, map)?;
+    let (layout, sources, ignored_columns) = Layout::find(path, &header, map)?;
     let mut tables = Tables::default();
     let mut record = ByteRecord::new();
     let mut rows = 0;
@@ -67,7 +67,11 @@ pub(super) fn read(
         reader.get_mut().row_bytes = 0;
     }
     let no_final_line_break = !matches!(reader.get_ref().last, b'\n' | b'\r');
-    Ok(tables.finish(path, &ignored_columns, no_final_line_break))
+    let mut tables = tables.finish(path, &ignored_columns, no_final_line_break);
+    for table in &mut tables {
+        table.sources.clone_from(&sources);
+    }
+    Ok(tables)
 }
 
 /// Limits the size of the text and of each row, and records whether the text ends with a newline.
@@ -157,7 +161,7 @@ impl Layout {
         path: &Path,
         header: &ByteRecord,
         map: &ColumnMap,
-    ) -> Result<(Self, Vec<String>), TrialError> {
+    ) -> Result<(Self, Vec<SourceColumn>, Vec<String>), TrialError> {
         let names = header
             .iter()
             .map(|name| String::from_utf8_lossy(name).into_owned())
@@ -188,21 +192,28 @@ impl Layout {
         let mut find = |quantity| match map.positions(quantity, &names).as_slice() {
             [] => Ok(None),
             [one] => {
-                used[one.0] = true;
+                used[one.position] = true;
                 Ok(Some(*one))
             }
             [first, second, ..] => Err(TrialError::DuplicateColumn {
                 path: path.to_owned(),
-                first: names[first.0].clone(),
-                second: names[second.0].clone(),
+                first: names[first.position].clone(),
+                second: names[second.position].clone(),
             }),
         };
-        let robot = find(Quantity::Robot)?.map(|(position, _)| position);
-        let time = find(Quantity::Time)?;
-        let mut columns = Vec::new();
+        let robot = find(Quantity::Robot)?.map(|found| found.position);
+        let time = find(Quantity::Time)?.map(|found| (found.position, found.factor));
+        let (mut columns, mut sources) = (Vec::new(), Vec::new());
         for column in Column::ALL {
-            if let Some((position, factor)) = find(Quantity::Column(column))? {
-                columns.push((column, position, factor));
+            let quantity = Quantity::Column(column);
+            if let Some(found) = find(quantity)? {
+                columns.push((column, found.position, found.factor));
+                sources.push(SourceColumn {
+                    column,
+                    name: names[found.position].clone(),
+                    states_unit: found.states_unit,
+                    is_mapped: map.maps(quantity),
+                });
             }
         }
         let has = |wanted| columns.iter().any(|(column, ..)| *column == wanted);
@@ -236,7 +247,7 @@ impl Layout {
             .zip(used)
             .filter_map(|(name, used)| (!used).then_some(name))
             .collect();
-        Ok((layout, ignored_columns))
+        Ok((layout, sources, ignored_columns))
     }
 
     fn take_row(

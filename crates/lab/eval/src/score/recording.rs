@@ -3,6 +3,7 @@
 use std::fmt;
 use std::sync::Arc;
 
+use joulebus_dataset::inspect::{Implausible, Limits, judge};
 use joulebus_dataset::rows::{TrialRows, trial_rows};
 use joulebus_dataset::split::{Placed, SourceInfo, SplitError, check_copies, digest, group_of};
 use joulebus_dataset::trial::{Stored, Trial, TrialError};
@@ -23,6 +24,8 @@ pub struct Recording {
     file: String,
     /// Notes on the trial's quality, in one line.
     notes: String,
+    /// What is implausible in it.
+    implausible: Vec<Implausible>,
     /// Rows of the trial.
     trial_rows: usize,
     /// Rows with a forecast and a reading that follows.
@@ -89,12 +92,19 @@ impl Recording {
             group: group_of(&file),
             file: trial.path().display().to_string(),
             notes: trial.notes().to_string(),
+            implausible: judge(trial, &Limits::default()),
             trial_rows: trial.rows(),
             rows: rows.rows.len(),
             digest: digest(rows),
             period_ns: trial.period_ns(),
             held: Held::Memory(Arc::new(contents)),
         }
+    }
+
+    /// What is implausible in its readings, errors first.
+    #[must_use]
+    pub fn implausible(&self) -> &[Implausible] {
+        &self.implausible
     }
 
     /// The same recording, read again from its source when its rows are needed.

@@ -2,12 +2,13 @@
 
 use std::fmt;
 
-use joulebus_dataset::inspect::{Check, Finding, Limits, Range, check_files};
+use joulebus_dataset::inspect::{Check, Finding, Limits, check_files};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use serde::Serialize;
 
+use crate::judgement::{AcceptArguments, limits};
 use crate::recordings::Recordings;
 use joulebus_program::platform::platform;
 
@@ -20,7 +21,9 @@ use joulebus_program::platform::platform;
     joulebus data check recordings/ --format json\n\n\
     Faults: files that are not recordings, duplicates, times that repeat or go back, gaps, missing \
     readings and values, values out of range, power that differs from voltage times current, \
-    columns that seem to be in another unit, readings held too long, truncated files. Held readings, \
+    columns that seem to be in another unit or to have the other sign, clocks that stand still or go back, commands \
+    that never end, monitors at the end of their range, readings that never change or never came, readings held too \
+    long, truncated files. --accept makes one of them a note. Held readings, \
     and columns that are missing, unknown or constant are reported, but are not faults.\n\
     Exit codes: 0 without faults, 3 with faults.\n\n\
     Names of columns in a CSV, upper or lower case; --map names others. Time and power are required, or \
@@ -28,6 +31,8 @@ use joulebus_program::platform::platform;
 pub(super) struct Args {
     #[command(flatten)]
     recordings: Recordings,
+    #[command(flatten)]
+    accept: AcceptArguments,
     /// Occurrences to show per finding
     #[arg(long, value_name = "N", default_value_t = 3)]
     places: usize,
@@ -50,7 +55,8 @@ struct CheckReport {
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let files = args.recordings.find()?;
     let limits = args.limits()?;
-    let check = check_files(&files, &args.recordings.map(), &limits, args.places);
+    let mut check = check_files(&files, &args.recordings.map(), &limits, args.places);
+    check.accept(&args.accept.accept);
     let sound = check.is_sound();
     output.report(&CheckReport {
         sound,
@@ -66,16 +72,7 @@ impl Args {
             return Ok(Limits::default());
         };
         let config = self.config.load()?;
-        let platform = platform(config.settings(), name)?;
-        Ok(Limits {
-            v_mps: Range::within(f64::from(platform.v_max_mps)),
-            omega_radps: Range::within(f64::from(platform.omega_max_radps)),
-            power_w: Range {
-                least: f64::from(platform.power_min_w),
-                greatest: f64::from(platform.power_max_w),
-            },
-            ..Limits::default()
-        })
+        Ok(limits(platform(config.settings(), name)?))
     }
 }
 
@@ -93,7 +90,8 @@ impl fmt::Display for CheckReport {
             write_finding(out, "fault", finding)?;
         }
         for finding in findings.iter().filter(|finding| !finding.fault) {
-            write_finding(out, "note", finding)?;
+            let word = if finding.accepted { "accepted" } else { "note" };
+            write_finding(out, word, finding)?;
         }
         writeln!(
             out,

@@ -32,7 +32,7 @@ pub(super) struct PartArguments {
     out: Option<PathBuf>,
     /// Report what the parts in these files (PATH…) are together: what one run reports
     #[arg(long, conflicts_with_all = [
-        "partition", "out", "model", "config", "platform", "first_robot", "map", "split", "held_out", "leave_out", "seed",
+        "partition", "out", "model", "config", "platform", "first_robot", "map", "current", "accept", "split", "held_out", "leave_out", "seed",
         "fit", "horizons", "origins_every", "energy", "resamples", "confidence", "block_rows",
     ])]
     pub(super) merge: bool,

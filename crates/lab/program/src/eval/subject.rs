@@ -11,6 +11,7 @@ use joulebus_program::exit::UsageError;
 use joulebus_settings::{FleetSettings, Platform};
 use joulebus_statistics::bootstrap::Bootstrap;
 
+use crate::judgement::{AcceptArguments, Judged};
 use crate::recordings::{find_recordings, open, open_with_ids};
 use crate::split_unit::SplitUnit;
 use crate::trials::TrialFiles;
@@ -20,6 +21,8 @@ use crate::trials::TrialFiles;
 pub(crate) struct Selection {
     #[command(flatten)]
     trials: TrialFiles,
+    #[command(flatten)]
+    accept: AcceptArguments,
     #[command(flatten)]
     config: ConfigFile,
     /// Evaluate the held-out part of a split, with baselines fitted on the rest: unit of the split
@@ -120,6 +123,15 @@ impl Selection {
         })
     }
 
+    /// What is implausible in the recordings.
+    ///
+    /// # Errors
+    /// A finding that makes results wrong and is not accepted.
+    pub(crate) fn judge(&self, sections: &[Section]) -> anyhow::Result<Vec<Judged>> {
+        let recordings = sections.iter().flat_map(|section| &section.recordings);
+        self.accept.recordings(recordings)
+    }
+
     /// Reads the recordings, and sorts them by platform. If a model was given, but neither a config
     /// nor robot ids, they are taken as recorded.
     pub(crate) fn sections(
@@ -184,6 +196,7 @@ impl Selection {
             return Ok(Design::folds(recordings));
         }
         let others = open(find_recordings(&self.fit)?, &self.trials.map())?;
+        self.accept.recordings(&others)?;
         check_apart(recordings, (&others, "after --fit"))
             .map_err(|error| UsageError(error.to_string()))?;
         Ok(Design::fitted_on(recordings, others))

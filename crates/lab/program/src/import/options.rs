@@ -6,6 +6,8 @@ use anyhow::Context as _;
 use joulebus_capture_format::import::{CurrentSign, Mapping, RobotMapping, TimeSource};
 use joulebus_program::exit::UsageError;
 
+use crate::recordings::Sign;
+
 /// Maximum size of a mapping, bytes.
 const MAX_MAPPING_BYTES: u64 = 4 << 20;
 
@@ -30,9 +32,6 @@ pub(super) struct ImportArguments {
     /// Its id in a capture
     #[arg(long, value_name = "ID", requires = "battery")]
     robot_id: Option<u32>,
-    /// Sign of the current [default: discharge-negative, as in ROS]
-    #[arg(long, value_name = "SIGN")]
-    current: Option<Sign>,
     /// Time to use [default: auto: the header's, or the log time where headers have none]
     #[arg(long, value_name = "CLOCK")]
     time: Option<Clock>,
@@ -40,14 +39,6 @@ pub(super) struct ImportArguments {
     /// 0.005]
     #[arg(long, value_name = "SECONDS")]
     burst: Option<f64>,
-}
-
-#[derive(Debug, Clone, Copy, clap::ValueEnum)]
-enum Sign {
-    /// Negative while discharging
-    DischargeNegative,
-    /// Positive while discharging
-    DischargePositive,
 }
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
@@ -64,7 +55,7 @@ enum Clock {
 
 impl ImportArguments {
     /// The mapping of file and options; options take precedence.
-    pub(super) fn mapping(&self) -> anyhow::Result<Mapping> {
+    pub(super) fn mapping(&self, current: Option<Sign>) -> anyhow::Result<Mapping> {
         let mut mapping = match &self.mapping {
             None => Mapping::default(),
             Some(path) => {
@@ -75,7 +66,7 @@ impl ImportArguments {
                 parsed.map_err(|error| UsageError(format!("{}: {error}", named())))?
             }
         };
-        if let Some(sign) = self.current {
+        if let Some(sign) = current {
             mapping.current = match sign {
                 Sign::DischargeNegative => CurrentSign::DischargeNegative,
                 Sign::DischargePositive => CurrentSign::DischargePositive,

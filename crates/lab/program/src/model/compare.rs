@@ -9,6 +9,7 @@ use joulebus_program::output::Output;
 use serde::Serialize;
 
 use crate::eval::{Selection, load, usage, warn};
+use crate::judgement::report;
 
 /// Compare two models on the same recordings: by group, robot and trial, with paired intervals
 #[derive(Debug, clap::Args)]
@@ -46,7 +47,9 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let config = args.asked.config()?;
     let options = args.asked.options()?;
     let mut comparisons = Vec::new();
-    for section in args.asked.sections(config.settings(), true)? {
+    let sections = args.asked.sections(config.settings(), true)?;
+    let implausible = args.asked.judge(&sections)?;
+    for section in sections {
         let design = args.asked.design(&section, &models)?;
         let subject = section.subject(&models, &design);
         let comparison = compare(subject, &options).map_err(usage)?;
@@ -56,7 +59,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let worse = comparisons
         .iter()
         .any(|one| one.all.verdict == Verdict::Worse);
-    output.report(&CompareReport { comparisons })?;
+    report(output, &CompareReport { comparisons }, implausible)?;
     Ok(Outcome::unless_lost(args.fail_worse && worse))
 }
 

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use joulebus_program::config_file::ConfigFile;
 
+use crate::judgement::AcceptArguments;
 use crate::recordings::ColumnArguments;
 
 /// Report the accuracy of models in figures and tables, compared with the baselines
@@ -29,6 +30,8 @@ pub(crate) struct Args {
     pub(super) paths: Vec<PathBuf>,
     #[command(flatten)]
     pub(super) columns: ColumnArguments,
+    #[command(flatten)]
+    pub(super) accept: AcceptArguments,
     /// A model file; the first is shown in every figure, further ones are compared with it
     #[arg(long, value_name = "FILE", required_unless_present = "simulated")]
     pub(super) model: Vec<PathBuf>,

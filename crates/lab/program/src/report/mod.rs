@@ -21,6 +21,7 @@ use joulebus_report::{Document, Recorded, Simulated, SimulatedReport, files, rec
 use joulebus_settings::Platform;
 use joulebus_train::Epoch;
 
+use crate::judgement::{self, Judged};
 use crate::recordings::find_recordings;
 pub(crate) use arguments::Args;
 
@@ -32,8 +33,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let pictures = args.out.join("figures");
     fs::create_dir_all(&pictures)
         .with_context(|| format!("cannot make the directory {}", pictures.display()))?;
-    let document = if args.simulated {
-        simulate(args)?
+    let (document, implausible) = if args.simulated {
+        (simulate(args)?, Vec::new())
     } else {
         evaluate(args)?
     };
@@ -45,7 +46,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         "written: {}",
         args.out.join("report.html").display()
     ));
-    output.report(&document)?;
+    judgement::report(output, &document, implausible)?;
     Ok(Outcome::Done)
 }
 
@@ -76,7 +77,7 @@ fn simulate(args: &Args) -> anyhow::Result<Document> {
     Ok(document)
 }
 
-fn evaluate(args: &Args) -> anyhow::Result<Document> {
+fn evaluate(args: &Args) -> anyhow::Result<(Document, Vec<Judged>)> {
     let config = args.config.load()?;
     let settings = config.settings();
     let kind: Option<&Platform> = match &args.platform {
@@ -91,7 +92,12 @@ fn evaluate(args: &Args) -> anyhow::Result<Document> {
         .map_or(0, |ids| *ids.start());
     let map = args.columns.map();
     let recordings = read(&args.paths, first, &map)?;
-    let design = design(args, &recordings, || read(&args.train, first, &map))?;
+    let implausible = args.accept.recordings(&recordings)?;
+    let design = design(args, &recordings, || {
+        let training = read(&args.train, first, &map)?;
+        args.accept.recordings(&training)?;
+        Ok(training)
+    })?;
     say(&format!(
         "evaluating {} of {} recordings",
         design.report().trials,
@@ -108,7 +114,7 @@ fn evaluate(args: &Args) -> anyhow::Result<Document> {
     if let Some(warning) = &document.warning {
         say(&format!("warning: {warning}"));
     }
-    Ok(document)
+    Ok((document, implausible))
 }
 
 /// The design: the rows to evaluate.

@@ -103,7 +103,7 @@ fn simulated(sim: &Sim, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Trains on recordings by the default recipe. Returns false if the run was interrupted. `full`
+/// Trains on recordings that were judged before, by the default recipe. Returns false if the run was interrupted. `full`
 /// states that velocities are recorded. A few files are split in time, because there is no trial to
 /// hold out.
 ///

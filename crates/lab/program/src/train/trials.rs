@@ -16,6 +16,7 @@ use joulebus_train::{Recipe, TrainReport, TrainSettings};
 
 use super::FeatureChoice;
 use super::run::RunArguments;
+use crate::judgement::{self, AcceptArguments, Judged};
 use crate::next_command::{recordings, word};
 use crate::recordings::{ColumnArguments, find_recordings, open};
 use crate::split_unit::SplitUnit;
@@ -67,13 +68,15 @@ pub(super) struct Args {
     #[command(flatten)]
     columns: ColumnArguments,
     #[command(flatten)]
+    accept: AcceptArguments,
+    #[command(flatten)]
     run: RunArguments,
 }
 
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     args.run.check()?;
     let recipe = args.recipe()?;
-    let (dataset, summary) = args.dataset(&recipe)?;
+    let (dataset, summary, implausible) = args.dataset(&recipe)?;
     if let Some(directory) = &args.rows {
         write_rows(directory, &dataset)
             .with_context(|| format!("cannot write rows to {}", directory.display()))?;
@@ -89,7 +92,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         Some(summary),
     );
     report.next = args.next();
-    output.report(&report)?;
+    judgement::report(output, &report, implausible)?;
     Ok(Outcome::Done)
 }
 
@@ -97,7 +100,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 const WHOLE_FROM: usize = 10;
 
 impl Args {
-    /// Arguments for the default recipe.
+    /// Arguments for the default recipe, and recordings that were judged before.
     pub(super) fn of(
         paths: &[PathBuf],
         columns: &ColumnArguments,
@@ -120,6 +123,7 @@ impl Args {
             rows: None,
             most_rows: MAX_ROWS,
             columns: columns.clone(),
+            accept: AcceptArguments::settled(),
             run: RunArguments::new(out),
         }
     }
@@ -127,9 +131,10 @@ impl Args {
     /// Commands for the trained model.
     fn next(&self) -> Vec<String> {
         let (recordings, model) = (recordings(&self.paths), word(&self.run.out));
+        let reading = self.columns.options() + &self.accept.option();
         vec![
-            format!("joulebus eval {recordings} --model {model}"),
-            format!("joulebus config init --from {recordings} --model {model} --out lab/"),
+            format!("joulebus eval {recordings} --model {model}{reading}"),
+            format!("joulebus config init --from {recordings} --model {model} --out lab/{reading}"),
         ]
     }
 
@@ -137,7 +142,7 @@ impl Args {
     pub(super) fn train(&self) -> anyhow::Result<bool> {
         self.run.check()?;
         let recipe = self.recipe()?;
-        let (dataset, _) = self.dataset(&recipe)?;
+        let (dataset, ..) = self.dataset(&recipe)?;
         Ok(self.run.train(&dataset, &recipe.training)?.is_some())
     }
 
@@ -166,11 +171,13 @@ impl Args {
         Ok(recipe)
     }
 
-    fn dataset(&self, recipe: &Recipe) -> anyhow::Result<(Dataset, SplitSummary)> {
+    fn dataset(&self, recipe: &Recipe) -> anyhow::Result<(Dataset, SplitSummary, Vec<Judged>)> {
         let map = self.columns.map();
         let [paths, validation, held_out] =
             [&self.paths, &self.validate, &self.hold_out].map(|paths| read(paths, &map));
         let (paths, validation, held_out) = (paths?, validation?, held_out?);
+        let all = [&paths, &validation, &held_out].into_iter().flatten();
+        let implausible = self.accept.recordings(all)?;
         let parts = match held_out.is_empty() {
             true => Parts::Split(&paths, recipe.split),
             false => Parts::Given([&paths, &validation, &held_out]),
@@ -180,7 +187,7 @@ impl Args {
             TrainingDataError::Split(error) => UsageError(error.to_string()).into(),
             error => anyhow::Error::from(error),
         })?;
-        Ok((dataset, summary))
+        Ok((dataset, summary, implausible))
     }
 }
 

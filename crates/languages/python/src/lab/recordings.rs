@@ -1,8 +1,9 @@
 //! Recordings that a computation takes: files, and trials in memory.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use joulebus_dataset::inspect::find;
+use joulebus_dataset::inspect::{Implausible, find};
 use joulebus_dataset::trial::{ColumnMap, MappedColumn, Trial};
 use joulebus_eval::score::{Recording, open_recordings};
 use pyo3::exceptions::PyValueError;
@@ -77,8 +78,27 @@ impl Inputs {
         let mut recordings = read.map_err(|error| refused_trial(&error))?;
         let given = (count..).map(id).zip(self.trials);
         recordings.extend(given.map(|(id, trial)| Recording::new(id, trial)));
+        implausible(&recordings).into_iter().for_each(remark);
         Ok(recordings)
     }
+}
+
+/// What is implausible in the recordings: a line for each kind, with the first of them.
+fn implausible(recordings: &[Recording]) -> Vec<String> {
+    let mut kinds = BTreeMap::new();
+    for found in recordings.iter().flat_map(Recording::implausible) {
+        let first = kinds.entry((
+            found.finding.severity,
+            found.finding.kind,
+            found.finding.quantity,
+        ));
+        first.or_insert((found, 0_usize)).1 += 1;
+    }
+    let line = |(found, count): &(&Implausible, usize)| {
+        let (file, finding) = (found.place.file.display(), &found.finding);
+        format!("implausible in {count} recordings, the first {file}: {finding}")
+    };
+    kinds.values().map(line).collect()
 }
 
 /// The columns of CSV files: `quantity=column`.

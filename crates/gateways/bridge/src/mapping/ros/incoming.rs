@@ -98,8 +98,11 @@ impl RosRoute {
             Message::TwistStamped(stamped) => motion(&stamped.twist, &mut refused),
             Message::Odometry(odometry) => motion(&odometry.twist.twist, &mut refused),
         };
+        if self.kind == RosType::BatteryState && self.battery.power_of.is_some() {
+            account.came(&self.name, robot, &[("power", seen.power.is_some())]);
+        }
         if seen.is_empty() {
-            count(Reason::Nothing, robot);
+            account.count(&self.name, Reason::Nothing, robot);
             return None;
         }
         Some(seen)

@@ -2,4 +2,5 @@
 
 mod check;
 mod convert;
+mod judge;
 mod resample;

@@ -1,0 +1,226 @@
+//! Implausible readings: every verb that uses recordings names them, with the option that mends them, and stops.
+
+use std::fs;
+use std::path::PathBuf;
+
+use serde_json::Value;
+
+use super::fleet::{Fleet, code, json, output, stderr, stdout};
+
+/// Doors, with what stands for the recording; each loads its other inputs first.
+const DOORS: [&str; 8] = [
+    "import RECORDING -o OUT.csv",
+    "config init --from RECORDING -o OUT",
+    "train trials RECORDING --split time --out OUT.safetensors",
+    "eval RECORDING --config FLEET --first-robot 0 --resamples 0",
+    "analyze RECORDING --native --split time",
+    "report RECORDING --model builtin:gternal-sim -o OUT",
+    "publish trial RECORDING --config FLEET --no-wait --first-robot 0 --rate max",
+    "model compare builtin:gternal-sim builtin:gternal-sim RECORDING --resamples 0",
+];
+
+/// A recording of 24 V and some 2 A at 30 Hz: time, voltage, current, v, in these units and with this sign.
+fn recording(fleet: &Fleet, name: &str, header: &str, [voltage, current]: [f64; 2]) -> PathBuf {
+    let mut text = format!("{header}\n");
+    for row in 0..600 {
+        let step = f64::from(row);
+        let load_a = 0.15 + 0.02 * (0.7 * step).sin() + 0.01 * (2.9 * step).cos();
+        let volt = 24.0 - 0.1 * load_a + 0.001 * (5.1 * step).sin();
+        text += &format!(
+            "{},{},{},{},{}\n",
+            step / 30.0,
+            volt * voltage,
+            load_a * current,
+            0.1 + 0.01 * (0.3 * step).sin(),
+            0.2 * (0.21 * step).cos()
+        );
+    }
+    let path = fleet.path(name);
+    fs::write(&path, text).unwrap();
+    path
+}
+
+fn words(fleet: &Fleet, door: &str, recording: &str, number: usize) -> Vec<String> {
+    let out = fleet.path(&format!("out-{number}")).display().to_string();
+    let config = fleet.config().display().to_string();
+    let replaced = |word: &str| {
+        let word = word.replace("RECORDING", recording);
+        word.replace("OUT", &out).replace("FLEET", &config)
+    };
+    door.split_whitespace().map(replaced).collect()
+}
+
+#[test]
+fn every_door_names_what_is_implausible_with_its_option_and_stops() {
+    let fleet = Fleet::new();
+    let stated = "time,voltage_V,current_A,v_cmd,omega_cmd";
+    let negative = recording(&fleet, "negative.csv", stated, [1.0, -1.0]);
+    let unstated = "time,voltage,current,v_cmd,omega_cmd";
+    let unstated = recording(&fleet, "unstated.csv", unstated, [1.0, 1.0]);
+    for (path, says, option) in [
+        (
+            negative,
+            "--current discharge-negative",
+            ["--current", "discharge-negative"],
+        ),
+        (
+            unstated,
+            "--map voltage_V=voltage",
+            ["--map", "voltage_V=voltage,current_A=current"],
+        ),
+    ] {
+        let path = path.display().to_string();
+        let checked = output(["data", "check", &path]);
+        assert_eq!(code(&checked), 3, "{}", stdout(&checked));
+        assert!(stdout(&checked).contains(says), "{}", stdout(&checked));
+        for (number, door) in DOORS.iter().enumerate() {
+            let plain = words(&fleet, door, &path, number);
+            let refused = output(&plain);
+            let said = stderr(&refused);
+            assert_eq!(code(&refused), 1, "{door}: {said}");
+            assert!(
+                said.contains(says) && said.contains("--accept"),
+                "{door}: {said}"
+            );
+            assert!(!fleet.path(&format!("out-{number}.csv")).exists(), "{door}");
+            // Reading it right is enough.
+            let read = plain.iter().map(String::as_str).chain(option);
+            let read = output(read);
+            let said = stderr(&read);
+            assert!(!said.contains("implausible"), "{door} {option:?}: {said}");
+            assert!(matches!(code(&read), 0 | 3), "{door} {option:?}: {said}");
+            for out in ["", ".csv", ".safetensors"] {
+                let out = fleet.path(&format!("out-{number}{out}"));
+                let _ = fs::remove_file(&out);
+                let _ = fs::remove_dir_all(&out);
+            }
+        }
+    }
+}
+
+#[test]
+fn what_is_accepted_is_said_and_goes_on_in_text_and_json() {
+    let fleet = Fleet::new();
+    let stated = "time,voltage_V,current_A,v_cmd,omega_cmd";
+    let path = recording(&fleet, "negative.csv", stated, [1.0, -1.0]);
+    let path = path.display().to_string();
+    let analyze = [
+        "analyze", &path, "--native", "--split", "time", "--format", "json",
+    ];
+    let accepted = output(analyze.into_iter().chain(["--accept", "sign"]));
+    assert_eq!(code(&accepted), 0, "{}", stderr(&accepted));
+    assert!(
+        stderr(&accepted).contains("accepted: sign"),
+        "{}",
+        stderr(&accepted)
+    );
+    let found = &json(&accepted)["implausible"][0];
+    assert_eq!(
+        (&found["kind"], &found["accepted"]),
+        (&Value::from("sign"), &Value::from(true))
+    );
+    let checked = output([
+        "data", "check", &path, "--accept", "sign", "--format", "json",
+    ]);
+    assert_eq!(code(&checked), 0, "{}", stdout(&checked));
+    let refused = output(["data", "check", &path, "--accept", "smell"]);
+    assert_eq!(code(&refused), 2, "{}", stderr(&refused));
+    assert!(
+        stderr(&refused).contains("saturation"),
+        "{}",
+        stderr(&refused)
+    );
+}
+
+#[test]
+fn warnings_are_shown_and_go_on() {
+    let fleet = Fleet::new();
+    let path = fleet.path("still.csv");
+    let mut text = "time,power_W,current_A,v_cmd,omega_cmd\n".to_owned();
+    for row in 0..300 {
+        let step = f64::from(row);
+        let power_w = 3.6 + 0.1 * (0.7 * step).sin();
+        text += &format!(
+            "{},{power_w},0,0.1,{}\n",
+            step / 30.0,
+            0.2 * (0.21 * step).cos()
+        );
+    }
+    fs::write(&path, text).unwrap();
+    let analyze = [
+        "analyze",
+        path.to_str().unwrap(),
+        "--native",
+        "--split",
+        "time",
+    ];
+    let found = output(analyze.into_iter().chain(["--format", "json"]));
+    assert_eq!(code(&found), 0, "{}", stderr(&found));
+    assert!(
+        stderr(&found).contains("warning: constant"),
+        "{}",
+        stderr(&found)
+    );
+    let kind = &json(&found)["implausible"][0]["kind"];
+    assert_eq!(kind, &Value::from("constant"));
+}
+
+/// The limits of a platform are those of a robot that consumes.
+#[test]
+fn a_platform_of_turned_readings_has_the_limits_of_a_robot() {
+    let fleet = Fleet::new();
+    let stated = "time,voltage_V,current_A,v_cmd,omega_cmd";
+    let path = recording(&fleet, "negative.csv", stated, [1.0, -1.0]);
+    let (path, out) = (path.display().to_string(), fleet.path("lab"));
+    let init = [
+        "config",
+        "init",
+        "--from",
+        &path,
+        "--name",
+        "r",
+        "-o",
+        out.to_str().unwrap(),
+    ];
+    let made = output(init.into_iter().chain(["--current", "discharge-negative"]));
+    assert_eq!(code(&made), 0, "{}", stderr(&made));
+    let platform = fs::read_to_string(out.join("platforms/r.toml")).unwrap();
+    assert!(platform.contains("\npower_min_w = 0.0\n"), "{platform}");
+    // The next commands read the recording in the same way.
+    assert!(
+        stdout(&made).contains("--current discharge-negative"),
+        "{}",
+        stdout(&made)
+    );
+}
+
+/// A zero in front of noise is no step of the monitor.
+#[test]
+fn noise_has_no_resolution() {
+    let fleet = Fleet::new();
+    let path = fleet.path("noise.csv");
+    let mut text = "time,power_W\n0,0\n".to_owned();
+    let mut state = 7_u64;
+    for row in 1..3_000 {
+        let mut sum = 0.0;
+        for _ in 0..12 {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            sum += (state >> 40) as f64 / f64::from(1 << 24);
+        }
+        text += &format!("{},{:.6}\n", f64::from(row) / 30.0, 4.6 + 0.3 * (sum - 6.0));
+    }
+    fs::write(&path, text).unwrap();
+    let (path, out) = (path.display().to_string(), fleet.path("lab"));
+    let made = output([
+        "config",
+        "init",
+        "--from",
+        &path,
+        "-o",
+        out.to_str().unwrap(),
+    ]);
+    assert_eq!(code(&made), 0, "{}", stderr(&made));
+    assert!(!stdout(&made).contains("resolution"), "{}", stdout(&made));
+}

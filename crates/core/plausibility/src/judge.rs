@@ -1,0 +1,421 @@
+//! The judgement of one robot, sample by sample.
+
+use crate::clock::{RATE_HZ, Times};
+use crate::column::Column;
+use crate::finding::{Finding, Kind, Remedy, Severity};
+use crate::hold::Hold;
+use crate::quantity::{Quantity, number};
+use crate::saturation::{saturated, wraps};
+use crate::sign::{Sign, negative_voltage};
+use crate::sizes::Sizes;
+use crate::unit::Magnitudes;
+
+/// Values before a column that never changes is one.
+const MIN_CONSTANT: u64 = 100;
+/// Values before zeros, and values that never came, count.
+const MIN_ROWS: u64 = 20;
+/// Observations before what never came counts.
+const MIN_MISSING: u64 = 50;
+/// Share of values outside their range that makes the whole column wrong.
+const MOSTLY: f64 = 0.5;
+/// Speed at which a robot drives, m/s.
+const DRIVES_MPS: f64 = 0.1;
+
+/// What was seen of a robot at one time, in SI units; NaN where it is unknown.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Observation {
+    /// Time, s since any start.
+    pub time_s: f64,
+    /// Commanded linear velocity, m/s.
+    pub v_mps: f64,
+    /// Commanded angular velocity, rad/s.
+    pub omega_radps: f64,
+    /// Measured linear velocity, m/s.
+    pub v_measured_mps: f64,
+    /// Measured angular velocity, rad/s.
+    pub omega_measured_radps: f64,
+    /// Electrical power, W.
+    pub power_w: f64,
+    /// Battery voltage, V.
+    pub voltage_v: f64,
+    /// Battery current, A.
+    pub current_a: f64,
+    /// State of charge, 0 to 1.
+    pub soc: f64,
+    /// Whether it is on a charger, if that is known.
+    pub charging: Option<bool>,
+}
+
+impl Observation {
+    /// Of a time, with nothing known.
+    #[must_use]
+    pub const fn at(time_s: f64) -> Self {
+        Self {
+            time_s,
+            v_mps: f64::NAN,
+            omega_radps: f64::NAN,
+            v_measured_mps: f64::NAN,
+            omega_measured_radps: f64::NAN,
+            power_w: f64::NAN,
+            voltage_v: f64::NAN,
+            current_a: f64::NAN,
+            soc: f64::NAN,
+            charging: None,
+        }
+    }
+
+    const fn value(&self, quantity: Quantity) -> f64 {
+        match quantity {
+            Quantity::Power => self.power_w,
+            Quantity::Voltage => self.voltage_v,
+            Quantity::Current => self.current_a,
+            Quantity::Soc => self.soc,
+            Quantity::V => self.v_mps,
+            Quantity::Omega => self.omega_radps,
+        }
+    }
+}
+
+/// What is known beforehand.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Known {
+    ranges: [Option<(f64, f64)>; 6],
+    unstated: [bool; 6],
+    expected: [bool; 6],
+}
+
+impl Known {
+    /// Values of a quantity lie between two numbers, ends included, in SI units.
+    #[must_use]
+    pub const fn within(mut self, quantity: Quantity, least: f64, greatest: f64) -> Self {
+        self.ranges[quantity as usize] = Some((least, greatest));
+        self
+    }
+
+    /// The source does not state the unit of a quantity, which is read as a thousandth of SI.
+    #[must_use]
+    pub const fn unstated(mut self, quantity: Quantity) -> Self {
+        self.unstated[quantity as usize] = true;
+        self
+    }
+
+    /// The source names a quantity, so that it should come.
+    #[must_use]
+    pub const fn expects(mut self, quantity: Quantity) -> Self {
+        self.expected[quantity as usize] = true;
+        self
+    }
+}
+
+/// Judges the observations of one robot in bounded memory.
+#[derive(Debug, Clone)]
+pub struct Judge {
+    known: Known,
+    times: Times,
+    columns: [Column; 6],
+    ratios: Sizes,
+    /// Power over current where no voltage is known, V.
+    implied: Sizes,
+    driving: Sizes,
+    sign: Sign,
+    hold: Hold,
+}
+
+impl Judge {
+    /// With nothing seen.
+    #[must_use]
+    pub fn new(known: Known) -> Self {
+        Self {
+            known,
+            times: Times::new(),
+            columns: [const { Column::new() }; 6],
+            ratios: Sizes::new(),
+            implied: Sizes::new(),
+            driving: Sizes::new(),
+            sign: Sign::default(),
+            hold: Hold::default(),
+        }
+    }
+
+    /// Takes the next observation, in the order in which they came.
+    pub fn take(&mut self, seen: &Observation) {
+        self.times.take(seen.time_s);
+        for quantity in Quantity::ALL {
+            let place = quantity as usize;
+            self.columns[place].take(seen.value(quantity), self.known.ranges[place]);
+        }
+        self.ratios
+            .add(seen.power_w / (seen.voltage_v * seen.current_a));
+        if seen.voltage_v.is_nan() {
+            self.implied.add(seen.power_w / seen.current_a);
+        }
+        if seen.v_mps.abs() >= DRIVES_MPS || seen.v_measured_mps.abs() >= DRIVES_MPS {
+            self.driving.add(seen.power_w);
+        }
+        self.sign.take(seen);
+        self.hold.take(seen);
+    }
+
+    /// Observations taken.
+    #[must_use]
+    pub const fn observations(&self) -> u64 {
+        self.times.rows
+    }
+
+    /// What is implausible so far: errors first, each in the order of [`Kind`].
+    #[must_use]
+    pub fn findings(&self) -> Vec<Finding> {
+        let mut found = self.signs();
+        let magnitudes = Magnitudes {
+            columns: &self.columns,
+            ratios: &self.ratios,
+            implied: &self.implied,
+            driving: &self.driving,
+            unstated: &self.known.unstated,
+        };
+        found.extend(magnitudes.judge());
+        found.extend(self.clock());
+        found.extend(self.holds());
+        for quantity in Quantity::ALL {
+            let column = &self.columns[quantity as usize];
+            found.extend(self.missing(quantity, column));
+            // Values in another unit or with the other sign are out of range as well.
+            let is_explained = found.iter().any(|one| one.quantity == Some(quantity));
+            if !is_explained {
+                found.extend(self.range(quantity, column));
+            }
+            found.extend(saturation(quantity, column));
+            found.extend(self.constant(quantity, column));
+        }
+        found.sort_by_key(|finding| (finding.severity, finding.kind, finding.quantity));
+        found
+    }
+
+    fn signs(&self) -> Vec<Finding> {
+        let mut found = Vec::new();
+        if let Some(wrong) = self.sign.power() {
+            let (readings, of, why) = (wrong.readings, wrong.of, wrong.why);
+            found.push(Finding {
+                kind: Kind::Sign,
+                quantity: Some(Quantity::Power),
+                severity: wrong.severity,
+                readings,
+                found: format!("power is negative in {readings} of {of} readings {why}"),
+                allowed: "power is positive while the battery discharges".to_owned(),
+                remedy: Remedy::Turn,
+            });
+        } else if let Some((readings, of)) = self.sign.current() {
+            found.push(Finding {
+                kind: Kind::Sign,
+                quantity: Some(Quantity::Current),
+                severity: Severity::Warning,
+                readings,
+                found: format!(
+                    "the current has another sign than power in {readings} of {of} readings"
+                ),
+                allowed: "both are positive while the battery discharges".to_owned(),
+                remedy: Remedy::Turn,
+            });
+        }
+        if let Some(readings) = negative_voltage(&self.columns[Quantity::Voltage as usize]) {
+            found.push(Finding {
+                kind: Kind::Sign,
+                quantity: Some(Quantity::Voltage),
+                severity: Severity::Error,
+                readings,
+                found: format!("the voltage is negative in {readings} readings"),
+                allowed: "batteries have a positive one".to_owned(),
+                remedy: Remedy::Sensor,
+            });
+        }
+        found
+    }
+
+    fn clock(&self) -> Vec<Finding> {
+        let times = &self.times;
+        let finding = |kind, severity, readings, found, allowed: String, remedy| Finding {
+            kind,
+            quantity: None,
+            severity,
+            readings,
+            found,
+            allowed,
+            remedy,
+        };
+        let mut found = Vec::new();
+        let (least_hz, greatest_hz) = RATE_HZ;
+        let rate_hz = times.rate_hz().filter(|_| times.rows >= MIN_ROWS);
+        if let Some(rate_hz) = rate_hz.filter(|rate_hz| !(least_hz..=greatest_hz).contains(rate_hz))
+        {
+            let what = format!("{} rows a second: is the time in seconds?", number(rate_hz));
+            let allowed = format!("allowed are {least_hz} to {greatest_hz}");
+            let (kind, severity) = (Kind::Unit, Severity::Error);
+            found.push(finding(
+                kind,
+                severity,
+                times.rows,
+                what,
+                allowed,
+                Remedy::Seconds,
+            ));
+        }
+        let lost = times.repeated + times.backward;
+        let allowed = "every row is later than the one before".to_owned();
+        if times.loses_many() {
+            let why = match (times.has_whole_seconds(), times.backward > times.repeated) {
+                (true, _) => ": the times have whole seconds",
+                (false, true) => ": the clock was set back, or two recordings are mixed",
+                (false, false) => ": the clock stands still",
+            };
+            let what = format!(
+                "{lost} of {} rows are not later than those before{why}",
+                times.rows
+            );
+            let (kind, severity) = (Kind::Clock, Severity::Error);
+            found.push(finding(kind, severity, lost, what, allowed, Remedy::Clock));
+        } else if times.back_s > 1.0 {
+            let what = format!("the time goes back by up to {} s", number(times.back_s));
+            let (kind, severity) = (Kind::Clock, Severity::Warning);
+            found.push(finding(
+                kind,
+                severity,
+                times.backward,
+                what,
+                allowed,
+                Remedy::Clock,
+            ));
+        }
+        found
+    }
+
+    fn holds(&self) -> Option<Finding> {
+        let held = self.hold.too_long()?;
+        Some(Finding {
+            kind: Kind::Hold,
+            quantity: Some(Quantity::V),
+            severity: Severity::Warning,
+            readings: held.rows,
+            found: format!(
+                "a command of {} m/s and {} rad/s applies unchanged for {} s, and nothing moves",
+                number(held.v_mps),
+                number(held.omega_radps),
+                number(held.held_s)
+            ),
+            allowed: "a command ends with its controller, or the robot is stuck".to_owned(),
+            remedy: Remedy::Expire,
+        })
+    }
+
+    fn missing(&self, quantity: Quantity, column: &Column) -> Option<Finding> {
+        let is_missing = self.known.expected[quantity as usize]
+            && column.count == 0
+            && self.times.rows >= MIN_MISSING;
+        is_missing.then(|| Finding {
+            kind: Kind::NeverCame,
+            quantity: Some(quantity),
+            severity: Severity::Warning,
+            readings: self.times.rows,
+            found: format!(
+                "{} never came in {} observations",
+                quantity.name(),
+                self.times.rows
+            ),
+            allowed: "the source names it".to_owned(),
+            remedy: Remedy::Name,
+        })
+    }
+
+    fn range(&self, quantity: Quantity, column: &Column) -> Option<Finding> {
+        let (least, greatest) = self.known.ranges[quantity as usize]?;
+        if column.outside == 0 {
+            return None;
+        }
+        let share = column.outside as f64 / column.count as f64;
+        let is_wrong = share > MOSTLY && column.count >= MIN_ROWS;
+        Some(Finding {
+            kind: Kind::Range,
+            quantity: Some(quantity),
+            severity: if is_wrong {
+                Severity::Error
+            } else {
+                Severity::Warning
+            },
+            readings: column.outside,
+            found: format!(
+                "{} of {} values of {} are out of range: {} to {}",
+                column.outside,
+                column.count,
+                quantity.name(),
+                number(column.least),
+                quantity.shown(column.greatest)
+            ),
+            allowed: format!(
+                "allowed are {} to {}",
+                number(least),
+                quantity.shown(greatest)
+            ),
+            remedy: Remedy::Limits,
+        })
+    }
+
+    fn constant(&self, quantity: Quantity, column: &Column) -> Option<Finding> {
+        let power = &self.columns[Quantity::Power as usize];
+        let is_measured = matches!(
+            quantity,
+            Quantity::Power | Quantity::Voltage | Quantity::Current
+        );
+        if !is_measured || column.varies {
+            return None;
+        }
+        // A current of 0 explains a power of 0, and the other way round.
+        let (severity, least) = match (quantity, column.is_zero()) {
+            (Quantity::Power, true) => (Severity::Error, MIN_ROWS),
+            (Quantity::Power, false) => (Severity::Warning, MIN_CONSTANT),
+            (_, true) if power.is_zero() => return None,
+            (_, true) => (Severity::Warning, MIN_ROWS),
+            _ => return None,
+        };
+        (column.count >= least).then(|| Finding {
+            kind: Kind::Constant,
+            quantity: Some(quantity),
+            severity,
+            readings: column.count,
+            found: format!(
+                "{} is {} in each of {} readings",
+                quantity.name(),
+                quantity.shown(column.first),
+                column.count
+            ),
+            allowed: "readings of a working monitor differ".to_owned(),
+            remedy: Remedy::Sensor,
+        })
+    }
+}
+
+fn saturation(quantity: Quantity, column: &Column) -> Option<Finding> {
+    let is_measured = matches!(
+        quantity,
+        Quantity::Power | Quantity::Voltage | Quantity::Current
+    );
+    let finding = |readings, found| Finding {
+        kind: Kind::Saturation,
+        quantity: Some(quantity),
+        severity: Severity::Warning,
+        readings,
+        found,
+        allowed: "readings stay below the end of the monitor's range".to_owned(),
+        remedy: Remedy::Sensor,
+    };
+    if !is_measured {
+        return None;
+    }
+    if let Some((readings, value)) = saturated(column) {
+        let (name, value) = (quantity.name(), quantity.shown(value));
+        let what = format!("{name} is {value}, a full register of 16 bits, in {readings} readings");
+        return Some(finding(readings, what));
+    }
+    let (dips, size) = wraps(column)?;
+    let (name, size) = (quantity.name(), quantity.shown(size));
+    let what = format!("{name} dips {dips} times by {size}, 2^16 steps of its monitor");
+    Some(finding(dips, what))
+}

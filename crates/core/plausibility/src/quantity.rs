@@ -1,0 +1,84 @@
+//! What is judged, in SI units.
+
+use serde::Serialize;
+
+/// A quantity of an [`Observation`](crate::Observation).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Quantity {
+    /// Electrical power, W, positive while the battery discharges.
+    Power,
+    /// Battery voltage, V.
+    Voltage,
+    /// Battery current, A, positive while the battery discharges.
+    Current,
+    /// State of charge, 0 to 1.
+    Soc,
+    /// Commanded linear velocity, m/s.
+    V,
+    /// Commanded angular velocity, rad/s.
+    Omega,
+}
+
+impl Quantity {
+    /// All of them, in the order of their numbers.
+    pub const ALL: [Self; 6] = [
+        Self::Power,
+        Self::Voltage,
+        Self::Current,
+        Self::Soc,
+        Self::V,
+        Self::Omega,
+    ];
+
+    /// The name in messages and in a mapping.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Power => "power",
+            Self::Voltage => "voltage",
+            Self::Current => "current",
+            Self::Soc => "soc",
+            Self::V => "v",
+            Self::Omega => "omega",
+        }
+    }
+
+    /// The unit of its values here.
+    pub(crate) const fn unit(self) -> &'static str {
+        match self {
+            Self::Power => "W",
+            Self::Voltage => "V",
+            Self::Current => "A",
+            Self::Soc => "",
+            Self::V => "m/s",
+            Self::Omega => "rad/s",
+        }
+    }
+
+    /// A value with its unit.
+    pub(crate) fn shown(self, value: f64) -> String {
+        let number = number(value);
+        match self.unit() {
+            "" => number,
+            unit => format!("{number} {unit}"),
+        }
+    }
+}
+
+/// Four significant digits without an exponent, where that is short.
+pub(crate) fn number(value: f64) -> String {
+    let size = value.abs();
+    if value == 0.0 || !value.is_finite() {
+        return format!("{value}");
+    }
+    if !(1e-4..1e7).contains(&size) {
+        return format!("{value:.3e}");
+    }
+    let decimals = (3 - size.log10().floor() as i32).clamp(0, 8) as usize;
+    let text = format!("{value:.decimals$}");
+    match text.contains('.') {
+        true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        false => text,
+    }
+}

@@ -1,0 +1,258 @@
+//! Whether power and current are positive while the battery discharges.
+//!
+//! A robot that brakes or drives downhill feeds energy back, one on a charger takes it from there, and
+//! one that stands still still consumes. So readings are counted apart by motion, and where motion
+//! decides nothing, the battery does: its voltage falls while it delivers more, its charge falls while
+//! it delivers at all.
+
+use crate::Observation;
+use crate::column::Column;
+use crate::finding::Severity;
+
+/// Readings of a state of motion before they count.
+const MIN_READINGS: u64 = 20;
+/// Readings of driving that tell it from standing on a charger.
+const FEW_READINGS: u64 = 3;
+/// Time that shows more than braking, s.
+const MIN_DRIVE_S: f64 = 3.0;
+/// Share of negative readings that contradicts driving.
+const NEGATIVE: f64 = 0.9;
+/// Speeds from which a robot moves, m/s and rad/s.
+const MOVES_MPS: f64 = 0.02;
+const MOVES_RADPS: f64 = 0.1;
+/// Change of the charge that shows its direction.
+const SOC_CHANGE: f64 = 0.005;
+/// Correlation of the changes of voltage and current that shows a resistance.
+const RESISTANCE: f64 = 0.3;
+/// Pairs of changes before the correlation counts.
+const MIN_PAIRS: u64 = 50;
+/// Rise of the voltage while charging, in standard deviations around its trend, and as a share.
+const RISE_STD: f64 = 2.0;
+const RISE_SHARE: f64 = 1e-3;
+
+/// Positive and negative readings.
+#[derive(Debug, Clone, Copy, Default)]
+struct Signs {
+    positive: u64,
+    negative: u64,
+}
+
+impl Signs {
+    fn take(&mut self, value: f64) {
+        self.positive += u64::from(value > 0.0);
+        self.negative += u64::from(value < 0.0);
+    }
+
+    const fn count(self) -> u64 {
+        self.positive + self.negative
+    }
+
+    fn negative_share(self) -> f64 {
+        self.negative as f64 / self.count().max(1) as f64
+    }
+
+    fn is_negative(self) -> bool {
+        self.count() >= MIN_READINGS && self.negative_share() >= NEGATIVE
+    }
+}
+
+/// A line through pairs, by running sums.
+#[derive(Debug, Clone, Copy, Default)]
+struct Line {
+    count: u64,
+    x: f64,
+    y: f64,
+    xx: f64,
+    xy: f64,
+    yy: f64,
+}
+
+impl Line {
+    fn take(&mut self, x: f64, y: f64) {
+        if !(x.is_finite() && y.is_finite()) {
+            return;
+        }
+        self.count += 1;
+        let count = self.count as f64;
+        let (dx, dy) = (x - self.x, y - self.y);
+        self.x += dx / count;
+        self.y += dy / count;
+        self.xx += dx * (x - self.x);
+        self.yy += dy * (y - self.y);
+        self.xy += dx * (y - self.y);
+    }
+
+    fn correlation(&self) -> f64 {
+        self.xy / (self.xx * self.yy).sqrt()
+    }
+
+    /// Slope, and the standard deviation of y around the line.
+    fn slope(&self) -> (f64, f64) {
+        let slope = self.xy / self.xx;
+        let around = (self.yy - slope * self.xy).max(0.0) / self.count.max(1) as f64;
+        (slope, around.sqrt())
+    }
+}
+
+/// What the signs of one robot show.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Sign {
+    moving: Signs,
+    still: Signs,
+    unknown: Signs,
+    /// Current negative where power is positive, and the other way round.
+    current_against_power: u64,
+    currents: u64,
+    /// Changes of voltage over changes of current.
+    resistance: Line,
+    /// Voltage over time.
+    trend: Line,
+    began: bool,
+    first_s: f64,
+    last_s: f64,
+    before: Option<(f64, f64)>,
+    soc: Option<(f64, f64)>,
+}
+
+/// Why a sign is wrong.
+pub(crate) struct WrongSign {
+    pub(crate) severity: Severity,
+    pub(crate) readings: u64,
+    pub(crate) of: u64,
+    pub(crate) why: &'static str,
+}
+
+/// Whether the robot moves, measured or else commanded; `None` if neither is known.
+pub(crate) fn moves(seen: &Observation) -> Option<bool> {
+    let of = |v_mps: f64, omega_radps: f64| {
+        let known = !v_mps.is_nan() || !omega_radps.is_nan();
+        known.then_some(v_mps.abs() > MOVES_MPS || omega_radps.abs() > MOVES_RADPS)
+    };
+    of(seen.v_measured_mps, seen.omega_measured_radps).or(of(seen.v_mps, seen.omega_radps))
+}
+
+impl Sign {
+    pub(crate) fn take(&mut self, seen: &Observation) {
+        if let Some(soc) = Some(seen.soc).filter(|soc| soc.is_finite()) {
+            let first = self.soc.map_or(soc, |(first, _)| first);
+            self.soc = Some((first, soc));
+        }
+        if !self.began {
+            (self.began, self.first_s) = (true, seen.time_s);
+        }
+        self.last_s = seen.time_s;
+        // Relative to the first time: squares of Unix seconds lose the rest.
+        self.trend.take(seen.time_s - self.first_s, seen.voltage_v);
+        let load = if seen.current_a.is_finite() {
+            seen.current_a
+        } else {
+            seen.power_w
+        };
+        if let Some((voltage_v, before)) = self.before
+            && load != before
+        {
+            self.resistance
+                .take(load - before, seen.voltage_v - voltage_v);
+        }
+        self.before =
+            (seen.voltage_v.is_finite() && load.is_finite()).then_some((seen.voltage_v, load));
+        if seen.charging == Some(true) {
+            return;
+        }
+        let signs = match moves(seen) {
+            Some(true) => &mut self.moving,
+            Some(false) => &mut self.still,
+            None => &mut self.unknown,
+        };
+        signs.take(seen.power_w);
+        let product = seen.power_w * seen.current_a;
+        self.currents += u64::from(product != 0.0 && product.is_finite());
+        self.current_against_power += u64::from(product < 0.0);
+    }
+
+    /// Of power.
+    pub(crate) fn power(&self) -> Option<WrongSign> {
+        let wrong = |severity, signs: Signs, why| {
+            Some(WrongSign {
+                severity,
+                readings: signs.negative,
+                of: signs.count(),
+                why,
+            })
+        };
+        if self.moving.count() >= MIN_READINGS {
+            // Electronics never feed back: a robot that consumes at rest is one that drives downhill.
+            let consumes_at_rest =
+                self.still.count() >= MIN_READINGS && self.still.negative_share() < 0.5;
+            // A short stretch may be all braking.
+            let is_long = self.last_s - self.first_s >= MIN_DRIVE_S;
+            let feeds_back = self.charges() == Some(true);
+            if self.moving.is_negative() && is_long && !consumes_at_rest && !feeds_back {
+                return wrong(Severity::Error, self.moving, "while the robot drives");
+            }
+            return None;
+        }
+        // Even little motion tells a charger from the other sign.
+        let drives = self.moving.count() >= FEW_READINGS && self.moving.positive == 0;
+        let (signs, severity) = match self.still.is_negative() {
+            true if drives => (self.still, Severity::Error),
+            true => (self.still, Severity::Warning),
+            false => (self.unknown, Severity::Error),
+        };
+        if !signs.is_negative() {
+            return None;
+        }
+        match self.discharges() {
+            Some(true) => wrong(Severity::Error, signs, "while the battery discharges"),
+            Some(false) => None,
+            None if severity == Severity::Error => {
+                wrong(severity, signs, "and nothing shows that it is on a charger")
+            }
+            None => wrong(
+                severity,
+                signs,
+                "while the robot stands, and nothing shows a charger",
+            ),
+        }
+    }
+
+    /// Of the current, where power has the other sign: readings, of so many.
+    pub(crate) fn current(&self) -> Option<(u64, u64)> {
+        let share = self.current_against_power as f64 / self.currents.max(1) as f64;
+        let is_turned = self.currents >= MIN_READINGS && share >= NEGATIVE;
+        is_turned.then_some((self.current_against_power, self.currents))
+    }
+
+    /// Whether negative readings are of a battery that takes energy: by its charge, or by its
+    /// resistance, which shows the sign of the current.
+    fn charges(&self) -> Option<bool> {
+        if let Some((first, last)) = self.soc
+            && (last - first).abs() > SOC_CHANGE
+        {
+            return Some(last > first);
+        }
+        let correlation = self.resistance.correlation();
+        let is_clear = self.resistance.count >= MIN_PAIRS && correlation.abs() >= RESISTANCE;
+        // Delivering more lowers the voltage: with the right sign they go apart.
+        is_clear.then_some(correlation < 0.0)
+    }
+
+    /// Whether negative readings are of a battery that discharges.
+    fn discharges(&self) -> Option<bool> {
+        if let Some(charges) = self.charges() {
+            return Some(!charges);
+        }
+        let (slope, std) = self.trend.slope();
+        let change_v = slope * (self.last_s - self.first_s);
+        let is_clear = self.trend.count >= MIN_READINGS
+            && change_v.abs() > RISE_STD * std
+            && change_v.abs() > RISE_SHARE * self.trend.y.abs();
+        is_clear.then_some(change_v < 0.0)
+    }
+}
+
+/// Voltages below 0, which no sign explains.
+pub(crate) fn negative_voltage(column: &Column) -> Option<u64> {
+    let share = column.negative as f64 / column.count.max(1) as f64;
+    (column.count >= MIN_READINGS && share >= NEGATIVE).then_some(column.negative)
+}

@@ -1,0 +1,55 @@
+//! A histogram of magnitudes in bounded memory.
+
+/// Buckets per decade.
+const PER_DECADE: f64 = 2.0;
+/// Decades below 1.
+const BELOW: f64 = 10.0;
+const BUCKETS: usize = 40;
+
+/// How often each order of magnitude occurred; zeros are not counted.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Sizes {
+    counts: [u32; BUCKETS],
+    sums: [f64; BUCKETS],
+    count: u64,
+}
+
+impl Sizes {
+    pub(crate) const fn new() -> Self {
+        Self {
+            counts: [0; BUCKETS],
+            sums: [0.0; BUCKETS],
+            count: 0,
+        }
+    }
+
+    pub(crate) fn add(&mut self, value: f64) {
+        let size = value.abs();
+        if !(size > 0.0 && size.is_finite()) {
+            return;
+        }
+        let bucket = ((size.log10() + BELOW) * PER_DECADE).floor();
+        let bucket = bucket.clamp(0.0, (BUCKETS - 1) as f64) as usize;
+        self.counts[bucket] = self.counts[bucket].saturating_add(1);
+        self.sums[bucket] += size;
+        self.count += 1;
+    }
+
+    /// Values that were counted.
+    pub(crate) const fn count(&self) -> u64 {
+        self.count
+    }
+
+    /// The mean magnitude of the bucket with the median; `None` without values.
+    pub(crate) fn usual(&self) -> Option<f64> {
+        let all: u64 = self.counts.iter().map(|count| u64::from(*count)).sum();
+        let mut below = 0;
+        for (count, sum) in self.counts.iter().zip(&self.sums) {
+            below += u64::from(*count);
+            if *count > 0 && 2 * below >= all {
+                return Some(sum / f64::from(*count));
+            }
+        }
+        None
+    }
+}

@@ -1,0 +1,5 @@
+//! Tests of the judgement.
+
+mod grid;
+mod robot;
+mod stamps;

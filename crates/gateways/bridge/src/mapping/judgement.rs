@@ -1,0 +1,181 @@
+//! Whether what robots report is plausible, judged while it comes. It alters no sample.
+
+use std::collections::BTreeMap;
+
+use joulebus_plausibility::{Finding, Judge, Kind, Known, Observation, Source};
+use joulebus_publisher::{Charger, RobotState};
+use serde::Serialize;
+
+/// Readings between two judgements of a robot.
+const EVERY: u64 = 64;
+/// Readings after which a robot is judged anew: some ten minutes at 30 Hz.
+const WINDOW: u64 = 20_000;
+/// Readings after which a finding that does not come again ends.
+const ENDS_AFTER: u64 = 1_024;
+
+/// Something implausible about a robot.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct Implausible {
+    pub(crate) robot: u32,
+    #[serde(flatten)]
+    pub(crate) finding: Finding,
+    pub(crate) remedy: String,
+}
+
+/// The judgement of all robots.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Judgement {
+    /// Findings that are not told.
+    accepted: Vec<Kind>,
+    robots: BTreeMap<u32, Robot>,
+    news: Vec<String>,
+}
+
+#[derive(Debug, Clone)]
+struct Robot {
+    judge: Box<Judge>,
+    found: Vec<Finding>,
+}
+
+impl Judgement {
+    /// That does not tell some kinds.
+    pub(crate) fn accepting(accepted: Vec<Kind>) -> Self {
+        Self {
+            accepted,
+            ..Self::default()
+        }
+    }
+
+    /// Adds a sample with a new reading; `soc` as it came.
+    pub(crate) fn take(&mut self, state: &RobotState, soc: Option<f32>, now_ns: u64) {
+        let number = |value: Option<f32>| value.map_or(f64::NAN, f64::from);
+        let new = || Robot {
+            judge: Box::new(Judge::new(Known::default())),
+            found: Vec::new(),
+        };
+        let robot = self.robots.entry(state.robot).or_insert_with(new);
+        robot.judge.take(&Observation {
+            v_mps: number(state.v_mps),
+            omega_radps: number(state.omega_radps),
+            power_w: number(state.power_w),
+            voltage_v: number(state.voltage_v),
+            current_a: number(state.current_a),
+            soc: number(soc),
+            charging: Some(state.charger != Charger::Disconnected),
+            ..Observation::at(now_ns as f64 * 1e-9)
+        });
+        let count = robot.judge.observations();
+        if count.is_multiple_of(EVERY) {
+            self.judge(state.robot);
+        }
+    }
+
+    fn judge(&mut self, id: u32) {
+        let Some(robot) = self.robots.get_mut(&id) else {
+            return;
+        };
+        let mut found = robot.judge.findings();
+        found.retain(|finding| !self.accepted.contains(&finding.kind));
+        let count = robot.judge.observations();
+        let is_same = |one: &Finding, other: &Finding| {
+            (one.kind, one.quantity) == (other.kind, other.quantity)
+        };
+        for finding in &found {
+            if !robot.found.iter().any(|known| is_same(known, finding)) {
+                let remedy = finding.remedy(Source::Bridge, None);
+                self.news.push(format!("robot {id}: {finding}: {remedy}"));
+            }
+        }
+        if count < ENDS_AFTER {
+            let ended = robot
+                .found
+                .iter()
+                .filter(|known| !found.iter().any(|one| is_same(one, known)));
+            let ended: Vec<Finding> = ended.cloned().collect();
+            found.extend(ended);
+        }
+        robot.found = found;
+        if count >= WINDOW {
+            *robot.judge = Judge::new(Known::default());
+        }
+    }
+
+    /// All that is implausible, by robot.
+    pub(crate) fn records(&self) -> Vec<Implausible> {
+        let of = |(id, robot): (&u32, &Robot)| {
+            let id = *id;
+            let found = robot.found.clone().into_iter();
+            let records = found.map(move |finding| Implausible {
+                robot: id,
+                remedy: finding.remedy(Source::Bridge, None),
+                finding,
+            });
+            records.collect::<Vec<_>>()
+        };
+        self.robots.iter().flat_map(of).collect()
+    }
+
+    /// What was found for the first time since the last call: a line each.
+    pub(crate) fn take_news(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.news)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn judged(change: impl Fn(u64, &mut RobotState), readings: u64) -> (Judgement, Vec<String>) {
+        let mut judgement = Judgement::default();
+        for step in 0..readings {
+            let mut state = RobotState::new(7);
+            let wave = (step as f32 * 0.7).sin();
+            (state.v_mps, state.omega_radps) = (Some(0.2), Some(0.0));
+            state.power_w = Some(40.0 + wave);
+            (state.voltage_v, state.current_a) =
+                (Some(24.0 - 0.01 * wave), Some((40.0 + wave) / 24.0));
+            state.soc = Some(0.5);
+            change(step, &mut state);
+            judgement.take(&state, state.soc, step * 100_000_000);
+        }
+        let news = judgement.take_news();
+        (judgement, news)
+    }
+
+    #[test]
+    fn a_sound_robot_is_not_told_and_a_turned_sign_once() {
+        let (judgement, news) = judged(|_, _| {}, 3_000);
+        assert_eq!((judgement.records(), news), (Vec::new(), Vec::new()));
+        let turned = |_: u64, state: &mut RobotState| {
+            state.power_w = state.power_w.map(|power_w| -power_w);
+            state.current_a = state.current_a.map(|current_a| -current_a);
+        };
+        let (judgement, news) = judged(turned, 30_000);
+        assert_eq!(news.len(), 1, "{news:?}");
+        assert!(
+            news[0].contains("robot 7: sign") && news[0].contains("negate = true"),
+            "{news:?}"
+        );
+        assert_eq!(judgement.records()[0].robot, 7);
+    }
+
+    #[test]
+    fn a_percentage_is_told_and_a_finding_ends_when_it_does_not_come_again() {
+        let percent =
+            |step: u64, state: &mut RobotState| state.soc = Some(96.0 - 1e-4 * step as f32);
+        let (_, news) = judged(percent, 200);
+        assert!(
+            news.iter().any(|line| line.contains("percentage")),
+            "{news:?}"
+        );
+        let mends = |step: u64, state: &mut RobotState| {
+            if step < 20_000 {
+                state.soc = Some(96.0);
+            }
+        };
+        let (judgement, _) = judged(mends, 19_000);
+        assert_eq!(judgement.records().len(), 1);
+        let (judgement, _) = judged(mends, 25_000);
+        assert_eq!(judgement.records(), Vec::new());
+    }
+}

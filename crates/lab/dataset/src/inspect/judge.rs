@@ -1,0 +1,114 @@
+//! Whether a trial's readings are plausible.
+
+use joulebus_plausibility::{Finding, Judge, Known, Observation, Quantity, Source};
+use serde::Serialize;
+
+use super::finding::Place;
+use super::limits::Limits;
+use crate::trial::{Column, Trial};
+
+/// The columns that are judged.
+const JUDGED: [(Quantity, Column); 6] = [
+    (Quantity::Power, Column::Power),
+    (Quantity::Voltage, Column::Voltage),
+    (Quantity::Current, Column::Current),
+    (Quantity::Soc, Column::Soc),
+    (Quantity::V, Column::V),
+    (Quantity::Omega, Column::Omega),
+];
+
+/// Something implausible in a trial.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Implausible {
+    /// What it is.
+    #[serde(flatten)]
+    pub finding: Finding,
+    /// What to do.
+    pub remedy: String,
+    /// The file, and the column in it.
+    #[serde(flatten)]
+    pub place: Place,
+}
+
+/// Judges a trial by all its rows: what is implausible, errors first.
+#[must_use]
+pub fn judge(trial: &Trial, limits: &Limits) -> Vec<Implausible> {
+    judge_from(Source::Recording, trial, limits)
+}
+
+/// As [`judge`], with the remedies of another source.
+#[must_use]
+pub fn judge_from(source: Source, trial: &Trial, limits: &Limits) -> Vec<Implausible> {
+    let mut judge = Judge::new(known(trial, limits));
+    let value = |column, row: usize| trial.column(column).map_or(f64::NAN, |values| values[row]);
+    let first_s = trial.timestamp_s().first().copied().unwrap_or_default();
+    for (row, time_s) in trial.timestamp_s().iter().enumerate() {
+        judge.take(&Observation {
+            time_s: time_s - first_s,
+            v_mps: value(Column::V, row),
+            omega_radps: value(Column::Omega, row),
+            v_measured_mps: value(Column::VMeasured, row),
+            omega_measured_radps: value(Column::OmegaMeasured, row),
+            power_w: value(Column::Power, row),
+            voltage_v: value(Column::Voltage, row),
+            current_a: value(Column::Current, row),
+            soc: value(Column::Soc, row),
+            charging: None,
+        });
+    }
+    let found = judge.findings().into_iter();
+    found
+        .map(|finding| implausible(source, trial, finding))
+        .collect()
+}
+
+fn implausible(from: Source, trial: &Trial, finding: Finding) -> Implausible {
+    let column = finding.quantity.and_then(|quantity| {
+        let judged = JUDGED.iter().find(|(of, _)| *of == quantity);
+        judged.map(|(_, column)| *column)
+    });
+    let source = |column| {
+        trial
+            .sources()
+            .iter()
+            .find(|source| source.column == column)
+    };
+    let name = column.map(|column| match source(column) {
+        Some(source) => source.name.clone(),
+        // Power of voltage and current has no column.
+        None if !trial.sources().is_empty() => "power".to_owned(),
+        None => column.name().to_owned(),
+    });
+    let remedy = finding.remedy(from, name.as_deref());
+    let place = Place {
+        file: trial.path().to_owned(),
+        row: None,
+        column: name,
+        what: format!("{}; {}; {remedy}", finding.found, finding.allowed),
+    };
+    Implausible {
+        finding,
+        remedy,
+        place,
+    }
+}
+
+fn known(trial: &Trial, limits: &Limits) -> Known {
+    let mut known = Known::default();
+    for (quantity, column) in JUDGED {
+        if let Some(range) = limits.range(column) {
+            known = known.within(quantity, range.least, range.greatest);
+        }
+        let source = trial
+            .sources()
+            .iter()
+            .find(|source| source.column == column);
+        if source.is_some_and(|source| !source.states_unit) {
+            known = known.unstated(quantity);
+        }
+        if source.is_some_and(|source| source.is_mapped) {
+            known = known.expects(quantity);
+        }
+    }
+    known
+}

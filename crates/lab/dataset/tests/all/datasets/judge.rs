@@ -1,0 +1,191 @@
+//! The judgement of whole recordings: none of the real ones is implausible, and what is planted in
+//! them is found.
+
+use std::path::{Path, PathBuf};
+
+use joulebus_dataset::inspect::{Limits, check_files, judge};
+use joulebus_dataset::trial::{ColumnMap, MappedColumn, Trial};
+use joulebus_plausibility::{Kind, Severity};
+use joulebus_testkit::recordings::trials;
+use joulebus_testkit::trials::{Files, npy_f8};
+
+const PLATFORMS: [&str; 3] = ["robotino", "borealtc_husky", "ase_rover"];
+
+fn mapped(text: &str) -> ColumnMap {
+    let column: MappedColumn = text.parse().unwrap();
+    vec![column].into()
+}
+
+/// Kinds of the errors in a recording that is read so.
+fn errors(path: &Path, map: &ColumnMap) -> Vec<Kind> {
+    let trials = Trial::read_mapped(path, map).unwrap();
+    let found = trials
+        .iter()
+        .flat_map(|trial| judge(trial, &Limits::default()));
+    let errors = found.filter(|one| one.finding.severity == Severity::Error);
+    errors.map(|one| one.finding.kind).collect()
+}
+
+#[test]
+fn no_real_recording_is_implausible() {
+    for platform in PLATFORMS {
+        let Some(paths) = trials(platform) else {
+            return;
+        };
+        for path in paths {
+            let trial = Trial::read(&path).unwrap();
+            let found = judge(&trial, &Limits::default());
+            assert!(found.is_empty(), "{}: {found:#?}", path.display());
+        }
+    }
+}
+
+/// The thresholds were chosen on simulated recordings; these are real ones.
+#[test]
+fn what_is_planted_in_real_recordings_is_found() {
+    for (what, map, kind, least) in [
+        (
+            "the other sign",
+            ColumnMap::default().discharge_negative(true),
+            Kind::Sign,
+            [1.0; 3],
+        ),
+        (
+            "the other sign of power",
+            mapped("power_mW=-power_mW"),
+            Kind::Sign,
+            [1.0; 3],
+        ),
+        // The rover has neither voltage nor current: 12 W or 12 kW.
+        (
+            "mW read as W",
+            mapped("power_W=power_mW"),
+            Kind::Unit,
+            [1.0, 1.0, 0.0],
+        ),
+        (
+            "mW read as kW",
+            mapped("power_kW=power_mW"),
+            Kind::Unit,
+            [1.0; 3],
+        ),
+    ] {
+        for (platform, least) in PLATFORMS.into_iter().zip(least) {
+            let Some(paths) = trials(platform) else {
+                return;
+            };
+            let is_found = |path: &&PathBuf| {
+                let errors = errors(path, &map);
+                !errors.is_empty() && errors.iter().all(|error| *error == kind)
+            };
+            let found = paths.iter().filter(is_found);
+            let (found, all) = (found.count(), paths.len());
+            println!("{what}, {platform}: {found} of {all}");
+            assert!(
+                found as f64 >= least * all as f64,
+                "{what}, {platform}: {found} of {all}"
+            );
+        }
+    }
+}
+
+/// A robot of 24 V that discharges with a negative current.
+fn discharging(rows: usize) -> Vec<[f64; 11]> {
+    let row = |row: usize| {
+        let step = row as f64;
+        let current_ma = -2_000.0 - 200.0 * (0.7 * step).sin();
+        let voltage_mv = 24_000.0 + 10.0 * (1.3 * step).cos();
+        let power_mw = voltage_mv * current_ma / 1e3;
+        let nan = f64::NAN;
+        [
+            1.0,
+            step / 30.0,
+            nan,
+            0.2,
+            0.0,
+            nan,
+            nan,
+            nan,
+            voltage_mv,
+            current_ma,
+            power_mw,
+        ]
+    };
+    (0..rows).map(row).collect()
+}
+
+/// The sign of an array, which has no names to map.
+#[test]
+fn the_sign_of_the_current_is_found_and_turned_in_every_format() {
+    let files = Files::new();
+    let npy = files.write("a.npy", &npy_f8(&discharging(300)));
+    let mut text = "timestamp,voltage_V,current_A,v_cmd\n".to_owned();
+    for row in discharging(300) {
+        text += &format!("{},{},{},{}\n", row[1], row[8] / 1e3, row[9] / 1e3, row[3]);
+    }
+    let csv = files.write("a.csv", text.as_bytes());
+    for path in [npy, csv] {
+        assert_eq!(
+            errors(&path, &ColumnMap::default()),
+            [Kind::Sign],
+            "{}",
+            path.display()
+        );
+        let turned = ColumnMap::default().discharge_negative(true);
+        assert_eq!(errors(&path, &turned), [], "{}", path.display());
+        let checked = |accepted: &[Kind]| {
+            let paths: [PathBuf; 1] = [path.clone()];
+            let mut check = check_files(&paths, &ColumnMap::default(), &Limits::default(), 3);
+            check.accept(accepted);
+            check
+        };
+        assert_eq!((checked(&[]).faults, checked(&[Kind::Unit]).faults), (1, 1));
+        let accepted = checked(&[Kind::Sign]);
+        assert!(
+            accepted.is_sound() && accepted.findings[0].accepted,
+            "{accepted:?}"
+        );
+    }
+    // By a mapping, with the unit.
+    let text = "t,u,i\n".to_owned()
+        + &(0..60)
+            .map(|row| format!("{row},24.{row},-2.{row}\n"))
+            .collect::<String>();
+    let path = files.write("b.csv", text.as_bytes());
+    let columns = ["voltage_V=u", "current_A=-i"].map(|text| text.parse::<MappedColumn>().unwrap());
+    assert_eq!(errors(&path, &columns.to_vec().into()), []);
+}
+
+/// `voltage` and `current` in V and A: the published layout has them in mV and mA.
+#[test]
+fn columns_without_a_unit_are_refused_with_both_readings() {
+    let files = Files::new();
+    let table = |factor: f64| {
+        let mut text = "timestamp,voltage,current,v_cmd\n".to_owned();
+        for row in discharging(300) {
+            let [voltage, current] = [row[8] * factor, -row[9] * factor];
+            text += &format!("{},{voltage},{current},{}\n", row[1], row[3]);
+        }
+        text
+    };
+    let path = files.write("si.csv", table(1e-3).as_bytes());
+    assert_eq!(
+        errors(&path, &ColumnMap::default()),
+        [Kind::Unit, Kind::Unit]
+    );
+    let trial = Trial::read(&path).unwrap();
+    let found = judge(&trial, &Limits::default());
+    let said: Vec<String> = found.iter().map(|one| one.place.to_string()).collect();
+    for (said, words) in said.iter().zip([
+        ["0.024 V", "24", "--map voltage_V=voltage"],
+        ["A", "in A", "--map current_A=current"],
+    ]) {
+        assert!(words.iter().all(|word| said.contains(word)), "{said}");
+    }
+    let columns = ["voltage_V=voltage", "current_A=current"];
+    let columns = columns.map(|text| text.parse::<MappedColumn>().unwrap());
+    assert_eq!(errors(&path, &columns.to_vec().into()), []);
+    // The layout's own.
+    let path = files.write("milli.csv", table(1.0).as_bytes());
+    assert_eq!(errors(&path, &ColumnMap::default()), []);
+}

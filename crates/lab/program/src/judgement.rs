@@ -1,0 +1,213 @@
+//! Whether recordings are plausible, asked before they are used.
+
+use std::collections::BTreeMap;
+use std::fmt::{self, Write as _};
+
+use anyhow::bail;
+use joulebus_dataset::inspect::{Implausible, Limits, Range, judge, judge_from};
+use joulebus_dataset::trial::Trial;
+use joulebus_eval::score::Recording;
+pub(crate) use joulebus_plausibility::Source;
+use joulebus_plausibility::{Kind, Quantity, Severity};
+use joulebus_program::output::{Output, say};
+use joulebus_settings::Platform;
+use serde::Serialize;
+
+/// Findings that the user lets through.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub(crate) struct AcceptArguments {
+    /// Findings to let through, because you know better: sign, unit, clock, hold, never-came, range, saturation,
+    /// constant
+    #[arg(long, value_name = "FINDING,…", value_delimiter = ',')]
+    pub(crate) accept: Vec<Kind>,
+    /// The recordings were judged before.
+    #[arg(skip)]
+    settled: bool,
+}
+
+/// Implausible readings of one kind, in any number of recordings.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(crate) struct Judged {
+    /// Recordings that show it.
+    pub(crate) recordings: usize,
+    /// Whether the user lets it through.
+    pub(crate) accepted: bool,
+    /// The first.
+    #[serde(flatten)]
+    pub(crate) first: Implausible,
+}
+
+impl Judged {
+    fn is_error(&self) -> bool {
+        self.first.finding.is_error() && !self.accepted
+    }
+
+    fn line(&self) -> String {
+        let mut line = format!("{}: {}", self.first.finding.kind, self.first.place);
+        if self.recordings > 1 {
+            // Writing to a String cannot fail.
+            let _ = write!(line, " (and in {} other recordings)", self.recordings - 1);
+        }
+        line
+    }
+}
+
+impl AcceptArguments {
+    /// For recordings that were judged before: nothing is said again.
+    pub(crate) const fn settled() -> Self {
+        Self {
+            accept: Vec::new(),
+            settled: true,
+        }
+    }
+
+    /// The option again, for a command that uses the same recordings: empty, or with a space in front.
+    pub(crate) fn option(&self) -> String {
+        let kinds: Vec<&str> = self.accept.iter().map(|kind| kind.name()).collect();
+        match kinds.is_empty() {
+            true => String::new(),
+            false => format!(" --accept {}", kinds.join(",")),
+        }
+    }
+
+    /// Shows what is implausible in trials, and refuses errors.
+    ///
+    /// # Errors
+    /// A finding that makes results wrong and is not accepted.
+    pub(crate) fn judge<'a>(
+        &self,
+        trials: impl IntoIterator<Item = &'a Trial>,
+    ) -> anyhow::Result<Vec<Judged>> {
+        self.judge_from(trials.into_iter().map(|trial| (Source::Recording, trial)))
+    }
+
+    /// The same, each with the remedies of where it comes from.
+    ///
+    /// # Errors
+    /// As [`AcceptArguments::judge`].
+    pub(crate) fn judge_from<'a>(
+        &self,
+        trials: impl Iterator<Item = (Source, &'a Trial)>,
+    ) -> anyhow::Result<Vec<Judged>> {
+        self.settle(trials.map(|(source, trial)| judge_from(source, trial, &Limits::default())))
+    }
+
+    /// The same, each with the limits of its platform: what is outside is a warning.
+    ///
+    /// # Errors
+    /// As [`AcceptArguments::judge`].
+    pub(crate) fn judge_within<'a>(
+        &self,
+        trials: impl Iterator<Item = (Limits, &'a Trial)>,
+    ) -> anyhow::Result<Vec<Judged>> {
+        let found = trials.map(|(limits, trial)| {
+            let mut found = judge(trial, &limits);
+            // The worker refuses such samples and counts them.
+            let ranges = found.iter_mut().map(|one| &mut one.finding);
+            for finding in ranges.filter(|finding| finding.kind == Kind::Range) {
+                finding.severity = Severity::Warning;
+            }
+            found
+        });
+        self.settle(found)
+    }
+
+    /// The same of recordings, which were judged when they were opened.
+    ///
+    /// # Errors
+    /// As [`AcceptArguments::judge`].
+    pub(crate) fn recordings<'a>(
+        &self,
+        recordings: impl IntoIterator<Item = &'a Recording>,
+    ) -> anyhow::Result<Vec<Judged>> {
+        let found = recordings.into_iter();
+        self.settle(found.map(|recording| recording.implausible().to_vec()))
+    }
+
+    fn settle(&self, found: impl Iterator<Item = Vec<Implausible>>) -> anyhow::Result<Vec<Judged>> {
+        if self.settled {
+            return Ok(Vec::new());
+        }
+        let judged = self.gather(found);
+        let (errors, others): (Vec<_>, Vec<_>) = judged.into_iter().partition(Judged::is_error);
+        for finding in &others {
+            let word = if finding.accepted {
+                "accepted"
+            } else {
+                "warning"
+            };
+            say(&format!("{word}: {}", finding.line()));
+        }
+        if errors.is_empty() {
+            return Ok(others);
+        }
+        let lines: Vec<String> = errors.iter().map(Judged::line).collect();
+        bail!(
+            "implausible readings: nothing was done\n  {}",
+            lines.join("\n  ")
+        )
+    }
+
+    /// One line of each kind and quantity, errors first.
+    fn gather(&self, found: impl Iterator<Item = Vec<Implausible>>) -> Vec<Judged> {
+        type Key = (Severity, Kind, Option<Quantity>);
+        let mut judged: BTreeMap<Key, Judged> = BTreeMap::new();
+        for first in found.flatten() {
+            let finding = &first.finding;
+            let accepted = self.accept.contains(&finding.kind);
+            let key = (finding.severity, finding.kind, finding.quantity);
+            let entry = judged.entry(key).or_insert(Judged {
+                recordings: 0,
+                accepted,
+                first,
+            });
+            entry.recordings += 1;
+        }
+        judged.into_values().collect()
+    }
+}
+
+/// The limits of a platform's readings and commands.
+pub(crate) fn limits(platform: &Platform) -> Limits {
+    Limits {
+        v_mps: Range::within(f64::from(platform.v_max_mps)),
+        omega_radps: Range::within(f64::from(platform.omega_max_radps)),
+        power_w: Range {
+            least: f64::from(platform.power_min_w),
+            greatest: f64::from(platform.power_max_w),
+        },
+        ..Limits::default()
+    }
+}
+
+/// A report, and what is implausible in its recordings.
+#[derive(Serialize)]
+struct WithJudged<'a, R> {
+    #[serde(flatten)]
+    report: &'a R,
+    implausible: Vec<Judged>,
+}
+
+impl<R: fmt::Display> fmt::Display for WithJudged<'_, R> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.report.fmt(out)
+    }
+}
+
+/// Writes a report: in JSON with what is implausible, if anything is.
+///
+/// # Errors
+/// As [`Output::report`].
+pub(crate) fn report<R: Serialize + fmt::Display>(
+    output: Output,
+    report: &R,
+    implausible: Vec<Judged>,
+) -> anyhow::Result<()> {
+    match implausible.is_empty() {
+        true => output.report(report),
+        false => output.report(&WithJudged {
+            report,
+            implausible,
+        }),
+    }
+}
