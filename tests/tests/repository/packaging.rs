@@ -71,6 +71,7 @@ fn only_tests_examples_the_simulator_and_the_python_package_are_unpublished() {
         "joulebus-python",
         "joulebus-simulator",
         "joulebus-testkit",
+        "joulebus-testkit-channels",
         "joulebus-testkit-fleets",
         "joulebus-testkit-networks",
         "joulebus-tests",

@@ -41,8 +41,8 @@ impl CaptureFile {
         })
     }
 
-    /// Syncs the file and its folder to the disk: write errors of the disk may be reported only then, and
-    /// without the folder a power failure may take the file's name.
+    /// Syncs the file and its folder to the disk: write errors of the disk may be reported only
+    /// then, and without the folder a power failure may take the file's name.
     pub(crate) fn sync(self) -> io::Result<()> {
         self.file.sync_all()?;
         let folder = self.path.parent().filter(|path| *path != Path::new(""));

@@ -119,7 +119,8 @@ impl Drain {
             fleet: Arc::from(config.fleet()),
             clock,
             look_every: LOOK_EVERY.min(Duration::from_nanos(most_ns)),
-            // What was sent before is logged now: a false time long ago would begin the file there, and end it.
+            // What was sent before is logged now: a false time long ago would begin the file there,
+            // and end it.
             log_ns: clock.unix_ns(clock::monotonic_ns()),
             say_from_ns: 0,
             batch: Vec::new(),

@@ -228,7 +228,8 @@ impl Files {
 
     fn open(&mut self) -> Result<(), WriteError> {
         let settings = self.options.settings;
-        // Only the first file is the user's choice: a recording that has begun does not end because of a name.
+        // Only the first file is the user's choice: a recording that has begun does not end because
+        // of a name.
         let passes_over = self.options.resume || self.has_begun;
         let (path, out) = match &mut self.target {
             Target::File(path) => loop {
@@ -307,7 +308,8 @@ impl Files {
     }
 }
 
-/// The file name of a part: `run.mcap`, `run_1.mcap`, `run_2.mcap`. A name that is taken is passed over.
+/// The file name of a part: `run.mcap`, `run_1.mcap`, `run_2.mcap`. A name that is taken is passed
+/// over.
 fn part(path: &Path, number: u32) -> PathBuf {
     if number == 0 {
         return path.to_owned();

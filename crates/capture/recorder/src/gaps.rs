@@ -40,8 +40,8 @@ struct Run {
     unsent: VecDeque<u64>,
     /// Message count at its last frame.
     looked: u64,
-    /// Whether the next gap says nothing: plan states are sent only while somebody reads them, so the first one may be
-    /// of a reader before, and the second of a later tick.
+    /// Whether the next gap says nothing: plan states are sent only while somebody reads them, so
+    /// the first one may be of a reader before, and the second of a later tick.
     unknown_gap: bool,
 }
 
@@ -159,8 +159,8 @@ impl Gaps {
 
 impl Run {
     fn missing_before(&mut self, number: u64) -> u64 {
-        // A sender numbers its frames in order: two in a row below what is expected mean that a number
-        // in between was false.
+        // A sender numbers its frames in order: two in a row below what is expected mean that a
+        // number in between was false.
         let corrected = number < self.next && self.last.checked_add(1) == Some(number);
         if corrected {
             self.next = number;

@@ -1,12 +1,12 @@
-//! Records fleets in captures: one thread drains shared memory into a bounded queue, another encodes,
-//! compresses and writes.
+//! Records fleets in captures: one thread drains shared memory into a bounded queue, another
+//! encodes, compresses and writes.
 //!
 //! A slow disk fills the queue; when it is full, messages are dropped and counted, without effect
 //! on the worker and its planners. A full disk ends the capture with an error, and the written part
 //! can be recovered.
 //!
 //! A recorder joins one fleet. Others are read from streams: captures that other processes write to
-//! a pipe.
+//! a pipe. [`replay`] sends recorded frames again.
 #![forbid(unsafe_code)]
 
 mod attachments;

@@ -18,8 +18,8 @@ pub struct Options {
     pub settings: CaptureSettings,
     /// Also channels for single robots, for plots.
     pub per_robot: bool,
-    /// Channels that can be recorded; causes before effects. One that is declared elsewhere is added to
-    /// [`RecordedChannel::all`].
+    /// Channels that can be recorded; causes before effects. One that is declared elsewhere is
+    /// added to [`RecordedChannel::all`].
     pub channels: Vec<RecordedChannel>,
     /// Which topics are recorded.
     pub choose: Arc<dyn Fn(&str) -> bool + Send + Sync>,
@@ -34,7 +34,8 @@ pub struct Options {
     pub snapshot: Option<Snapshot>,
     /// Size of the queue in front of the disk, bytes; messages beyond it are dropped.
     pub queue_bytes: usize,
-    /// Name of the process among the members of the fleet. [`RECORDER`] is told as one that records.
+    /// Name of the process among the members of the fleet. [`RECORDER`] is told as one that
+    /// records.
     pub member: &'static str,
 }
 

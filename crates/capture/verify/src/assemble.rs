@@ -391,8 +391,9 @@ impl FrameStore {
         Some(frame)
     }
 
-    /// The first of a tick's `frames` with the source, run and number of another frame that differs: one
-    /// of them is false, and nothing tells which of them the worker took. The others are not taken any more.
+    /// The first of a tick's `frames` with the source, run and number of another frame that
+    /// differs: one of them is false, and nothing tells which of them the worker took. The others
+    /// are not taken any more.
     fn ambiguous(&mut self, frames: &[Option<SampleFrame>]) -> Option<FrameKey> {
         let mut first = None;
         let mut seen: HashMap<FrameKey, &SampleFrame> = HashMap::new();

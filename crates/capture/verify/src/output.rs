@@ -45,8 +45,8 @@ impl fmt::Debug for Output {
 }
 
 impl Output {
-    /// A channel that is sent in each tick. `header` computes a header, of which the `fields` are compared, and `row` the row at
-    /// a place, of which all fields are.
+    /// A channel that is sent in each tick. `header` computes a header, of which the `fields` are
+    /// compared, and `row` the row at a place, of which all fields are.
     #[must_use]
     pub fn of<C: Channel>(
         fields: &'static [&'static str],

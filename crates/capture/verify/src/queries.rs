@@ -17,7 +17,8 @@ use joulebus_capture_format::Query;
 
 /// Maximum memory of ticks kept for questions about them, bytes.
 const MOST_KEPT: usize = 128 << 20;
-/// Maximum memory of questions that wait for their ticks, bytes: a recorder writes them after these.
+/// Maximum memory of questions that wait for their ticks, bytes: a recorder writes them after
+/// these.
 const MOST_WAITING: usize = 64 << 20;
 
 /// Run and number of a tick.
@@ -81,8 +82,8 @@ impl Queries {
         }
     }
 
-    /// Keeps the tick that `fleet` has just computed, if plan states were written in it, and verifies the
-    /// questions that waited for it.
+    /// Keeps the tick that `fleet` has just computed, if plan states were written in it, and
+    /// verifies the questions that waited for it.
     pub(super) fn ticked(
         &mut self,
         place: Place,
@@ -123,7 +124,8 @@ impl Queries {
         report.queries_outside += waiting.values().map(Vec::len).sum::<usize>() as u64;
     }
 
-    /// Computes an answer again and compares it; the tick that has to be computed first is the error.
+    /// Computes an answer again and compares it; the tick that has to be computed first is the
+    /// error.
     fn verify(&self, (query, fleet): &Asked, report: &mut Verification) -> Result<(), Place> {
         let answer = &query.record.answer;
         if depends_on_time(answer) {

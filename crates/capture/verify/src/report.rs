@@ -112,8 +112,8 @@ pub enum Loss {
         /// Its number.
         frame_seq: u64,
     },
-    /// It took a frame of which the capture has several that differ, or one of another length: a process sends in
-    /// the source's name, and nothing tells which frame the worker took.
+    /// It took a frame of which the capture has several that differ, or one of another length: a
+    /// process sends in the source's name, and nothing tells which frame the worker took.
     Ambiguous {
         /// Its source.
         source_id: u64,

@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::atomic::AtomicBool;
 
+use joulebus_capture_format::{Message, MessageKind};
 use joulebus_config::Config;
 use simulated_bus as bus;
 use simulated_host::{self as host, disk, time};
@@ -61,6 +62,10 @@ fn compare(answers: &Answers, expected: &Answers) -> Option<Failure> {
 }
 
 fn run_once(scenario: &Scenario, stop: &AtomicBool) -> (Outcome, Answers) {
+    // Their tables are made once in a process, and would count as grown in the first run.
+    for kind in MessageKind::ALL {
+        let _ = Message::decode(*kind, &[]);
+    }
     host::begin(scenario.seed, scenario.setup.uptime_ns);
     bus::begin();
     let text = scenario.setup.toml(LEDGER);

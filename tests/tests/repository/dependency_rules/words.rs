@@ -142,7 +142,7 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         "publisher/src/publisher.rs",
         "predictor-worker/src/outbox.rs",
         "predictor-worker/src/keyframes.rs",
-        "cli/src/replay/ports.rs",
+        "capture/recorder/src/replay/mod.rs",
         // Age of a file, which only the wall clock gives.
         "bus/src/cleanup/objects.rs",
         "cli/src/doctor/host.rs",

@@ -1,8 +1,8 @@
 //! Decodes the values in messages of any MCAP file by its schemas.
 //!
 //! Protobuf messages are decoded by the descriptors in the file, JSON is passed on unchanged, and
-//! the ROS types of `joulebus-ros-messages` are decoded from CDR. For other messages only time, sequence
-//! number and length are available.
+//! the ROS types of `joulebus-ros-messages` are decoded from CDR. For other messages only time,
+//! sequence number and length are available.
 
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
@@ -19,10 +19,12 @@ use joulebus_ros_messages as ros;
 
 /// Maximum nesting depth of fields listed as columns.
 const MOST_DEPTH: usize = 8;
-/// Maximum length of all names of columns, bytes: a message that contains itself has more than can be listed.
+/// Maximum length of all names of columns, bytes: a message that contains itself has more than can
+/// be listed.
 const MOST_COLUMN_BYTES: usize = 1 << 20;
-/// Maximum number of values in a message that is decoded, those that it leaves out included: a row of a hundred thousand
-/// robots has some fifty. An empty message within another takes one byte in a file, and hundreds in memory.
+/// Maximum number of values in a message that is decoded, those that it leaves out included: a row
+/// of a hundred thousand robots has some fifty. An empty message within another takes one byte in a
+/// file, and hundreds in memory.
 const MOST_VALUES: usize = 1 << 23;
 /// What a message within another counts as, beside its values.
 const MESSAGE_VALUES: usize = 8;
@@ -290,8 +292,8 @@ fn take(left: &mut usize, values: usize) -> Result<(), String> {
     Ok(())
 }
 
-/// The scalar fields of a message as dotted paths, as many as `left` bytes of names allow; those of repeated messages
-/// without an index.
+/// The scalar fields of a message as dotted paths, as many as `left` bytes of names allow; those of
+/// repeated messages without an index.
 fn list(
     message: &MessageDescriptor,
     before: &str,

@@ -1,5 +1,7 @@
 //! Protobuf to and from structs of shared memory, by their [`Table`], bit for bit.
 
+use std::fmt;
+
 use super::table::{Field, Form, Number, Plain, Table, encoded, key};
 
 /// Bytes of the longest varint.
@@ -45,12 +47,21 @@ pub(super) enum Wrong {
 }
 
 /// What makes bytes no message, and where.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("failed to decode Protobuf message: {}{}{wrong}", field.unwrap_or_default(), if field.is_some() { ": " } else { "" })]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Fault {
     wrong: Wrong,
     /// The innermost field in which it is.
     field: Option<&'static str>,
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "failed to decode Protobuf message: ")?;
+        if let Some(field) = self.field {
+            write!(out, "{field}: ")?;
+        }
+        write!(out, "{}", self.wrong)
+    }
 }
 
 impl Fault {
@@ -373,8 +384,8 @@ impl Encoder {
         }
     }
 
-    /// Writes a field whose contents `write` writes. `guess` are the bytes of the length before, and then of this one: the
-    /// contents are moved where it is another.
+    /// Writes a field whose contents `write` writes. `guess` are the bytes of the length before,
+    /// and then of this one: the contents are moved where it is another.
     fn inner(&mut self, key: (u64, usize), guess: &mut usize, write: impl FnOnce(&mut Self)) {
         self.word(key.0, key.1);
         let at = self.end;
@@ -452,11 +463,13 @@ fn used(from: &[u8], elements: usize, size: usize) -> usize {
 pub(super) struct Decoded<'a> {
     table: &'a Table,
     slots: Vec<u64>,
-    /// Numbers that exceed their fields, unless they are followed by others; with the offset of the field.
+    /// Numbers that exceed their fields, unless they are followed by others; with the offset of the
+    /// field.
     wide: Vec<(usize, OutOfRange)>,
 }
 
-/// Takes a field that is not in the struct; false if it is not known. Has its number, the message, and the depth left.
+/// Takes a field that is not in the struct; false if it is not known. Has its number, the message,
+/// and the depth left.
 pub(super) type Part<'a> = &'a mut dyn FnMut(u32, Wire, &mut Bytes<'_>, u32) -> Result<bool, Fault>;
 
 impl<'a> Decoded<'a> {
@@ -468,8 +481,8 @@ impl<'a> Decoded<'a> {
         }
     }
 
-    /// Decodes a whole message; afterwards another can be decoded. A number that exceeds its field becomes `exceeds`, unless
-    /// there is one already.
+    /// Decodes a whole message; afterwards another can be decoded. A number that exceeds its field
+    /// becomes `exceeds`, unless there is one already.
     ///
     /// # Errors
     /// The bytes are no message.

@@ -19,7 +19,8 @@ pub(super) fn all() -> FileDescriptorSet {
     FileDescriptorSet::decode(DESCRIPTORS).unwrap_or_default()
 }
 
-/// The files in which a channel's message is: those of this crate, or one that is derived from its layout.
+/// The files in which a channel's message is: those of this crate, or one that is derived from its
+/// layout.
 pub(super) fn set_of<C: Channel>() -> FileDescriptorSet {
     let all = all();
     match message(&all, C::MESSAGE) {
@@ -78,8 +79,9 @@ fn gather(all: &FileDescriptorSet, name: &str, found: &mut Vec<FileDescriptorPro
     }
 }
 
-/// Describes a channel that is declared elsewhere: fields are numbered in the order of memory, so that later ones are added
-/// at the end of a struct; hashes, instants and runs are `fixed64`, floats `optional`, and rows come last.
+/// Describes a channel that is declared elsewhere: fields are numbered in the order of memory, so
+/// that later ones are added at the end of a struct; hashes, instants and runs are `fixed64`,
+/// floats `optional`, and rows come last.
 fn derived<C: Channel>() -> FileDescriptorProto {
     let (header, row) = (<C::Header as Row>::LAYOUT, <C::Row as Row>::LAYOUT);
     let mut messages = Vec::new();

@@ -80,7 +80,8 @@ fn table<C: Channel>() -> &'static FrameTable {
 
 impl FrameTable {
     /// # Panics
-    /// The channel's fields do not match its message: a fault of the declaration, which every test of the channel finds.
+    /// The channel's fields do not match its message: a fault of the declaration, which every test
+    /// of the channel finds.
     fn new<C: Channel>() -> Self {
         match Self::of::<C>() {
             Ok(table) => table,

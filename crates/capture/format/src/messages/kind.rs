@@ -10,7 +10,8 @@ use joulebus_wire::{
 
 use super::{DecodeError, Frame, Message, Query, RobotRow, descriptors};
 
-/// Kind of the messages of a topic: frames of a channel, single robots' rows of them, or questions with their answers.
+/// Kind of the messages of a topic: frames of a channel, single robots' rows of them, or questions
+/// with their answers.
 #[derive(Clone, Copy)]
 pub struct MessageKind {
     /// Name of the channel's service.
@@ -33,7 +34,8 @@ pub trait ForEachChannel {
 macro_rules! channels {
     ($([$($robots:ident)?] $channel:ident,)*) => {
         impl MessageKind {
-            /// All kinds of the channels in [`joulebus_wire`]; first those with one topic for the whole fleet.
+            /// All kinds of the channels in [`joulebus_wire`]; first those with one topic for the
+            /// whole fleet.
             pub const ALL: &'static [Self] = &[
                 $(Self::of::<$channel>(),)*
                 $($(Self::of_robot::<$robots>(),)?)*

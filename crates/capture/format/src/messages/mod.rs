@@ -195,7 +195,8 @@ impl Message {
         }
     }
 
-    /// Calls `take` with each robot's row as a message of its own; with none if it is no frame of robots.
+    /// Calls `take` with each robot's row as a message of its own; with none if it is no frame of
+    /// robots.
     pub fn each_robot(&self, mut take: impl FnMut(Self)) {
         if let Some(content) = self.known() {
             content.each_robot(&mut take);
@@ -219,8 +220,8 @@ impl Message {
     }
 }
 
-/// Maximum number of rows in a message: more than a fleet may have robots. An empty row takes three bytes in a file, and
-/// hundreds in memory.
+/// Maximum number of rows in a message: more than a fleet may have robots. An empty row takes three
+/// bytes in a file, and hundreds in memory.
 const MAX_ROWS: usize = 1 << 20;
 
 /// The maximum number of rows in a message, or in those within it, `depth` levels down.

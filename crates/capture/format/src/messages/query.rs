@@ -11,7 +11,8 @@ use super::codec::{Decoded, Encoder, MAX_DEPTH, Wrong, inner};
 use super::table::{Number, Table};
 use super::{Content, DecodeError, Message, MessageKind, descriptors, read};
 
-/// A question that the worker was asked, and its answer. Lengths in the headers are those of the parts.
+/// A question that the worker was asked, and its answer. Lengths in the headers are those of the
+/// parts.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Query {
     /// Headers of question and answer.

@@ -1,4 +1,5 @@
-//! How a struct of shared memory and a message of protobuf correspond: by the names of their fields.
+//! How a struct of shared memory and a message of protobuf correspond: by the names of their
+//! fields.
 //!
 //! | in shared memory | in protobuf |
 //! |---|---|
@@ -139,8 +140,8 @@ impl Number {
 pub(super) type Find<'a> = &'a dyn Fn(&str) -> Option<DescriptorProto>;
 
 impl Table {
-    /// The table of a struct and its message. `parts` are fields of the message that are not in the struct, `lengths`
-    /// fields of the struct that follow from these.
+    /// The table of a struct and its message. `parts` are fields of the message that are not in the
+    /// struct, `lengths` fields of the struct that follow from these.
     ///
     /// # Errors
     /// A field that has no counterpart.

@@ -1,5 +1,5 @@
-//! The fields of an encoded protobuf message, without decoding them: what a message will take in memory is known
-//! before any of it is taken.
+//! The fields of an encoded protobuf message, without decoding them: what a message will take in
+//! memory is known before any of it is taken.
 
 /// A field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -31,7 +31,8 @@ impl Bits {
         (0..self.u64() % 5).map(|_| row(self)).collect()
     }
 
-    /// A struct, each of whose numbers is arbitrary; in an array those after an arbitrary place are 0.
+    /// A struct, each of whose numbers is arbitrary; in an array those after an arbitrary place are
+    /// 0.
     pub(crate) fn row<T: Row>(&mut self) -> T {
         let mut row = T::default();
         let bytes = bytemuck::bytes_of_mut(&mut row);

@@ -1,5 +1,5 @@
-//! A capture written by the program of 24 November 2026 (1bf363c, whose captures are those of the release df6ba14): it is read to
-//! the same bits, and the same is written.
+//! A capture written by the program of 24 November 2026 (1bf363c, whose captures are those of the
+//! release df6ba14): it is read to the same bits, and the same is written.
 
 use std::collections::BTreeSet;
 use std::io::Cursor;

@@ -148,8 +148,9 @@ impl std::fmt::Debug for ReplayPorts {
 }
 
 impl ReplayPorts {
-    /// Opens the ports of those `channels` whose kinds are played. The worker's require that no worker runs, and are opened
-    /// together, also those that are not played: planners open all of them.
+    /// Opens the ports of those `channels` whose kinds are played. The worker's require that no
+    /// worker runs, and are opened together, also those that are not played: planners open all of
+    /// them.
     ///
     /// # Errors
     /// [`ReplayError`].
@@ -179,8 +180,8 @@ impl ReplayPorts {
         })
     }
 
-    /// Sends a frame now, and leaves it as it was sent; `slower` as in [`Rebase::frame`]. A message without a port is
-    /// skipped.
+    /// Sends a frame now, and leaves it as it was sent; `slower` as in [`Rebase::frame`]. A message
+    /// without a port is skipped.
     ///
     /// # Errors
     /// [`SendError`].

@@ -91,8 +91,8 @@ impl Rebase {
         epoch
     }
 
-    /// Makes of a recorded frame of samples one that is sent at `now`. Frames lost during the recording stay lost: the
-    /// worker counts them.
+    /// Makes of a recorded frame of samples one that is sent at `now`. Frames lost during the
+    /// recording stay lost: the worker counts them.
     pub(super) fn samples(&mut self, frame: &mut Frame<Samples>, now: Moment) {
         let Frame { header, rows } = frame;
         let (frame_seq, samples_before) = *self
@@ -112,8 +112,8 @@ impl Rebase {
         frame.header.intended_ns = now.monotonic_ns;
     }
 
-    /// Makes of a recorded frame one that is sent at `now`; `slower`: factor by which the period is stretched, so
-    /// that planners do not take a slow replay for a dead worker.
+    /// Makes of a recorded frame one that is sent at `now`; `slower`: factor by which the period is
+    /// stretched, so that planners do not take a slow replay for a dead worker.
     pub fn frame<C: Channel>(&mut self, frame: &mut Frame<C>, now: Moment, slower: f64) {
         let Frame { header, rows } = frame;
         for row in rows {

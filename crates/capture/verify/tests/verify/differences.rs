@@ -307,9 +307,9 @@ fn a_complete_recording_has_no_differences() {
     );
 }
 
-/// Everything that can be learned online, and every kind of fault among the samples. `tools/aarch64.sh` runs
-/// this on two kinds of processor with one `JOULEBUS_MACHINES`, a directory: each verifies what both have
-/// recorded.
+/// Everything that can be learned online, and every kind of fault among the samples.
+/// `tools/aarch64.sh` runs this on two kinds of processor with one `JOULEBUS_MACHINES`, a
+/// directory: each verifies what both have recorded.
 #[test]
 fn what_one_machine_records_another_computes_to_the_bit() {
     let own = tempfile::tempdir().unwrap();

@@ -8,12 +8,11 @@ use iceoryx2::port::subscriber::{Subscriber, SubscriberCreateError};
 use iceoryx2::prelude::CallbackProgression;
 use iceoryx2::sample::Sample as Borrowed;
 use iceoryx2::service::port_factory::PortFactory as _;
-use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use joulebus_wire::{Channel, Flow};
 
 use super::degradation::Failures;
 use super::repair::Repair;
-use super::service::{self, OpenError};
+use super::service::{self, Factory, OpenError};
 use crate::ipc::Ipc;
 use crate::liveness::kept::Kept;
 use crate::liveness::worker_ports::WorkerPorts;
@@ -24,14 +23,11 @@ use crate::{Bus, FilesRemoved, Limits, clock};
 const MOST_PASSED_OVER: u32 = 4_096;
 
 /// A port and its service.
-type Port<C> = (
-    Subscriber<Ipc, [<C as Channel>::Row], <C as Channel>::Header>,
-    Factory<C>,
-);
+type Port<C> = (Inlet<C>, Factory<C>);
+/// The port itself.
+type Inlet<C> = Subscriber<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
 /// A frame that was received.
 type Received<C> = Borrowed<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
-/// What a subscriber is made with.
-type Factory<C> = PortFactory<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
 
 /// Reads frames in place; on a service of the worker, only those of the process that holds the worker's
 /// lock.
@@ -247,7 +243,7 @@ fn subscribe<C: Channel>(
     factory: &Factory<C>,
     buffer: usize,
     failures: &Arc<Failures>,
-) -> Result<Subscriber<Ipc, [C::Row], C::Header>, SubscriberCreateError> {
+) -> Result<Inlet<C>, SubscriberCreateError> {
     factory
         .subscriber_builder()
         .buffer_size(buffer)

@@ -35,10 +35,10 @@ const LIMITS_KEY: &[u8] = b"joulebus.limits";
 const OPEN_LIMIT_NS: u64 = 4_000_000_000;
 const OPEN_AGAIN_AFTER: Duration = Duration::from_millis(20);
 
-pub(super) fn open<C: Channel>(
-    bus: &Bus,
-    limits: &Limits,
-) -> Result<PortFactory<Ipc, [C::Row], C::Header>, OpenError> {
+/// What the ports of a channel are made with.
+pub(super) type Factory<C> = PortFactory<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
+
+pub(super) fn open<C: Channel>(bus: &Bus, limits: &Limits) -> Result<Factory<C>, OpenError> {
     let (service, shape) = (C::SERVICE, limits.shape(C::FLOW));
     bus.member.presence.look()?;
     // Of an earlier attempt.

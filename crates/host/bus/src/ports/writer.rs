@@ -11,12 +11,11 @@ use iceoryx2::port::{DegradationAction, LoanError};
 use iceoryx2::prelude::{AllocationStrategy, CallbackProgression};
 use iceoryx2::sample_mut::SampleMut;
 use iceoryx2::service::port_factory::PortFactory as _;
-use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 use joulebus_wire::Channel;
 
 use super::degradation::Failures;
 use super::repair::Repair;
-use super::service::{self, OpenError};
+use super::service::{self, Factory, OpenError};
 use super::wait::WaitError;
 use crate::ipc::Ipc;
 use crate::liveness::kept::Kept;
@@ -28,7 +27,7 @@ use crate::{Bus, FilesRemoved, Limits, clock};
 /// A port and its service.
 type Port<C> = (
     Publisher<Ipc, [<C as Channel>::Row], <C as Channel>::Header>,
-    PortFactory<Ipc, [<C as Channel>::Row], <C as Channel>::Header>,
+    Factory<C>,
 );
 
 /// Sends frames of a channel, written in place in shared memory.
