@@ -3,13 +3,14 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use joulebus_bus::{Bus, JoinError, Limits, OpenError, Reader, ReceiveError, Steps, clock};
+use joulebus_bus::{Bus, JoinError, OpenError, ReceiveError, Steps, clock};
 use joulebus_config::Config;
-use joulebus_wire::{Channel, Flow, FrameRows};
+use joulebus_wire::{Flow, FrameRows};
 
+use crate::channel::{Intake, RecordedChannel};
 use crate::item::Item;
 use crate::shared::Shared;
-use joulebus_capture_format::{Clock, ForEachChannel, Message, MessageKind, Times};
+use joulebus_capture_format::{Clock, Message, MessageKind, Times};
 
 /// Maximum interval between two drains.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
@@ -29,58 +30,6 @@ pub enum DrainError {
     /// A port could not be opened.
     #[error(transparent)]
     Open(#[from] OpenError),
-}
-
-type Open = fn(&Bus, &Limits) -> Result<Box<dyn Intake>, OpenError>;
-
-/// A channel that is recorded.
-#[derive(Debug, Clone, Copy)]
-pub struct RecordedChannel {
-    /// Kind of its messages.
-    pub kind: MessageKind,
-    /// Whether its rows are repeated as messages of single robots, where that is asked for.
-    pub has_robots: bool,
-    open: Open,
-}
-
-impl RecordedChannel {
-    /// A channel, also one that is declared elsewhere.
-    #[must_use]
-    pub const fn of<C: Channel>(has_robots: bool) -> Self {
-        Self {
-            kind: MessageKind::of::<C>(),
-            has_robots,
-            open: |bus, limits| Ok(Box::new(bus.reader::<C>(limits)?)),
-        }
-    }
-
-    /// Those of a fleet; causes before effects.
-    #[must_use]
-    pub fn all() -> Vec<Self> {
-        struct All(Vec<RecordedChannel>);
-        impl ForEachChannel for All {
-            fn channel<C: Channel>(&mut self, has_robots: bool) {
-                self.0.push(RecordedChannel::of::<C>(has_robots));
-            }
-        }
-        let mut all = All(Vec::new());
-        MessageKind::each_channel(&mut all);
-        all.0
-    }
-}
-
-/// A port that is drained.
-trait Intake {
-    /// Receives all waiting frames.
-    fn take_all(&mut self, batch: &mut Vec<Message>) -> Result<(), ReceiveError>;
-}
-
-impl<C: Channel> Intake for Reader<C> {
-    fn take_all(&mut self, batch: &mut Vec<Message>) -> Result<(), ReceiveError> {
-        Self::take_all(self, |header, rows| {
-            Message::each_of_frame::<C>(header, rows, |message| batch.push(message));
-        })
-    }
 }
 
 /// The ports of one fleet. Belongs to the thread that opened them.

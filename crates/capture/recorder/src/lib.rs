@@ -11,6 +11,7 @@
 
 mod attachments;
 mod capture_file;
+mod channel;
 mod drain;
 mod files;
 mod gaps;
@@ -38,7 +39,8 @@ use item::Item;
 use shared::Shared;
 
 pub use attachments::{AttachError, attach, host_clock};
-pub use drain::{DrainError, RecordedChannel};
+pub use channel::RecordedChannel;
+pub use drain::DrainError;
 pub use files::{Kept, Target};
 pub use options::{Options, RECORDER, Snapshot};
 pub use shared::{Lost, Summary};

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use joulebus_capture_format::{CaptureSettings, MessageKind};
 use joulebus_wire::{Diagnostics, Ticks};
 
-use crate::drain::RecordedChannel;
+use crate::channel::RecordedChannel;
 
 /// Name, among the members of a fleet, of processes that record it.
 pub const RECORDER: &str = "recorder";

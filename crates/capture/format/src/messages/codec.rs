@@ -2,10 +2,8 @@
 
 use std::fmt;
 
-use super::table::{Field, Form, Number, Plain, Table, encoded, key};
+use super::table::{Field, Form, MAX_VARINT, Number, Plain, Table, Wire, encoded, key};
 
-/// Bytes of the longest varint.
-pub(super) const MAX_VARINT: usize = 10;
 /// Bytes that are written at once, of which the last may be superfluous.
 pub(super) const WORD: usize = 8;
 /// By how much a buffer grows beyond what is needed, bytes.
@@ -77,17 +75,6 @@ impl From<Wrong> for Fault {
     fn from(wrong: Wrong) -> Self {
         Self { wrong, field: None }
     }
-}
-
-/// How the contents of a field are encoded.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Wire {
-    Varint,
-    Eight,
-    Bytes,
-    Group,
-    GroupEnd,
-    Four,
 }
 
 /// The rest of a message.
@@ -235,14 +222,6 @@ pub(super) const fn inner(depth: u32) -> Result<u32, Wrong> {
 }
 
 impl Number {
-    pub(super) const fn wire(self) -> Wire {
-        match self {
-            Self::U16 | Self::Code16 | Self::U32 | Self::Code32 | Self::U64 => Wire::Varint,
-            Self::Fixed | Self::F64 => Wire::Eight,
-            Self::F32 => Wire::Four,
-        }
-    }
-
     #[inline]
     fn read(self, from: &[u8]) -> u64 {
         match self {

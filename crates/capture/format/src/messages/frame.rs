@@ -7,8 +7,9 @@ use bytemuck::Pod;
 use joulebus_wire::{Channel, FrameHeader as _, FrameRows, Place, Row as _};
 
 use super::codec::{Decoded, Encoder, MAX_DEPTH, inner};
+use super::descriptors;
+use super::message::{Content, DecodeError, Message, MessageKind, check_rows, read};
 use super::table::Table;
-use super::{Content, DecodeError, Message, MessageKind, check_rows, descriptors, read};
 
 /// A frame of a channel.
 #[derive(Debug, Clone)]
@@ -239,5 +240,32 @@ impl<C: Channel> Content for RobotRow<C> {
     fn is_same(&self, other: &dyn Content) -> bool {
         let other: &dyn Any = other;
         other.downcast_ref() == Some(self)
+    }
+}
+
+impl Message {
+    /// A frame of a channel.
+    #[must_use]
+    pub fn of<C: Channel>(header: C::Header, rows: Vec<C::Row>) -> Self {
+        Frame::<C> { header, rows }.into()
+    }
+
+    /// The frame, if it is one of this channel.
+    #[must_use]
+    pub fn frame<C: Channel>(&self) -> Option<&Frame<C>> {
+        self.get()
+    }
+
+    /// The frame to change, if it is one of this channel.
+    pub fn frame_mut<C: Channel>(&mut self) -> Option<&mut Frame<C>> {
+        self.get_mut()
+    }
+
+    /// As [`Message::frame`], without a copy.
+    ///
+    /// # Errors
+    /// The message, if it is another.
+    pub fn into_frame<C: Channel>(self) -> Result<Frame<C>, Self> {
+        self.take()
     }
 }

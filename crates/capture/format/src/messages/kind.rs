@@ -1,29 +1,14 @@
-//! Kinds of messages.
-
-use std::fmt;
-use std::hash::{Hash, Hasher};
+//! The kinds of messages of all channels.
 
 use joulebus_wire::{
-    Budgets, Channel, Diagnostics, Flow, Forecasts, FrameRows, PlanStates, Queries, Row, Samples,
-    State, Ticks,
+    Budgets, Channel, Diagnostics, Forecasts, PlanStates, Queries, Row, Samples, State, Ticks,
+    records,
 };
 
-use super::{DecodeError, Frame, Message, Query, RobotRow, descriptors};
-
-/// Kind of the messages of a topic: frames of a channel, single robots' rows of them, or questions
-/// with their answers.
-#[derive(Clone, Copy)]
-pub struct MessageKind {
-    /// Name of the channel's service.
-    name: &'static str,
-    /// Name of the message, without its package: unique.
-    message: &'static str,
-    is_of_robot: bool,
-    flow: Flow,
-    rows: FrameRows,
-    decode: fn(&[u8]) -> Result<Message, DecodeError>,
-    descriptors: fn(&str) -> Vec<u8>,
-}
+use super::descriptors;
+use super::frame::{Frame, RobotRow};
+use super::message::{Message, MessageKind};
+use super::query::Query;
 
 /// Is called with every channel of [`MessageKind::ALL`].
 pub trait ForEachChannel {
@@ -99,87 +84,20 @@ impl MessageKind {
             ..Self::of::<C>()
         }
     }
+}
 
-    /// Who sends on the channel and who reads.
-    #[must_use]
-    pub const fn flow(self) -> Flow {
-        self.flow
-    }
-
-    /// What the rows of the channel's frames are.
-    #[must_use]
-    pub const fn rows(self) -> FrameRows {
-        self.rows
-    }
-
-    /// The name of the service.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        self.name
-    }
-
-    /// The name of the schema.
-    #[must_use]
-    pub fn schema(self) -> String {
-        format!("joulebus.{}", self.message)
-    }
-
-    /// The protobuf file set that describes the messages: the schema's data.
-    #[must_use]
-    pub fn descriptors(self) -> Vec<u8> {
-        (self.descriptors)(self.message)
-    }
-
-    /// Whether its schema has this name.
-    #[must_use]
-    pub fn is_schema(self, name: &str) -> bool {
-        name.strip_prefix("joulebus.") == Some(self.message)
-    }
-
-    /// The channel's topic; `robot` is used only by kinds of single robots.
-    #[must_use]
-    pub fn topic(self, fleet: &str, robot: u32) -> String {
-        if self.is_of_robot {
-            format!("joulebus/{fleet}/robot/{robot}/{}", self.message_name())
+impl Message {
+    /// Calls `take` with the messages of a frame: itself, or each record of a question.
+    pub fn each_of_frame<C: Channel>(
+        header: &C::Header,
+        rows: &[C::Row],
+        mut take: impl FnMut(Self),
+    ) {
+        if MessageKind::of::<C>() == MessageKind::of::<Queries>() {
+            let words = bytemuck::cast_slice(rows);
+            records(words).for_each(|record| take(Query::of_record(record).into()));
         } else {
-            format!("joulebus/{fleet}/{}", self.name)
+            take(Self::of::<C>(*header, rows.to_vec()));
         }
-    }
-
-    /// The name of the message in small letters: `plan_state`.
-    #[must_use]
-    pub fn message_name(self) -> String {
-        let mut name = String::new();
-        for letter in self.message.chars() {
-            if letter.is_ascii_uppercase() && !name.is_empty() {
-                name.push('_');
-            }
-            name.push(letter.to_ascii_lowercase());
-        }
-        name
-    }
-
-    pub(super) fn decode(self, data: &[u8]) -> Result<Message, DecodeError> {
-        (self.decode)(data)
-    }
-}
-
-impl PartialEq for MessageKind {
-    fn eq(&self, other: &Self) -> bool {
-        self.message == other.message
-    }
-}
-
-impl Eq for MessageKind {}
-
-impl Hash for MessageKind {
-    fn hash<H: Hasher>(&self, state: &mut H) {
-        self.message.hash(state);
-    }
-}
-
-impl fmt::Debug for MessageKind {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(self.message)
     }
 }

@@ -8,8 +8,9 @@ use joulebus_wire::{
 use prost_types::DescriptorProto;
 
 use super::codec::{Decoded, Encoder, MAX_DEPTH, Wrong, inner};
+use super::descriptors;
+use super::message::{Content, DecodeError, Message, MessageKind, check_rows, read};
 use super::table::{Number, Table};
-use super::{Content, DecodeError, Message, MessageKind, descriptors, read};
 
 /// A question that the worker was asked, and its answer. Lengths in the headers are those of the
 /// parts.
@@ -75,7 +76,7 @@ impl Query {
     pub(super) fn decode(data: &[u8]) -> Result<Message, DecodeError> {
         let tables = &*TABLES;
         // The rows are within the answer.
-        super::check_rows(data, 1)?;
+        check_rows(data, 1)?;
         let mut record: QueryRecord = read(&tables.record.empty);
         let mut asked: QueryHeader = read(&tables.question.empty);
         let mut answered: AnswerHeader = read(&tables.answer.empty);

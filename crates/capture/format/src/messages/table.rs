@@ -9,10 +9,22 @@
 //! | a struct `x` | a message `x` |
 //! | a struct of one array | a message of its named elements, then a `repeated` field of the others |
 
-use super::codec::{MAX_VARINT, Wire};
 use joulebus_wire::{FieldLayout, FieldType, StructLayout, layouts};
 use prost_types::field_descriptor_proto::{Label, Type};
 use prost_types::{DescriptorProto, FieldDescriptorProto};
+
+/// Bytes of the longest varint.
+pub(super) const MAX_VARINT: usize = 10;
+/// How the contents of a field are encoded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Wire {
+    Varint,
+    Eight,
+    Bytes,
+    Group,
+    GroupEnd,
+    Four,
+}
 
 /// A struct, and the message that it is in a capture.
 #[derive(Debug, Default)]
@@ -112,6 +124,14 @@ impl Number {
             (FieldType::F64, Type::Double) => Self::F64,
             _ => return None,
         })
+    }
+
+    pub(super) const fn wire(self) -> Wire {
+        match self {
+            Self::U16 | Self::Code16 | Self::U32 | Self::Code32 | Self::U64 => Wire::Varint,
+            Self::Fixed | Self::F64 => Wire::Eight,
+            Self::F32 => Wire::Four,
+        }
     }
 
     pub(super) const fn is_float(self) -> bool {
