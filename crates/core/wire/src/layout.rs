@@ -1,4 +1,4 @@
-//! How a struct of shared memory is declared: once, by [`rows!`].
+//! How a struct of shared memory is declared: once, by [`crate::rows!`].
 
 use std::fmt::Debug;
 
@@ -6,7 +6,7 @@ use bytemuck::Pod;
 
 use declare::ZeroCopySend;
 
-/// What [`rows!`] needs where it is used.
+/// What [`crate::rows!`] needs where it is used.
 pub mod declare {
     pub use iceoryx2_bb_derive_macros::ZeroCopySend;
     pub use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;

@@ -13,7 +13,7 @@ use super::wire_fields;
 /// A message.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Message {
-    /// One that this program knows: a [`Frame`], a [`RobotRow`] or a [`Query`].
+    /// One that this program knows: a [`crate::Frame`], a [`crate::RobotRow`] or a [`crate::Query`].
     Known(Box<dyn Content>),
     /// One of another program.
     Other {
