@@ -100,7 +100,7 @@ struct Recordings {
 
 impl Recordings {
     fn read(folder: &str, recipe: TrainSettings, resolution_w: f32) -> Option<Self> {
-        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../../shared/data");
         let Ok(files) = std::fs::read_dir(root.join(folder)) else {
             println!("no recordings in ../shared/data/{folder}: left out");
             return None;

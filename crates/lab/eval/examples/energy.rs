@@ -31,7 +31,7 @@ fn main() -> Result<()> {
         number("--every=").unwrap_or(10),
         number("--from=").unwrap_or(0),
     );
-    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../../shared/data");
     let simulated = std::env::args()
         .skip(1)
         .find(|argument| !argument.starts_with("--"));

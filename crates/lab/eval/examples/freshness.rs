@@ -22,7 +22,7 @@ use joulebus_train::linear::{Linear, Terms, known_terms};
 use joulebus_train::{TrainSettings, train};
 use joulebus_wire::{Sample, sample_flag};
 
-const DATA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data");
+const DATA: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../../shared/data");
 const TICK_NS: u64 = 33_333_333;
 const SECOND_NS: u64 = 1_000_000_000;
 /// Position of the newest reading.

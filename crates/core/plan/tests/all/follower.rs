@@ -196,7 +196,7 @@ fn python() -> String {
 /// The simulator, if it is installed with Python and NumPy.
 fn simulator() -> Option<PathBuf> {
     let here = FilePath::new(env!("CARGO_MANIFEST_DIR"));
-    let folder = here.join("../../../shared/rps");
+    let folder = here.join("../../../../shared/rps");
     let runs = Command::new(python())
         .args(["-c", "import numpy"])
         .output()

@@ -141,7 +141,7 @@ fn parts_of_an_evaluation_of_an_archive_merge_into_the_report_of_the_recordings(
 
 #[test]
 fn real_recordings_report_the_same_from_an_archive() {
-    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data");
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../../shared/data");
     if !data.is_dir() {
         assert!(
             std::env::var("CI").as_deref() != Ok("true"),
