@@ -1,6 +1,9 @@
 //! The fields of an encoded protobuf message, without decoding them: what a message will take in
 //! memory is known before any of it is taken.
 
+use super::codec::{Bytes, MAX_DEPTH};
+use super::table::Wire;
+
 /// A field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Field<'a> {
@@ -25,45 +28,22 @@ pub(crate) enum Payload<'a> {
 #[derive(Debug, Clone)]
 pub(crate) struct Fields<'a>(pub(crate) &'a [u8]);
 
-impl<'a> Fields<'a> {
-    fn number(&mut self) -> Option<u64> {
-        let mut number = 0;
-        for at in 0..10 {
-            let (byte, rest) = self.0.split_first()?;
-            self.0 = rest;
-            number |= u64::from(byte & 0x7f) << (7 * at);
-            if *byte < 0x80 {
-                return Some(number);
-            }
-        }
-        None
-    }
-
-    fn bytes(&mut self, count: u64) -> Option<&'a [u8]> {
-        let (bytes, rest) = self.0.split_at_checked(usize::try_from(count).ok()?)?;
-        self.0 = rest;
-        Some(bytes)
-    }
-}
-
 impl<'a> Iterator for Fields<'a> {
     type Item = Field<'a>;
 
     fn next(&mut self) -> Option<Field<'a>> {
-        let key = self.number()?;
-        let payload = match key & 7 {
-            0 => self.number().map(|_| Payload::Number),
-            1 => self.bytes(8).map(|_| Payload::Number),
-            2 => {
-                let count = self.number()?;
-                self.bytes(count).map(Payload::Bytes)
+        let mut rest = Bytes(self.0);
+        let (number, wire) = rest.field().ok()?;
+        let payload = match wire {
+            Wire::Bytes => Payload::Bytes(rest.bytes(wire).ok()?),
+            Wire::Group | Wire::GroupEnd => Payload::Group,
+            Wire::Varint | Wire::Eight | Wire::Four => {
+                rest.skip(number, wire, MAX_DEPTH).ok()?;
+                Payload::Number
             }
-            3 | 4 => Some(Payload::Group),
-            5 => self.bytes(4).map(|_| Payload::Number),
-            _ => None,
         };
-        let number = u32::try_from(key >> 3).ok()?;
-        payload.map(|payload| Field { number, payload })
+        self.0 = rest.0;
+        Some(Field { number, payload })
     }
 }
 
