@@ -1,6 +1,22 @@
 //! Commands that apply long after their controller fell silent.
 
+use serde::Deserialize;
+
 use crate::observation::Observation;
+
+/// Time for which a command applies if no other one comes, unless a file says otherwise, s.
+pub const COMMAND_HOLDS_S: f64 = 0.5;
+
+/// What a robot does when its command has expired.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Expired {
+    /// Not known.
+    #[default]
+    Unknown,
+    /// Its controller stops it: the command is 0.
+    Stops,
+}
 
 /// Speeds that a command must have to be missed, m/s and rad/s.
 const COMMANDED_MPS: f64 = 0.05;

@@ -34,6 +34,7 @@ mod unit;
 
 pub use clock::{StampState, Stamps};
 pub use finding::{Finding, Kind, Severity, Source};
+pub use hold::{COMMAND_HOLDS_S, Expired};
 pub use judge::{Judge, Known};
 pub use observation::Observation;
 pub use quantity::Quantity;

@@ -2,6 +2,8 @@
 
 use std::str::FromStr;
 
+use joulebus_plausibility::COMMAND_HOLDS_S;
+pub use joulebus_plausibility::Expired;
 use serde::Deserialize;
 
 use super::channel::Channel;
@@ -34,17 +36,6 @@ pub enum CurrentSign {
     DischargeNegative,
     /// Positive while discharging, as in many drivers.
     DischargePositive,
-}
-
-/// What a robot does when its command has expired.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Expired {
-    /// Not known.
-    #[default]
-    Unknown,
-    /// Its controller stops it: the command is 0.
-    Stops,
 }
 
 /// A robot of a recording.
@@ -117,7 +108,7 @@ const fn usual_age_s() -> f64 {
 }
 
 const fn usual_hold_s() -> f64 {
-    0.5
+    COMMAND_HOLDS_S
 }
 
 impl Default for Mapping {

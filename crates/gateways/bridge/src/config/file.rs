@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
+use joulebus_plausibility::{COMMAND_HOLDS_S, Expired};
 use serde::Deserialize;
 use toml::{Spanned, Value};
 
-use crate::mapping::intake::Expired;
 use crate::mapping::observation::PowerOf;
 use crate::mapping::outgoing::What;
 use crate::mapping::ros::outgoing::RosWhat;
@@ -30,7 +30,7 @@ pub(super) struct BridgeSection {
     /// Name of the source, stable over restarts.
     pub(super) name: String,
     pub(super) command_holds_s: f64,
-    pub(super) command_expired: ExpiredWord,
+    pub(super) command_expired: Expired,
     pub(super) reading_holds_s: f64,
     pub(super) silent_after_s: f64,
     /// Findings that are not told.
@@ -41,27 +41,11 @@ impl Default for BridgeSection {
     fn default() -> Self {
         Self {
             name: "bridge".to_owned(),
-            command_holds_s: 0.5,
-            command_expired: ExpiredWord::Unknown,
+            command_holds_s: COMMAND_HOLDS_S,
+            command_expired: Expired::Unknown,
             reading_holds_s: 2.0,
             silent_after_s: 3.0,
             accept: Vec::new(),
-        }
-    }
-}
-
-#[derive(Debug, Clone, Copy, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(super) enum ExpiredWord {
-    Unknown,
-    Stops,
-}
-
-impl From<ExpiredWord> for Expired {
-    fn from(word: ExpiredWord) -> Self {
-        match word {
-            ExpiredWord::Unknown => Self::Unknown,
-            ExpiredWord::Stops => Self::Stops,
         }
     }
 }

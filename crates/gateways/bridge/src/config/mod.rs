@@ -138,7 +138,7 @@ impl Check<'_> {
         }
         let holds = Holds {
             command_ns: self.nanoseconds("bridge.command_holds_s", section.command_holds_s),
-            expired: section.command_expired.into(),
+            expired: section.command_expired,
             reading_ns: self.nanoseconds("bridge.reading_holds_s", section.reading_holds_s),
             silent_ns: self.nanoseconds("bridge.silent_after_s", section.silent_after_s),
         };

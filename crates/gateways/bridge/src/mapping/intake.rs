@@ -18,6 +18,7 @@
 
 use std::collections::BTreeMap;
 
+use joulebus_plausibility::Expired;
 use joulebus_publisher::{Charger, RobotState};
 use joulebus_settings::ChargeReading;
 
@@ -26,16 +27,6 @@ use crate::mapping::observation::{Observation, PowerOf, PowerReading};
 
 /// States of charge that the worker takes.
 const SOC: std::ops::RangeInclusive<f32> = -0.05..=1.05;
-
-/// What a robot does after its command has expired.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) enum Expired {
-    /// Not known.
-    #[default]
-    Unknown,
-    /// Its controller stops it, so the command is 0.
-    Stops,
-}
 
 /// How long an observed value holds, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

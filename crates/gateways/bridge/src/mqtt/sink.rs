@@ -303,7 +303,9 @@ mod tests {
     use rumqttc::{AsyncClient, MqttOptions};
 
     use super::*;
-    use crate::mapping::intake::{Expired, Holds, Intake};
+    use joulebus_plausibility::Expired;
+
+    use crate::mapping::intake::{Holds, Intake};
     use crate::mapping::topic::Template;
 
     const HOLDS: Holds = Holds {
