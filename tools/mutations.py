@@ -66,7 +66,7 @@ MUTATIONS = [
     ("memory of each save is leaked", "predictor-worker/src/ledger_files.rs",
      "file.write_all(&encode(self.generation + 1, ledger)?)?;",
      "file.write_all(Vec::leak(encode(self.generation + 1, ledger)?))?;"),
-    ("planners that poll take a shutdown for a death", "consumer/src/planner.rs",
+    ("planners that poll take a shutdown for a death", "consumer/src/subscriber.rs",
      "polling.poller.watch_worker(header.pid);", "let _ = &polling.poller;"),
     ("accounts forget unmetered time", "predictor-worker/src/checkpoint.rs",
      "unmetered_ns: budget.unmetered_ns,", "unmetered_ns: 0,"),
