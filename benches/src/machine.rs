@@ -46,7 +46,6 @@ pub struct Build {
 
 impl Machine {
     /// This machine, as far as Linux reports it.
-    #[must_use]
     pub fn here() -> Self {
         let cpuinfo = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
         let field = |name: &str| {
@@ -71,7 +70,6 @@ impl Machine {
 
 impl Build {
     /// This program.
-    #[must_use]
     pub fn here() -> Self {
         let profile = if cfg!(debug_assertions) {
             "dev"

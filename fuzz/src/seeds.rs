@@ -26,7 +26,6 @@ use super::frames::{encoded, setting};
 use super::keyframes::beginning;
 
 /// Directory, name and bytes of every seed.
-#[must_use]
 pub fn seeds() -> Vec<(&'static str, String, Vec<u8>)> {
     let mut all = Vec::new();
     let mut add = |directory, seeds: Vec<(String, Vec<u8>)>| {

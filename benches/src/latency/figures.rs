@@ -49,7 +49,6 @@ const ONCE: [Once; 5] = [
 ];
 
 /// The distribution, µs; `None` if nothing was measured.
-#[must_use]
 pub fn distribution(spread: &Spread) -> Option<Distribution> {
     (spread.count > 0).then_some(Distribution {
         count: spread.count,

@@ -57,7 +57,6 @@ pub enum HeaderError {
 
 impl HeaderError {
     /// Offset of the error in the file.
-    #[must_use]
     pub fn at(&self) -> usize {
         match self {
             Self::Truncated { found, .. } => *found,
@@ -119,7 +118,6 @@ impl Header {
     }
 
     /// Length of the header in bytes, which is the position of the elements.
-    #[must_use]
     pub fn length(&self) -> usize {
         self.length
     }
@@ -155,7 +153,6 @@ impl Header {
 
 /// The header that NumPy writes for an array in C order; `element` is the type in its notation. The
 /// elements begin at a multiple of 64 bytes.
-#[must_use]
 pub fn header(element: &str, shape: &[usize]) -> Vec<u8> {
     const ALIGNMENT: usize = 64;
     let sizes: Vec<String> = shape.iter().map(usize::to_string).collect();

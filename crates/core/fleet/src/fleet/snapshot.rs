@@ -8,7 +8,6 @@ use crate::state::snapshot::{Counters, FleetState, StateError};
 
 impl Fleet {
     /// The fleet's current state. Allocates.
-    #[must_use]
     pub fn state(&self) -> FleetState {
         let mut state = FleetState::with_capacity_for(&self.tick.settings);
         self.state_into(&mut state);

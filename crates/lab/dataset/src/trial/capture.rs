@@ -24,7 +24,6 @@ use crate::archive::RowStamp;
 const HEAD_BYTES: u64 = 64;
 
 /// Whether a file is named `.mcap` and written by joulebus, by its first record.
-#[must_use]
 pub fn is_capture(path: &Path) -> bool {
     if path.extension().is_none_or(|extension| extension != "mcap") {
         return false;
