@@ -127,8 +127,7 @@ impl Bench {
             .command(0.1, 0.0)
             .reading(power_w, now_ns);
         let sample = change(sample, &self.truth);
-        self.source.send(&mut self.fleet, &[sample], now_ns);
-        self.fleet.tick(now_ns, false);
+        self.source.tick(&mut self.fleet, &[sample], now_ns);
         self.budget()
     }
 
@@ -215,8 +214,7 @@ fn day(battery: Battery, robots: u32, measures: bool) -> (f64, f64) {
             }
             samples.push(sample);
         }
-        source.send(&mut fleet, &samples, now_ns);
-        fleet.tick(now_ns, false);
+        source.tick(&mut fleet, &samples, now_ns);
         if step == 10 * HOUR {
             epoch += 1;
             fleet = restarted(&fleet, battery, robots);
@@ -657,8 +655,7 @@ fn a_restarted_worker_continues_and_the_gap_is_charged_at_maximum_power() {
     fleet.restore(0, ledger, false, SavedBattery::of(&nonsense));
     let mut source = Source::new(1, 3);
     let sample = Sample::new(0, 1, bench.now_ns() + STEP_NS).reading(4.0, bench.now_ns());
-    source.send(&mut fleet, &[sample], sample.stamp_ns);
-    fleet.tick(sample.stamp_ns, false);
+    source.tick(&mut fleet, &[sample], sample.stamp_ns);
     let shown = world::budget(&fleet, 0);
     assert!(shown.soc_lo < 0.01 && shown.soc_hi > 0.99, "{shown:?}");
 }

@@ -13,8 +13,7 @@ const START_NS: u64 = 60_000 * MS;
 const POWER_MAX_W: f64 = 20.0;
 
 fn send(fleet: &mut Fleet, source: &mut Source, sample: Sample) -> Budget {
-    source.send(fleet, &[sample], sample.stamp_ns);
-    fleet.tick(sample.stamp_ns, false);
+    source.tick(fleet, &[sample], sample.stamp_ns);
     budget(fleet, ROBOT)
 }
 
@@ -224,12 +223,11 @@ fn without_a_battery_or_an_accepted_sample_nothing_is_published() {
         (0, ChargeState::Unknown)
     );
     assert!(shown.usable_lo_j.is_nan() && shown.left_j.is_nan());
-    source.send(
+    source.tick(
         &mut fleet,
         &[healthy(207, 0, START_NS, PERIOD_NS)],
         START_NS,
     );
-    fleet.tick(START_NS, false);
     assert_unknown(&budget(&fleet, 207));
 }
 
@@ -292,8 +290,7 @@ fn regeneration_fills_a_battery_no_further_than_full() {
         let now_ns = START_NS + step * world::SLOW_NS;
         let mut sample = healthy(107, step, now_ns, world::SLOW_NS);
         sample.power_w = -9.0;
-        source.send(&mut fleet, &[sample], now_ns);
-        fleet.tick(now_ns, false);
+        source.tick(&mut fleet, &[sample], now_ns);
         assert_in_order(&budget(&fleet, 107));
     }
     assert_eq!(budget(&fleet, 107).left_j, battery().capacity_j as f32);

@@ -226,32 +226,17 @@ fn relabelled(found: &Found, other: &str) -> Vec<joulebus_model_files::FoundLaye
 #[test]
 fn the_convention_that_made_the_data_is_found_with_a_clear_margin() {
     let found = found("flat.npy");
-    let base = FIXTURES;
-    for convention in [
-        base,
-        Convention {
-            order: LagOrder::Oldest,
-            ..base
-        },
-        Convention {
-            lags: Lags::First,
-            ..base
-        },
-        Convention {
-            derivative: Derivative::NormalisedPerStep,
-            ..base
-        },
-        Convention {
-            derivative: Derivative::RawPerSecond,
-            magnitude: Magnitude::Raw,
-            ..base
-        },
-        Convention {
-            derivative: Derivative::RawPerStep,
-            magnitude: Magnitude::Divided,
-            ..base
-        },
-    ] {
+    let changes: [fn(&mut Convention); 6] = [
+        |_| (),
+        |it| it.order = LagOrder::Oldest,
+        |it| it.lags = Lags::First,
+        |it| it.derivative = Derivative::NormalisedPerStep,
+        |it| (it.derivative, it.magnitude) = (Derivative::RawPerSecond, Magnitude::Raw),
+        |it| (it.derivative, it.magnitude) = (Derivative::RawPerStep, Magnitude::Divided),
+    ];
+    for change in changes {
+        let mut convention = FIXTURES;
+        change(&mut convention);
         let trial = recorded(&found, &convention, 1_500, true);
         let choice = chosen(&found, &trial, None).unwrap();
         let (best, next) = (choice.ranking[0], choice.ranking[1]);
