@@ -95,14 +95,13 @@ fn assert_refused(from: &str, to: &str, key: &str, expected: &[&str]) {
     }
 }
 
-/// Checks each line of a table: the text that is replaced, by what, the key of the problem, and what
-/// it says. `\n` stands for a line's end.
+/// Checks each case of a table: the text that is replaced, by what, the key of the problem, and what
+/// it says.
 fn each_case(table: &str, check: impl Fn(&str, &str, &str, &[&str])) {
-    for case in table.trim().lines() {
-        let case = case.replace("\\n", "\n");
-        let cells: Vec<&str> = case.split('|').map(str::trim).collect();
-        let [from, to, key, expected @ ..] = cells.as_slice() else {
-            panic!("{case}");
+    for case in joulebus_testkit::cases(table) {
+        let case: Vec<&str> = case.iter().map(String::as_str).collect();
+        let [from, to, key, expected @ ..] = case.as_slice() else {
+            panic!("{case:?}");
         };
         check(from, to, key, expected);
     }
