@@ -30,6 +30,7 @@ use std::time::Duration;
 use exits::{below, subcommands};
 use fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
 use joulebus_config::Config;
+use joulebus_testkit::cases;
 
 #[test]
 fn every_verb_has_help_with_examples() {
@@ -50,61 +51,42 @@ fn a_usage_error_exits_with_2_and_without_a_result() {
     let fleet = Fleet::new();
     let recording = fleet.recording("a.csv", 10).display().to_string();
     let config = fleet.config().display().to_string();
-    for (arguments, says) in [
-        (vec!["frobnicate"], "frobnicate"),
-        (vec!["--format", "xml", "doctor"], "xml"),
-        (vec!["publish"], "Usage"),
-        (vec!["publish", "trial"], "PATH"),
-        (vec!["publish", "sim", "--robots", "0"], "--robots"),
-        (
-            vec!["publish", "sim", "--rate", "0.01"],
-            "allowed are 0.1 to 1000 Hz",
-        ),
-        (vec!["publish", "sim", "--fault", "3=melted"], "stuck"),
-        (
-            vec!["publish", "sim", "--config", &config, "--robots", "11"],
-            "ids for 10",
-        ),
-        (
-            vec!["publish", "sim", "--config", &config, "--platform", "huksy"],
-            "gternal, rover",
-        ),
-        (
-            vec![
-                "publish", "sim", "--config", &config, "--robots", "2", "--fault", "9=stuck",
-            ],
-            "0 to 1",
-        ),
-        (
-            vec!["publish", "trial", &recording, "--rate", "fast"],
-            "is not a number",
-        ),
-        (
-            vec!["publish", "trial", &recording, "--rate", "NaN"],
-            "allowed are",
-        ),
-        (vec!["publish", "trial", &recording, "--loop=0"], "from 1"),
-        // Two platforms: the robot's platform is ambiguous.
-        (
-            vec!["publish", "trial", &recording, "--config", &config],
-            "--platform NAME",
-        ),
-        (
-            vec!["eval", &recording, "--config", &config],
-            "gternal, rover",
-        ),
-        (vec!["config", "explain", "tick.rate_hx"], "tick.rate_hz"),
-        (vec!["completions", "cmd"], "bash"),
-        (vec!["run", "--config", "/nowhere/fleet.toml"], "--config"),
-    ] {
-        let refused = output(&arguments);
-        assert_eq!(code(&refused), 2, "{arguments:?}: {}", stderr(&refused));
-        assert_eq!(stdout(&refused), "", "{arguments:?}");
-        assert!(
-            stderr(&refused).contains(says),
-            "{arguments:?}: {}",
-            stderr(&refused)
-        );
+    // The last two: of two platforms, which is the robot's?
+    for case in cases(
+        "
+        frobnicate | frobnicate
+        --format xml doctor | xml
+        publish | Usage
+        publish trial | PATH
+        publish sim --robots 0 | --robots
+        publish sim --rate 0.01 | allowed are 0.1 to 1000 Hz
+        publish sim --fault 3=melted | stuck
+        publish sim --config CONFIG --robots 11 | ids for 10
+        publish sim --config CONFIG --platform huksy | gternal, rover
+        publish sim --config CONFIG --robots 2 --fault 9=stuck | 0 to 1
+        publish trial TRIAL --rate fast | is not a number
+        publish trial TRIAL --rate NaN | allowed are
+        publish trial TRIAL --loop=0 | from 1
+        config explain tick.rate_hx | tick.rate_hz
+        completions cmd | bash
+        run --config /nowhere/fleet.toml | --config
+        publish trial TRIAL --config CONFIG | --platform NAME
+        eval TRIAL --config CONFIG | gternal, rover
+        ",
+    ) {
+        let [arguments, says] = case.as_slice() else {
+            panic!("{case:?}");
+        };
+        let words = arguments.split(' ').map(|word| match word {
+            "CONFIG" => &config,
+            "TRIAL" => &recording,
+            word => word,
+        });
+        let refused = output(words);
+        let errors = stderr(&refused);
+        assert_eq!(code(&refused), 2, "{arguments}: {errors}");
+        assert_eq!(stdout(&refused), "", "{arguments}");
+        assert!(errors.contains(says), "{arguments}: {errors}");
     }
     assert_eq!(fleet.stale_files(), Vec::<std::path::PathBuf>::new());
 }

@@ -271,6 +271,8 @@ fn size_of(text: &str) -> Option<usize> {
 
 #[cfg(test)]
 mod tests {
+    use joulebus_testkit::cases;
+
     use super::*;
 
     fn read(text: &str) -> Result<Header, HeaderError> {
@@ -283,43 +285,29 @@ mod tests {
 
     #[test]
     fn one_form_of_python_is_read_its_keys_in_any_order() {
-        for (text, element, fortran_order, shape) in [
-            (
-                "{'descr': '<f8', 'fortran_order': False, 'shape': (5, 11), }",
-                "<f8",
-                false,
-                &[5, 11][..],
-            ),
-            (
-                "{\"shape\":(7,),\"descr\":\">f4\",\"fortran_order\":True}  ",
-                ">f4",
-                true,
-                &[7],
-            ),
-            (
-                "{'shape': ( 2,3 , 4, ), 'fortran_order': False, 'descr': '|O'}",
-                "|O",
-                false,
-                &[2, 3, 4],
-            ),
-            (
-                "{'descr': '|S0', 'fortran_order': False, 'shape': ()}",
-                "|S0",
-                false,
-                &[],
-            ),
-            (
-                "{'descr': '<f8', 'fortran_order': False, 'shape': (0, 0)}",
-                "<f8",
-                false,
-                &[0, 0],
-            ),
-        ] {
-            let header = read(text).expect(text);
-            assert_eq!(header.element, element, "{text}");
-            assert_eq!(header.fortran_order, fortran_order, "{text}");
-            assert_eq!(header.shape, shape, "{text}");
-            assert_eq!(header.length(), 10 + text.len() + 1, "{text}");
+        for case in cases(
+            r#"
+            {'descr': '<f8', 'fortran_order': False, 'shape': (5, 11), } | <f8 false [5, 11]
+            {"shape":(7,),"descr":">f4","fortran_order":True} | >f4 true [7]
+            {'shape': ( 2,3 , 4, ), 'fortran_order': False, 'descr': '|O'} | |O false [2, 3, 4]
+            {'descr': '|S0', 'fortran_order': False, 'shape': ()} | |S0 false []
+            {'descr': '<f8', 'fortran_order': False, 'shape': (0, 0)} | <f8 false [0, 0]
+            "#,
+        ) {
+            let [text, expected] = case.as_slice() else {
+                panic!("{case:?}");
+            };
+            for text in [text.clone(), format!("{text}  ")] {
+                let header = read(&text).expect(&text);
+                let Header {
+                    element,
+                    fortran_order,
+                    shape,
+                    ..
+                } = &header;
+                assert_eq!(&format!("{element} {fortran_order} {shape:?}"), expected);
+                assert_eq!(header.length(), 10 + text.len() + 1, "{text}");
+            }
         }
         let good = "{'descr': '<f8', 'fortran_order': False, 'shape': (5, 11), }";
         for (from, to) in [
