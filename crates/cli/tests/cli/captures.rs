@@ -9,6 +9,7 @@ use joulebus_capture_format::{Attachments, CaptureSettings, Writer};
 use joulebus_testkit::recordings::shared;
 
 use crate::fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
+use joulebus_testkit::says;
 
 fn run(arguments: &[&str]) -> Output {
     output(arguments)
@@ -67,10 +68,7 @@ fn a_damaged_capture_is_diagnosed_and_recovered() {
         assert_eq!(code(&refused), 1, "{asked:?}");
         let why = stderr(&refused);
         let last = asked[asked.len() - 1];
-        assert!(
-            why.contains(last) && why.contains("there are joulebus/cli/samples"),
-            "{why}"
-        );
+        says(&why, [last, "there are joulebus/cli/samples"]);
     }
     let found = run(&["cat", &text(&whole), "-e", "sampl.s$"]);
     assert_eq!(
@@ -89,11 +87,7 @@ fn a_damaged_capture_is_diagnosed_and_recovered() {
     fs::write(&cut, &bytes[..bytes.len() * 2 / 3]).unwrap();
     let doctor = run(&["doctor", &text(&cut)]);
     assert_eq!(code(&doctor), 3, "{}", stdout(&doctor));
-    assert!(
-        stdout(&doctor).contains("the file ends within"),
-        "{}",
-        stdout(&doctor)
-    );
+    says(&stdout(&doctor), ["the file ends within"]);
     assert!(stdout(&doctor).contains("joulebus recover"));
     let again = fleet.path("again.mcap");
     let recover = run(&[
@@ -234,11 +228,7 @@ fn an_existing_file_is_refused_with_a_remedy() {
     for verb in ["record -o", "run --record"] {
         let refused = fleet.output(&format!("{verb} {}", file.display()));
         assert_eq!(code(&refused), 1, "{verb}");
-        assert!(
-            stderr(&refused).contains("--resume"),
-            "{}",
-            stderr(&refused)
-        );
+        says(&stderr(&refused), ["--resume"]);
         assert_eq!(fs::read_to_string(&file).unwrap(), "precious");
         assert!(fleet.stale_files().is_empty());
     }
@@ -251,11 +241,7 @@ fn a_file_that_is_not_a_capture_is_refused() {
     for verb in ["info", "doctor", "cat"] {
         let refused = run(&[verb, &text(&file)]);
         assert_eq!(code(&refused), 1, "{verb}");
-        assert!(
-            stderr(&refused).contains("an MCAP file begins with"),
-            "{}",
-            stderr(&refused)
-        );
+        says(&stderr(&refused), ["an MCAP file begins with"]);
     }
     let form = run(&["info", &text(&file), "--format", "csv"]);
     assert_eq!(code(&form), 2);
@@ -284,11 +270,7 @@ fn a_real_recording_is_imported_and_played() {
     let imported = run(&arguments);
     // Positions that are not numbers are reported and set the exit code.
     assert_eq!(code(&imported), 3, "{}", stderr(&imported));
-    assert!(
-        stdout(&imported).contains("its position is not a number"),
-        "{}",
-        stdout(&imported)
-    );
+    says(&stdout(&imported), ["its position is not a number"]);
     let dataset = trials.join("coug2.csv.gz");
     let info = json(&run(&["data", "info", &text(&dataset), "--format", "json"]));
     let trial = &info["trials"][0];

@@ -1,6 +1,7 @@
 //! `joulebus data` and `joulebus analyze`.
 
 use super::fleet::{Fleet, code, json, output, stderr, stdout};
+use joulebus_testkit::says;
 
 #[test]
 fn faults_of_recordings_are_reported_with_file_and_row_and_exit_code_3() {
@@ -23,10 +24,7 @@ fn faults_of_recordings_are_reported_with_file_and_row_and_exit_code_3() {
     let bad = output(["data", "check", folder]);
     assert_eq!(code(&bad), 3, "{}", stderr(&bad));
     let said = stdout(&bad);
-    assert!(
-        said.contains("gaps: 1 in 1 files") && said.contains("spoiled.csv: row 50"),
-        "{said}"
-    );
+    says(&said, ["gaps: 1 in 1 files", "spoiled.csv: row 50"]);
     assert!(
         stderr(&bad).contains("are ignored"),
         "the config beside them: {}",

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use crate::fleet::{code, output, stderr, stdout};
+use joulebus_testkit::says;
 
 /// The program in an otherwise empty directory.
 struct Installed(tempfile::TempDir);
@@ -75,10 +76,7 @@ fn without_one_the_executable_is_looked_up_in_path_but_not_in_the_current_direct
         let refused = installed.joulebus(path, "bench kernel");
         assert_eq!(code(&refused), 1, "{path:?}: {}", stdout(&refused));
         let said = stderr(&refused);
-        assert!(
-            said.contains("cargo build --release -p joulebus-bench"),
-            "{said}"
-        );
+        says(&said, ["cargo build --release -p joulebus-bench"]);
         assert_eq!(stdout(&refused), "", "{path:?}");
     }
     let in_path = installed.directory("path");
@@ -100,10 +98,7 @@ fn the_verbs_on_recordings_are_one_executable_which_gets_all_arguments() {
         let missing = installed.joulebus("", words);
         assert_eq!(code(&missing), 1, "{words}: {}", stdout(&missing));
         let said = stderr(&missing);
-        assert!(
-            said.contains("cargo build --release -p joulebus-lab`"),
-            "{said}"
-        );
+        says(&said, ["cargo build --release -p joulebus-lab`"]);
         write_program(installed.0.path(), "lab", "exit 3");
         let lab = installed.0.path().join("joulebus-lab");
         let ended = installed.joulebus("", words);

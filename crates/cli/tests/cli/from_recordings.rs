@@ -5,6 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::fleet::{Fleet, code, json, output, stderr, stdout};
+use joulebus_testkit::says;
 
 fn text(path: &Path) -> &str {
     path.to_str().unwrap()
@@ -139,11 +140,7 @@ fn all_missing_columns_are_named_at_once_with_the_remedy() {
         "--map",
         "time=stamp_of_log,power_W=lod",
     ]);
-    assert!(
-        stderr(&refused).contains("power=lod"),
-        "{}",
-        stderr(&refused)
-    );
+    says(&stderr(&refused), ["power=lod"]);
     let refused = output(["data", "info", text(&path), "--map", "speed=load"]);
     assert_eq!(code(&refused), 2);
     let fine = output([
@@ -261,10 +258,7 @@ fn config_init_writes_a_fleet_that_passes_config_check_and_says_what_is_next() {
         "{recorded}"
     );
     let next = report["next"].to_string();
-    assert!(
-        next.contains("joulebus run --config") && next.contains("train trials"),
-        "{next}"
-    );
+    says(&next, ["joulebus run --config", "train trials"]);
 
     let fleet = out.join("fleet.toml");
     let checked = output(["config", "check", text(&fleet)]);
@@ -334,21 +328,13 @@ fn recordings_of_one_name_are_refused_before_any_is_imported() {
     let out = folder.path().join("trials");
     let both = output(["import", text(&one), text(&two), "-o", text(&out)]);
     assert_eq!(code(&both), 2, "{}", stderr(&both));
-    assert!(
-        stderr(&both).contains("two recordings"),
-        "{}",
-        stderr(&both)
-    );
+    says(&stderr(&both), ["two recordings"]);
     assert!(!out.exists());
     let import = || output(["import", text(&one), "-o", text(&out)]);
     assert_eq!(code(&import()), 0);
     let again = import();
     assert_eq!(code(&again), 1, "{}", stderr(&again));
-    assert!(
-        stderr(&again).contains("not overwritten"),
-        "{}",
-        stderr(&again)
-    );
+    says(&stderr(&again), ["not overwritten"]);
 }
 
 #[test]
@@ -369,11 +355,7 @@ fn a_file_that_no_run_has_written_stays_where_a_result_would_be_put() {
     ] {
         let refused = output(command.iter().chain(&[text(&out)]));
         assert_eq!(code(&refused), 1, "{}", stderr(&refused));
-        assert!(
-            stderr(&refused).contains("\"precious\""),
-            "{}",
-            stderr(&refused)
-        );
+        says(&stderr(&refused), ["\"precious\""]);
         assert_eq!(fs::read_to_string(&out).unwrap(), "precious");
     }
     // What an earlier run has written is replaced.

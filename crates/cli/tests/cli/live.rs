@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use joulebus_testkit::eventually;
+use joulebus_testkit::{eventually, says};
 use rustix::process::Signal;
 
 use crate::fleet::{Fleet, Program, code, json, stderr, stdout};
@@ -54,11 +54,7 @@ fn a_file_gets_the_robot_or_platform_after_its_at_sign() {
     play.arg(format!("{}@rover", fleet.path("rovers").display()));
     let played = play.output().unwrap();
     assert_eq!(code(&played), 0, "{}", stderr(&played));
-    assert!(
-        stderr(&played).contains("no worker runs"),
-        "{}",
-        stderr(&played)
-    );
+    says(&stderr(&played), ["no worker runs"]);
     let played = json(&played);
     let trial = |robot: u32, file: &std::path::Path| (robot, file.display().to_string());
     let found: Vec<_> = played["trials"]
@@ -159,18 +155,11 @@ fn a_second_worker_exits_and_reports_the_pid_of_the_first() {
     let worker = fleet.worker();
     let second = fleet.output("run");
     assert_eq!(code(&second), 1);
-    assert!(
-        stderr(&second).contains(&format!("pid {}", worker.pid())),
-        "{}",
-        stderr(&second)
-    );
+    says(&stderr(&second), [&*format!("pid {}", worker.pid())]);
     assert_eq!(stdout(&second), "");
     let doctor = json(&fleet.output("doctor --format json"));
     let found = doctor["checks"].to_string();
-    assert!(
-        found.contains(&format!("runs, pid {}", worker.pid())),
-        "{found}"
-    );
+    says(&found, [&*format!("runs, pid {}", worker.pid())]);
     assert_eq!(code(&worker.end(Signal::TERM)), 0);
     assert!(fleet.stale_files().is_empty());
 }

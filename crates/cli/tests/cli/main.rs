@@ -30,7 +30,7 @@ use std::time::Duration;
 use exits::{below, subcommands};
 use fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
 use joulebus_config::Config;
-use joulebus_testkit::cases;
+use joulebus_testkit::{cases, says};
 
 #[test]
 fn every_verb_has_help_with_examples() {
@@ -109,10 +109,7 @@ fn a_typo_in_a_config_is_refused_with_its_line_and_the_nearest_key() {
         assert_eq!(code(&refused), 2, "{arguments:?}");
         let said = stderr(&refused);
         assert!(said.contains("typo.toml:3:"), "{arguments:?}: {said}");
-        assert!(
-            said.contains("capcity") && said.contains("`fleet.capacity`"),
-            "{said}"
-        );
+        says(&said, ["capcity", "`fleet.capacity`"]);
     }
     let good = fleet.config().display().to_string();
     let checked = output(["config", "check", &good, &path, "--format", "json"]);
@@ -282,11 +279,7 @@ fn doctor_finds_and_removes_stale_files() {
 
     let mended = fleet.output("doctor --fix");
     assert_eq!(code(&mended), 0, "{}", stdout(&mended));
-    assert!(
-        stdout(&mended).contains("0755 changed to 0700"),
-        "{}",
-        stdout(&mended)
-    );
+    says(&stdout(&mended), ["0755 changed to 0700"]);
     assert!(!fs::exists(&unfinished).unwrap());
     assert!(fleet.stale_files().is_empty());
 }
@@ -302,9 +295,5 @@ fn training_does_not_start_if_its_result_cannot_be_written() {
         "/nowhere/model.safetensors",
     ]);
     assert_eq!(code(&refused), 1);
-    assert!(
-        stderr(&refused).contains("/nowhere"),
-        "{}",
-        stderr(&refused)
-    );
+    says(&stderr(&refused), ["/nowhere"]);
 }

@@ -4,6 +4,7 @@
 use std::fs;
 use std::path::PathBuf;
 
+use joulebus_testkit::says;
 use serde_json::Value;
 
 use super::fleet::{Fleet, code, json, output, stderr, stdout};
@@ -111,11 +112,7 @@ fn what_is_accepted_is_said_and_goes_on_in_text_and_json() {
     ];
     let accepted = output(analyze.into_iter().chain(["--accept", "sign"]));
     assert_eq!(code(&accepted), 0, "{}", stderr(&accepted));
-    assert!(
-        stderr(&accepted).contains("accepted: sign"),
-        "{}",
-        stderr(&accepted)
-    );
+    says(&stderr(&accepted), ["accepted: sign"]);
     let found = &json(&accepted)["implausible"][0];
     assert_eq!(
         (&found["kind"], &found["accepted"]),
@@ -127,11 +124,7 @@ fn what_is_accepted_is_said_and_goes_on_in_text_and_json() {
     assert_eq!(code(&checked), 0, "{}", stdout(&checked));
     let refused = output(["data", "check", &path, "--accept", "smell"]);
     assert_eq!(code(&refused), 2, "{}", stderr(&refused));
-    assert!(
-        stderr(&refused).contains("saturation"),
-        "{}",
-        stderr(&refused)
-    );
+    says(&stderr(&refused), ["saturation"]);
 }
 
 #[test]
@@ -158,11 +151,7 @@ fn warnings_are_shown_and_go_on() {
     ];
     let found = output(analyze.into_iter().chain(["--format", "json"]));
     assert_eq!(code(&found), 0, "{}", stderr(&found));
-    assert!(
-        stderr(&found).contains("warning: constant"),
-        "{}",
-        stderr(&found)
-    );
+    says(&stderr(&found), ["warning: constant"]);
     let kind = &json(&found)["implausible"][0]["kind"];
     assert_eq!(kind, &Value::from("constant"));
 }
@@ -189,11 +178,7 @@ fn a_platform_of_turned_readings_has_the_limits_of_a_robot() {
     let platform = fs::read_to_string(out.join("platforms/r.toml")).unwrap();
     assert!(platform.contains("\npower_min_w = 0.0\n"), "{platform}");
     // The next commands read the recording in the same way.
-    assert!(
-        stdout(&made).contains("--current discharge-negative"),
-        "{}",
-        stdout(&made)
-    );
+    says(&stdout(&made), ["--current discharge-negative"]);
 }
 
 /// A zero in front of noise is no step of the monitor.

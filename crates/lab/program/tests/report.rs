@@ -5,7 +5,7 @@ use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use joulebus_testkit::{Ended, run};
+use joulebus_testkit::{Ended, run, says};
 
 fn output<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Ended {
     let arguments = arguments.into_iter().map(|word| word.as_ref().to_owned());
@@ -44,10 +44,7 @@ fn a_split_reports_on_what_was_held_out() {
     };
     let text = report(&["--split", "trial", "--held-out", "0.3", "--seed", "3"]);
     assert!(text.contains("split by trial"), "{text}");
-    assert!(
-        text.contains("seed 3") && text.contains("30 % held out"),
-        "{text}"
-    );
+    says(&text, ["seed 3", "30 % held out"]);
     assert!(text.contains(", on 2 recordings"), "{text}");
     let text = report(&[
         "--split",
@@ -55,10 +52,7 @@ fn a_split_reports_on_what_was_held_out() {
         "--leave-out",
         data.join("t_4.csv").to_str().unwrap(),
     ]);
-    assert!(
-        text.contains(", on 1 recordings") && text.contains("t_4.csv held out"),
-        "{text}"
-    );
+    says(&text, [", on 1 recordings", "t_4.csv held out"]);
     let refused = output([
         data.to_str().unwrap(),
         "--model",

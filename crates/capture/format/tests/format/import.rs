@@ -8,6 +8,7 @@ use cdr_encoding::to_vec;
 use joulebus_capture_format::import::{Mapping, import};
 use joulebus_ros_messages::TwistStamped;
 use joulebus_testkit::recordings::shared;
+use joulebus_testkit::says;
 
 #[test]
 fn a_real_recording_becomes_rows_and_everything_else_is_counted() {
@@ -51,10 +52,7 @@ fn a_real_recording_becomes_rows_and_everything_else_is_counted() {
         "{odometry:?}"
     );
     let notes = robot.notes.join("\n");
-    assert!(
-        notes.contains("2628 of 2628 readings have no stamp"),
-        "{notes}"
-    );
+    says(&notes, ["2628 of 2628 readings have no stamp"]);
     assert!(notes.contains("`present` is false"), "{notes}");
     assert!(!notes.contains("flowing into the battery"), "{notes}");
     assert_eq!(imported.unusable.len(), 1, "{:?}", imported.unusable);

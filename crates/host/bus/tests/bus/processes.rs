@@ -7,7 +7,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 use joulebus_bus::{NodeInfo, Ports, check_capacity, inspect, sweep};
-use joulebus_testkit::{Member, eventually};
+use joulebus_testkit::{Member, eventually, says};
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::harness::{Place, limits, must};
@@ -687,10 +687,7 @@ fn too_little_shared_memory_is_an_error_instead_of_a_signal() {
     must(&mut crowded, "capacity 10000");
     must(&mut crowded, "join");
     let answer = crowded.ask("worker");
-    assert!(
-        answer.contains("bytes needed") && answer.contains("free"),
-        "{answer}"
-    );
+    says(&answer, ["bytes needed", "free"]);
     crowded.finish();
     member.finish();
 }

@@ -10,6 +10,7 @@ use joulebus_model_files::{
     StatisticsFrom, to_arrays, to_npz, to_onnx,
 };
 use joulebus_predictor::{Activation, FEATURES, FeatureSet, Features, Network};
+use joulebus_testkit::says;
 use joulebus_testkit_networks::random;
 
 const STEP_S: f64 = 1.0 / 30.0;
@@ -415,10 +416,7 @@ fn a_network_of_another_program_is_not_assumed_to_read_the_reading_age() {
     let read = Checkpoint::from_arrays(&arrays).unwrap();
     assert!(read.network.is_none());
     let error = read.find(None, None).unwrap_err().to_string();
-    assert!(
-        error.contains("freshness comes as an own model only") && error.contains("64, 13"),
-        "{error}"
-    );
+    says(&error, ["freshness comes as an own model only", "64, 13"]);
 }
 
 #[test]

@@ -11,6 +11,7 @@ use joulebus_model_files::{
     Origin, StatisticsFrom,
 };
 use joulebus_predictor::{Activation, FEATURES, Features, Network};
+use joulebus_testkit::says;
 use joulebus_testkit_networks::random::Noise;
 use safetensors::tensor::{Dtype, TensorView};
 
@@ -264,10 +265,7 @@ fn a_larger_network_is_refused_with_its_widths_and_the_allowed_ones() {
     ] {
         let checkpoint = read(&layers(widths, 3), Dtype::F32, None);
         let error = checkpoint.find(None, None).unwrap_err().to_string();
-        assert!(
-            error.contains(shown) && error.contains("64, 64 and 32"),
-            "{error}"
-        );
+        says(&error, [shown, "64, 64 and 32"]);
     }
 }
 
@@ -336,10 +334,7 @@ fn an_activation_that_the_kernel_lacks_is_refused_until_the_caller_names_another
         let error = checkpoint.find(None, None).unwrap_err();
         assert!(matches!(&error, FindError::Activation { .. }), "{error}");
         let text = error.to_string();
-        assert!(
-            text.contains(stated) && text.contains("gelu_erf, gelu_tanh, relu"),
-            "{text}"
-        );
+        says(&text, [stated, "gelu_erf, gelu_tanh, relu"]);
         let found = checkpoint.find(None, Some(Activation::Relu)).unwrap();
         assert_eq!(found.activation, Activation::Relu);
         assert_eq!(found.activation_from, ActivationFrom::Caller);
@@ -427,10 +422,7 @@ fn constants_of_the_published_robot_are_not_taken_for_a_larger_one() {
     let error = chosen(&found, &trial, None).unwrap_err();
     let text = error.to_string();
     assert!(matches!(error, ChooseError::NotPublished { .. }), "{text}");
-    assert!(
-        text.contains("3.652") && text.contains("--normalisation recordings"),
-        "{text}"
-    );
+    says(&text, ["3.652", "--normalisation recordings"]);
     // With the recordings' own constants, the output scale is theirs.
     found.normalisation.from = StatisticsFrom::Recordings;
     let choice = chosen(&found, &trial, Some(CONVENTION)).unwrap();

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use joulebus_dataset::archive::{fields, listings};
-use joulebus_testkit::{Child, run};
+use joulebus_testkit::{Child, run, says};
 
 use crate::recordings::{capture, every_kind, full, sparse};
 use crate::{LAB, export, files, joulebus, parquet};
@@ -33,11 +33,7 @@ fn a_further_export_adds_and_says_so_and_nothing_is_added_twice() {
     assert_eq!(export(&[&first], &folder).code(), Some(0));
     let ended = export(&[&second], &folder);
     assert_eq!(ended.code(), Some(0), "{}", ended.errors());
-    assert!(
-        ended.errors().contains("adding to the 1 recordings"),
-        "{}",
-        ended.errors()
-    );
+    says(&ended.errors(), ["adding to the 1 recordings"]);
     assert_eq!(ended.json()["recordings_before"], 1);
     // In the order in which they were exported.
     let info = joulebus("data info --format json", &[&folder]).text();

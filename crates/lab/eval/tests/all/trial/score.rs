@@ -17,6 +17,7 @@ use joulebus_settings::{FleetSettings, IntervalSettings, Platform};
 use joulebus_statistics::bootstrap::Bootstrap;
 use joulebus_statistics::metrics::{ResidualQuantiles, sorted, tally};
 use joulebus_testkit::recordings::trials;
+use joulebus_testkit::says;
 use joulebus_testkit::trials::{Files, npy_f8};
 use joulebus_train::linear::{Linear, Terms};
 use proptest::prelude::*;
@@ -609,11 +610,7 @@ fn scoring_and_training_hold_out_the_same_rows() {
         found.sort_unstable();
         held_out.sort_unstable();
         assert_eq!(found, held_out, "{by}");
-        assert!(
-            design.description.contains(&format!("by {by}")),
-            "{}",
-            design.description
-        );
+        says(&design.description, [&*format!("by {by}")]);
         assert_eq!(summary.pause_rows > 0, by == By::Time);
     }
 }
@@ -640,11 +637,7 @@ fn named_groups_are_left_out_and_nothing_of_them_is_fitted() {
         groups(&design.folds[0].fitted),
         HashSet::from(["a".to_owned(), "c".to_owned()])
     );
-    assert!(
-        design.description.contains("b held out"),
-        "{}",
-        design.description
-    );
+    says(&design.description, ["b held out"]);
     let unknown = Design::leaving_out(&recordings, wanted, &["ice".to_owned()]).unwrap_err();
     assert!(unknown.to_string().contains("\"ice\""), "{unknown}");
 }
@@ -1049,10 +1042,7 @@ fn invalid_evaluations_are_refused_with_a_reason() {
         .map(|_| ())
         .unwrap_err()
         .to_string();
-    assert!(
-        foreign.contains("design belongs to other recordings"),
-        "{foreign}"
-    );
+    says(&foreign, ["design belongs to other recordings"]);
     let refused = FleetSettings {
         interval: IntervalSettings {
             coverage: 1.5,
