@@ -137,8 +137,8 @@ fn a_capture_is_played_under_another_name() {
         "t:=copy",
         "--rate",
         "max",
-    ]);
-    assert_eq!(played.code(), Some(0), "{}", played.errors());
+    ])
+    .exits(0);
     let report = worker.stop().json();
     assert_eq!(report["samples_accepted"], samples(&file), "{report}");
     let wrong = alone(&["replay", file.to_str().unwrap(), "--remap", "t=copy"]);

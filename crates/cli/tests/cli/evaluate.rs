@@ -66,8 +66,7 @@ fn a_directory_is_evaluated_by_group_robot_and_trial() {
         "--format",
         "json",
     ];
-    let evaluated = output(asked);
-    assert_eq!(code(&evaluated), 0, "{}", stderr(&evaluated));
+    let evaluated = done(asked);
     let report = json(&evaluated);
     // More trials than the config has ids: all are evaluated.
     assert_eq!(report["robots"].as_array().unwrap().len(), 120);
@@ -147,7 +146,7 @@ fn split_holds_out_the_trials_that_training_held_out() {
     let model = folder.path().join("own.safetensors");
     let recipe = folder.path().join("recipe.toml");
     fs::write(&recipe, "[training]\nmax_epochs = 2\n").unwrap();
-    let trained = output([
+    let trained = done([
         "train",
         "trials",
         text(&data),
@@ -158,7 +157,6 @@ fn split_holds_out_the_trials_that_training_held_out() {
         "--out",
         text(&model),
     ]);
-    assert_eq!(code(&trained), 0, "{}", stderr(&trained));
     let eval = |seed: &str, by: &str| {
         let asked = [
             "eval",
@@ -170,14 +168,13 @@ fn split_holds_out_the_trials_that_training_held_out() {
             "--seed",
             seed,
         ];
-        let done = output(
+        let done = done(
             [
                 &asked[..],
                 &["--resamples", "0", "--horizons", "none", "--format", "json"],
             ]
             .concat(),
         );
-        assert_eq!(code(&done), 0, "{}", stderr(&done));
         json(&done)["evaluations"][0].clone()
     };
     let own = eval("3", "trial");
@@ -231,14 +228,12 @@ fn rows_trained_on_are_recognised_under_other_names_and_in_captures_and_scored_a
         "--out",
         model,
     ];
-    let trained = output([&arguments[..], &["--format", "json"]].concat());
-    assert_eq!(code(&trained), 0, "{}", stderr(&trained));
+    let trained = done([&arguments[..], &["--format", "json"]].concat());
     let split = json(&trained)["split"].clone();
     let of = |part: &str| PathBuf::from(split[part][0].as_str().unwrap());
     let eval = |path: &Path| {
         let arguments = ["eval", "--model", model, text(path), "--resamples", "0"];
-        let done = output([&arguments[..], &["--horizons", "none", "--format", "json"]].concat());
-        assert_eq!(code(&done), 0, "{}", stderr(&done));
+        let done = done([&arguments[..], &["--horizons", "none", "--format", "json"]].concat());
         (json(&done)["evaluations"][0].clone(), stderr(&done))
     };
 
@@ -466,8 +461,7 @@ fn parts_of_an_evaluation_by_several_processes_merge_into_the_report_of_one_run_
     ] {
         let asked = [&["eval", "--model", MODELS[0], text(&data)], options].concat();
         for format in ["text", "json"] {
-            let whole = output(asked.iter().chain(&["--format", format]));
-            assert_eq!(code(&whole), 0, "{}", stderr(&whole));
+            let whole = done(asked.iter().chain(&["--format", format]));
             for of in [1, 2, 3, 7] {
                 let folder = tempfile::tempdir().unwrap();
                 let mut files = parts(&asked, folder.path(), of);
@@ -490,8 +484,7 @@ fn parts_of_two_platforms_merge_into_the_report_of_one_run_to_the_bit() {
     let (config, data) = (fleet.config(), text(&data).to_owned());
     let (gternal, rover) = (format!("{data}@gternal"), format!("{data}@rover"));
     let asked = ["eval", "--config", text(&config), &gternal, &rover];
-    let whole = output(asked.iter().chain(&["--format", "json"]));
-    assert_eq!(code(&whole), 0, "{}", stderr(&whole));
+    let whole = done(asked.iter().chain(&["--format", "json"]));
     let files = parts(&asked, folder.path(), 4);
     assert_eq!(stdout(&merge(&files, "json")), stdout(&whole));
 }

@@ -24,6 +24,14 @@ pub(crate) fn output<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) ->
     joulebus(arguments).output().unwrap()
 }
 
+/// The output of a command that succeeds.
+#[track_caller]
+pub(crate) fn done<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Output {
+    let output = output(arguments);
+    assert_eq!(code(&output), 0, "{}", stderr(&output));
+    output
+}
+
 pub(crate) fn stdout(output: &Output) -> String {
     String::from_utf8(output.stdout.clone()).unwrap()
 }

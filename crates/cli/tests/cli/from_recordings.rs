@@ -143,14 +143,13 @@ fn all_missing_columns_are_named_at_once_with_the_remedy() {
     says(&stderr(&refused), ["power=lod"]);
     let refused = output(["data", "info", text(&path), "--map", "speed=load"]);
     assert_eq!(code(&refused), 2);
-    let fine = output([
+    let fine = done([
         "data",
         "info",
         text(&path),
         "--map",
         "time=stamp_of_log,power_W=load",
     ]);
-    assert_eq!(code(&fine), 0, "{}", stderr(&fine));
     let help = stdout(&output(["data", "check", "--help"]));
     for name in [
         "power_mW",
@@ -182,8 +181,7 @@ fn a_capture_gives_the_rows_of_the_trials_that_it_was_made_of() {
         "--config",
         &config,
     ];
-    let imported = output(import);
-    assert_eq!(code(&imported), 0, "{}", stderr(&imported));
+    let imported = done(import);
     let expected = rows(folder.path(), &[text(&a), text(&b)], &[]);
     assert!(
         rows(folder.path(), &[text(&capture)], &[]) == expected,
@@ -192,8 +190,7 @@ fn a_capture_gives_the_rows_of_the_trials_that_it_was_made_of() {
 
     // And as datasets again.
     let again = at("again");
-    let imported = output(["import", text(&capture), "-o", text(&again)]);
-    assert_eq!(code(&imported), 0, "{}", stderr(&imported));
+    let imported = done(["import", text(&capture), "-o", text(&again)]);
     let mut files: Vec<PathBuf> = fs::read_dir(&again)
         .unwrap()
         .map(|entry| entry.unwrap().path())
@@ -242,11 +239,10 @@ fn config_init_writes_a_fleet_that_passes_config_check_and_says_what_is_next() {
         "--out",
         text(&out),
     ];
-    let made = output(
+    let made = done(
         init.iter()
             .chain(&["--battery-wh", "480", "--format", "json"]),
     );
-    assert_eq!(code(&made), 0, "{}", stderr(&made));
     let report = json(&made);
     let recorded = &report["recorded"];
     assert!(
@@ -261,8 +257,7 @@ fn config_init_writes_a_fleet_that_passes_config_check_and_says_what_is_next() {
     says(&next, ["joulebus run --config", "train trials"]);
 
     let fleet = out.join("fleet.toml");
-    let checked = output(["config", "check", text(&fleet)]);
-    assert_eq!(code(&checked), 0, "{}", stderr(&checked));
+    let checked = done(["config", "check", text(&fleet)]);
     assert!(
         !stderr(&checked).contains("warning"),
         "{}",
@@ -277,7 +272,7 @@ fn config_init_writes_a_fleet_that_passes_config_check_and_says_what_is_next() {
         assert!(platform.contains(said), "{said}: {platform}");
     }
     // The recordings are accepted by the platform made of them.
-    let eval = output([
+    let eval = done([
         "eval",
         text(&recordings),
         "--config",
@@ -285,7 +280,6 @@ fn config_init_writes_a_fleet_that_passes_config_check_and_says_what_is_next() {
         "--format",
         "json",
     ]);
-    assert_eq!(code(&eval), 0, "{}", stderr(&eval));
 
     // Nothing is overwritten.
     let again = output(init);
@@ -361,7 +355,7 @@ fn a_file_that_no_run_has_written_stays_where_a_result_would_be_put() {
     // What an earlier run has written is replaced.
     let exported = folder.path().join("model.npz");
     for _ in 0..2 {
-        let made = output([
+        let made = done([
             "model",
             "export",
             model,
@@ -370,7 +364,6 @@ fn a_file_that_no_run_has_written_stays_where_a_result_would_be_put() {
             "--out",
             text(&exported),
         ]);
-        assert_eq!(code(&made), 0, "{}", stderr(&made));
     }
 }
 
@@ -395,10 +388,8 @@ fn a_model_of_another_range_of_power_is_warned_about() {
         "--model",
         gternal,
     ];
-    let made = output(init);
-    assert_eq!(code(&made), 0, "{}", stderr(&made));
-    let checked = output(["config", "check", text(&out.join("fleet.toml"))]);
-    assert_eq!(code(&checked), 0, "{}", stderr(&checked));
+    let made = done(init);
+    let checked = done(["config", "check", text(&out.join("fleet.toml"))]);
     for said in ["warning", "was trained on readings of", "power_max_w"] {
         assert!(
             stderr(&checked).contains(said),
@@ -437,12 +428,10 @@ fn config_init_trains_when_asked_and_the_worker_starts_with_the_result() {
         "--name",
         "mine",
     ];
-    let made = output(init);
-    assert_eq!(code(&made), 0, "{}", stderr(&made));
+    let made = done(init);
     assert!(out.join("models/mine.safetensors").is_file());
     let fleet = out.join("fleet.toml");
-    let checked = output(["config", "check", text(&fleet)]);
-    assert_eq!(code(&checked), 0, "{}", stderr(&checked));
+    let checked = done(["config", "check", text(&fleet)]);
     assert!(
         !stderr(&checked).contains("warning"),
         "{}",

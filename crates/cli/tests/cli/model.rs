@@ -30,8 +30,7 @@ fn text(path: &Path) -> &str {
 
 #[test]
 fn info_describes_a_native_model() {
-    let info = output(["model", "info", SHIPPED]);
-    assert_eq!(code(&info), 0, "{}", stderr(&info));
+    let info = done(["model", "info", SHIPPED]);
     for said in [
         "11→64→64→32→1",
         "7041 parameters",
@@ -79,11 +78,10 @@ fn a_foreign_file_is_shown_imported_exported_and_read_back() {
 
         for exported in ["model.npz", "model.onnx", "model.safetensors"] {
             let exported = at(exported);
-            let done = output(["model", "export", text(&out), "--out", text(&exported)]);
-            assert_eq!(code(&done), 0, "{}", stderr(&done));
+            let done = done(["model", "export", text(&out), "--out", text(&exported)]);
         }
         let arrays = at(&format!("{name}-arrays"));
-        let done = output([
+        let done = done([
             "model",
             "export",
             text(&out),
@@ -92,11 +90,9 @@ fn a_foreign_file_is_shown_imported_exported_and_read_back() {
             "--out",
             text(&arrays),
         ]);
-        assert_eq!(code(&done), 0, "{}", stderr(&done));
         for exported in [at("model.npz"), at("model.safetensors"), arrays] {
             let again = at("again.safetensors");
-            let done = output(["model", "import", text(&exported), "--out", text(&again)]);
-            assert_eq!(code(&done), 0, "{}", stderr(&done));
+            let done = done(["model", "import", text(&exported), "--out", text(&again)]);
             assert_eq!(std::fs::read(&again).unwrap(), std::fs::read(&out).unwrap());
         }
     }

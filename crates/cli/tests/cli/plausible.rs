@@ -110,8 +110,7 @@ fn what_is_accepted_is_said_and_goes_on_in_text_and_json() {
     let analyze = [
         "analyze", &path, "--native", "--split", "time", "--format", "json",
     ];
-    let accepted = output(analyze.into_iter().chain(["--accept", "sign"]));
-    assert_eq!(code(&accepted), 0, "{}", stderr(&accepted));
+    let accepted = done(analyze.into_iter().chain(["--accept", "sign"]));
     says(&stderr(&accepted), ["accepted: sign"]);
     let found = &json(&accepted)["implausible"][0];
     assert_eq!(
@@ -149,8 +148,7 @@ fn warnings_are_shown_and_go_on() {
         "--split",
         "time",
     ];
-    let found = output(analyze.into_iter().chain(["--format", "json"]));
-    assert_eq!(code(&found), 0, "{}", stderr(&found));
+    let found = done(analyze.into_iter().chain(["--format", "json"]));
     says(&stderr(&found), ["warning: constant"]);
     let kind = &json(&found)["implausible"][0]["kind"];
     assert_eq!(kind, &Value::from("constant"));
@@ -173,8 +171,7 @@ fn a_platform_of_turned_readings_has_the_limits_of_a_robot() {
         "-o",
         out.to_str().unwrap(),
     ];
-    let made = output(init.into_iter().chain(["--current", "discharge-negative"]));
-    assert_eq!(code(&made), 0, "{}", stderr(&made));
+    let made = done(init.into_iter().chain(["--current", "discharge-negative"]));
     let platform = fs::read_to_string(out.join("platforms/r.toml")).unwrap();
     assert!(platform.contains("\npower_min_w = 0.0\n"), "{platform}");
     // The next commands read the recording in the same way.
@@ -200,7 +197,7 @@ fn noise_has_no_resolution() {
     }
     fs::write(&path, text).unwrap();
     let (path, out) = (path.display().to_string(), fleet.path("lab"));
-    let made = output([
+    let made = done([
         "config",
         "init",
         "--from",
@@ -208,6 +205,5 @@ fn noise_has_no_resolution() {
         "-o",
         out.to_str().unwrap(),
     ]);
-    assert_eq!(code(&made), 0, "{}", stderr(&made));
     assert!(!stdout(&made).contains("resolution"), "{}", stdout(&made));
 }

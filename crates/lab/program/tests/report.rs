@@ -38,8 +38,7 @@ fn a_split_reports_on_what_was_held_out() {
         let out = folder.path().join("report");
         let (data, out) = (data.to_str().unwrap(), out.to_str().unwrap());
         let arguments = [data, "--model", "builtin:gternal-sim", "-o", out];
-        let made = output([&arguments[..], more].concat());
-        assert_eq!(made.exit_code(), 0, "{}", made.errors());
+        let made = output([&arguments[..], more].concat()).exits(0);
         fs::read_to_string(Path::new(out).join("report.txt")).unwrap()
     };
     let text = report(&["--split", "trial", "--held-out", "0.3", "--seed", "3"]);
@@ -61,8 +60,8 @@ fn a_split_reports_on_what_was_held_out() {
         "row",
         "-o",
         "x",
-    ]);
-    assert_eq!(refused.exit_code(), 2, "{}", refused.errors());
+    ])
+    .exits(2);
 }
 
 #[test]
@@ -82,8 +81,7 @@ fn one_command_runs_the_simulated_experiments() {
         "-o",
         out.to_str().unwrap(),
     ];
-    let made = output(arguments);
-    assert_eq!(made.exit_code(), 0, "{}", made.errors());
+    let made = output(arguments).exits(0);
     let page = fs::read_to_string(out.join("report.html")).unwrap();
     assert!(page.contains("Every number here is of simulated robots"));
     assert!(!page.contains("http"));
@@ -105,8 +103,7 @@ fn one_command_runs_the_simulated_experiments() {
     let mut arguments = vec!["--model", model.to_str().unwrap()];
     arguments.extend(["-o", second.to_str().unwrap()]);
     arguments.extend(recordings.iter().map(|path| path.to_str().unwrap()));
-    let made = output(arguments);
-    assert_eq!(made.exit_code(), 0, "{}", made.errors());
+    let made = output(arguments).exits(0);
     let text = made.text();
     for name in [
         "network",
