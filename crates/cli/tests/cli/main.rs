@@ -285,14 +285,7 @@ fn doctor_finds_and_removes_stale_files() {
 
 #[test]
 fn training_does_not_start_if_its_result_cannot_be_written() {
-    let refused = output([
-        "train",
-        "sim",
-        "--seed",
-        "7",
-        "--out",
-        "/nowhere/model.safetensors",
-    ]);
+    let refused = output("train sim --seed 7 --out /nowhere/model.safetensors".split(' '));
     assert_eq!(code(&refused), 1);
     says(&stderr(&refused), ["/nowhere"]);
 }

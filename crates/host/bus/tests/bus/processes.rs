@@ -670,9 +670,7 @@ fn the_preflight_check_covers_the_shared_memory_used() {
 #[test]
 fn too_little_shared_memory_is_an_error_instead_of_a_signal() {
     let works = Command::new("unshare")
-        .args([
-            "-m", "mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", "/dev/shm",
-        ])
+        .args("-m mount -t tmpfs -o size=4m tmpfs /dev/shm".split(' '))
         .output();
     if !works.is_ok_and(|output| output.status.success()) {
         println!("skipped: needs the right to mount");
