@@ -7,9 +7,10 @@ use std::fmt::Display;
 /// # Panics
 /// It lacks one.
 #[track_caller]
-pub fn says<const N: usize>(text: &(impl Display + ?Sized), parts: [impl AsRef<str>; N]) {
+pub fn says(text: &(impl Display + ?Sized), parts: impl IntoIterator<Item: AsRef<str>>) {
     let text = text.to_string();
-    for part in parts.each_ref().map(AsRef::as_ref) {
+    for part in parts {
+        let part = part.as_ref();
         assert!(text.contains(part), "{part:?} is not in {text}");
     }
 }

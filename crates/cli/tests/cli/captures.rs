@@ -279,9 +279,7 @@ fn a_real_recording_is_imported_and_played() {
     let rate_hz = trial["rate_hz"].as_f64().unwrap();
     assert!((9.5..10.5).contains(&rate_hz), "{trial}");
     let missing = trial["missing_columns"].to_string();
-    for column in ["v_cmd_mps", "omega_cmd_radps", "x_m", "y_m"] {
-        assert!(missing.contains(column), "{missing}");
-    }
+    says(&missing, ["v_cmd_mps", "omega_cmd_radps", "x_m", "y_m"]);
     assert!(!missing.contains("voltage_mV"), "{missing}");
     assert!(trial["least_power_w"].as_f64().unwrap() > 0.0, "{trial}");
     let mut play =
@@ -306,9 +304,7 @@ fn a_recording_without_a_battery_exits_with_1_and_lists_its_topics() {
         let out = fleet.path("out");
         let refused = run(&["import", &text(&file), "-o", &text(&out)]);
         assert_eq!(code(&refused), 1, "{}", stderr(&refused));
-        for said in ["no robot", "other types"] {
-            assert!(stderr(&refused).contains(said), "{}", stderr(&refused));
-        }
+        says(&stderr(&refused), ["no robot", "other types"]);
         assert!(stdout(&refused).is_empty(), "{}", stdout(&refused));
         assert!(!out.exists());
     }

@@ -106,18 +106,9 @@ fn a_directory_is_evaluated_by_group_robot_and_trial() {
     assert!(horizons[5]["forecasters"][0]["r2"]["value"].is_null());
 
     let told = output([&asked[..6], &["--horizons", "1,20"]].concat());
-    for said in [
-        "AR(5) + velocities",
-        "By group",
-        "sand",
-        "By robot",
-        "skill",
-        "Open loop",
-        "MAPE",
-        "no split",
-    ] {
-        assert!(stdout(&told).contains(said), "{said}: {}", stdout(&told));
-    }
+    let parts =
+        "AR(5) + velocities | By group | sand | By robot | skill | Open loop | MAPE | no split";
+    says(&stdout(&told), parts.split(" | "));
     assert!(
         stdout(&told).lines().count() < 80,
         "120 trials are not listed one by one"
@@ -134,9 +125,10 @@ fn a_built_in_model_is_named_as_in_a_config() {
     assert_eq!(json(&by_name), json(&by_file));
     let refused = with("builtin:nothing");
     assert_eq!(code(&refused), 2);
-    for name in ["builtin:nothing", "builtin:gternal-sim-power"] {
-        assert!(stderr(&refused).contains(name), "{}", stderr(&refused));
-    }
+    says(
+        &stderr(&refused),
+        ["builtin:nothing", "builtin:gternal-sim-power"],
+    );
 }
 
 #[test]
@@ -189,9 +181,7 @@ fn split_holds_out_the_trials_that_training_held_out() {
     );
     assert_eq!(own["design"]["split"]["by"], "trial");
     let description = own["design"]["description"].as_str().unwrap();
-    for said in ["split by trial", "seed 3"] {
-        assert!(description.contains(said), "{description}");
-    }
+    says(&description, ["split by trial", "seed 3"]);
     assert!(own["open_loop"]["horizons"].as_array().unwrap().is_empty());
     let other = eval("4", "trial");
     assert_ne!(other["models"][0]["trained_on"]["rows"], 0, "{other}");
@@ -410,16 +400,8 @@ fn a_comparison_shows_differences_and_exits_with_3_only_on_request() {
     let same = compare(MODELS[0], MODELS[0], &["--fail-worse"]);
     assert_eq!(code(&same), 0);
     assert!(stdout(&same).contains("undecided"), "{}", stdout(&same));
-    for said in [
-        "old: model",
-        "By group",
-        "By robot",
-        "By trial",
-        "new − old",
-        "paired",
-    ] {
-        assert!(stdout(&same).contains(said), "{said}: {}", stdout(&same));
-    }
+    let parts = "old: model | By group | By robot | By trial | new − old | paired";
+    says(&stdout(&same), parts.split(" | "));
 }
 
 /// Makes the parts of an evaluation in processes that run at once. Returns their files.

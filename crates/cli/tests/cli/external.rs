@@ -129,12 +129,6 @@ fn help_and_usage_errors_need_no_executable() {
         assert!(said.contains(says), "{words}: {said}");
     }
     let script = output(["completions", "bash"]);
-    for option in [
-        "--per-robot",
-        "--fail-above",
-        "--worker-cpus",
-        "--false-alarms",
-    ] {
-        assert!(stdout(&script).contains(option), "{option}");
-    }
+    let parts = "--per-robot | --fail-above | --worker-cpus | --false-alarms";
+    says(&stdout(&script), parts.split(" | "));
 }

@@ -121,18 +121,8 @@ fn all_missing_columns_are_named_at_once_with_the_remedy() {
     fs::write(&path, "stamp_of_log,load,power\n0,1,2\n1,2,3\n").unwrap();
     let refused = output(["data", "info", text(&path)]);
     assert_eq!(code(&refused), 1);
-    for said in [
-        "timestamp_s",
-        "power_mW",
-        "stamp_of_log, load, power",
-        "--map",
-    ] {
-        assert!(
-            stderr(&refused).contains(said),
-            "{said}: {}",
-            stderr(&refused)
-        );
-    }
+    let parts = "timestamp_s | power_mW | stamp_of_log, load, power | --map";
+    says(&stderr(&refused), parts.split(" | "));
     let refused = output([
         "data",
         "info",
@@ -151,15 +141,8 @@ fn all_missing_columns_are_named_at_once_with_the_remedy() {
         "time=stamp_of_log,power_W=load",
     ]);
     let help = stdout(&output(["data", "check", "--help"]));
-    for name in [
-        "power_mW",
-        "timestamp_s",
-        "omega_cmd_radps",
-        "yaw_rate",
-        "battery_voltage",
-    ] {
-        assert!(help.contains(name), "{name}");
-    }
+    let parts = "power_mW | timestamp_s | omega_cmd_radps | yaw_rate | battery_voltage";
+    says(&help, parts.split(" | "));
 }
 
 #[test]
@@ -264,13 +247,10 @@ fn config_init_writes_a_fleet_that_passes_config_check_and_says_what_is_next() {
         stderr(&checked)
     );
     let platform = fs::read_to_string(out.join("platforms/husky-like.toml")).unwrap();
-    for said in [
-        "rate_hz = 20.0",
-        "power_resolution_w = 0.01",
-        "capacity_wh = 480.0",
-    ] {
-        assert!(platform.contains(said), "{said}: {platform}");
-    }
+    says(
+        &platform,
+        "rate_hz = 20.0 | power_resolution_w = 0.01 | capacity_wh = 480.0".split(" | "),
+    );
     // The recordings are accepted by the platform made of them.
     let eval = done([
         "eval",
@@ -390,13 +370,10 @@ fn a_model_of_another_range_of_power_is_warned_about() {
     ];
     let made = done(init);
     let checked = done(["config", "check", text(&out.join("fleet.toml"))]);
-    for said in ["warning", "was trained on readings of", "power_max_w"] {
-        assert!(
-            stderr(&checked).contains(said),
-            "{said}: {}",
-            stderr(&checked)
-        );
-    }
+    says(
+        &stderr(&checked),
+        ["warning", "was trained on readings of", "power_max_w"],
+    );
     // The model's own platform has no such warning.
     let own = output(["config", "check"]);
     assert!(!stderr(&own).contains("was trained on"), "{}", stderr(&own));

@@ -406,9 +406,7 @@ fn conventions_that_forecast_alike_are_named_and_none_is_chosen() {
         matches!(error, ChooseError::Indistinguishable { .. }),
         "{text}"
     );
-    for named in ["newest-first", "oldest-first", "--convention"] {
-        assert!(text.contains(named), "{text}");
-    }
+    says(&text, ["newest-first", "oldest-first", "--convention"]);
     assert!(chosen(&found, &trial, Some(CONVENTION)).is_ok());
 }
 

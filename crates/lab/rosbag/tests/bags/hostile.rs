@@ -152,14 +152,11 @@ fn rows_that_are_no_messages_are_counted_by_reason() {
     bag.close();
     let (code, message) = code_of(&path);
     assert_eq!(code, 3, "{message}");
-    for why in [
-        "1 messages left out: its time is before 1970",
-        "2 messages left out: topic and time are no integers",
-        "2 messages left out: of a topic that the bag does not name",
-        "messages left out: compressed: ",
-    ] {
-        assert!(message.contains(why), "{why} in\n{message}");
-    }
+    let parts = "1 messages left out: its time is before 1970 | \
+        2 messages left out: topic and time are no integers | \
+        2 messages left out: of a topic that the bag does not name | \
+        messages left out: compressed: ";
+    says(&message, parts.split(" | "));
 }
 
 #[test]
