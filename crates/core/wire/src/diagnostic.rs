@@ -1,7 +1,7 @@
 //! Residual scores and alarms per robot.
 
 use crate::declare::ZeroCopySend;
-use crate::layout::bits;
+use crate::layout::{bits, names};
 use crate::rows;
 
 bits! {
@@ -226,28 +226,18 @@ pub enum Alarm {
     Unknown,
 }
 
-impl Alarm {
+names! {
     /// All alarms that can be raised, in the order of their codes. Of one level, the first is the most
     /// important.
-    pub const ALL: [Self; 16] = [
-        Self::NoData,
-        Self::OutOfRange,
-        Self::StuckSensor,
-        Self::HeldTooLong,
-        Self::BiasHigh,
-        Self::BiasLow,
-        Self::NoiseHigh,
-        Self::ModelMismatch,
-        Self::OutOfTraining,
-        Self::OfflineCharging,
-        Self::DeadlineMissed,
-        Self::WatchdogStop,
-        Self::CannotReturn,
-        Self::BatteryCritical,
-        Self::BatteryLow,
-        Self::SocImplausible,
-    ];
+    pub Alarm:
+        NoData OutOfRange StuckSensor HeldTooLong BiasHigh BiasLow NoiseHigh ModelMismatch
+        OutOfTraining OfflineCharging DeadlineMissed WatchdogStop CannotReturn BatteryCritical
+        BatteryLow SocImplausible
+        ;
+        None Unknown
+}
 
+impl Alarm {
     /// The code in shared memory: 0 is [`Alarm::None`].
     #[must_use]
     pub const fn code(self) -> u16 {
@@ -267,31 +257,6 @@ impl Alarm {
             Self::ALL[code as usize - 1]
         } else {
             Self::Unknown
-        }
-    }
-
-    /// The name, as in the documentation and in JSON.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::NoData => "NoData",
-            Self::OutOfRange => "OutOfRange",
-            Self::StuckSensor => "StuckSensor",
-            Self::HeldTooLong => "HeldTooLong",
-            Self::BiasHigh => "BiasHigh",
-            Self::BiasLow => "BiasLow",
-            Self::NoiseHigh => "NoiseHigh",
-            Self::ModelMismatch => "ModelMismatch",
-            Self::OutOfTraining => "OutOfTraining",
-            Self::OfflineCharging => "OfflineCharging",
-            Self::DeadlineMissed => "DeadlineMissed",
-            Self::WatchdogStop => "WatchdogStop",
-            Self::CannotReturn => "CannotReturn",
-            Self::BatteryCritical => "BatteryCritical",
-            Self::BatteryLow => "BatteryLow",
-            Self::SocImplausible => "SocImplausible",
-            Self::None => "None",
-            Self::Unknown => "Unknown",
         }
     }
 
