@@ -59,17 +59,9 @@ fn a_quick_measurement_gives_finite_figures_with_machine_and_build() {
 #[test]
 fn the_tick_and_rollouts_are_measured_too() {
     for (benchmark, name) in [("tick", "tick_over_kernel"), ("rollout", "ns_per_step")] {
-        let measured = output([
-            benchmark,
-            "--quick",
-            "--robots",
-            "10",
-            "--threads",
-            "1",
-            "--format",
-            "json",
-        ])
-        .exits(0);
+        let measured =
+            output(format!("{benchmark} --quick --robots 10 --threads 1 --format json").split(' '))
+                .exits(0);
         let suite = measured.json();
         let figures = figures(&suite);
         assert!(

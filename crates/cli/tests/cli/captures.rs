@@ -8,7 +8,7 @@ use std::process::{Command, Output};
 use joulebus_capture_format::{Attachments, CaptureSettings, Writer};
 use joulebus_testkit::recordings::shared;
 
-use crate::fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
+use crate::fleet::{Fleet, code, json, output, stderr, stdout};
 use joulebus_testkit::says;
 
 fn run(arguments: &[&str]) -> Output {

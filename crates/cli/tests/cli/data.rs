@@ -1,6 +1,6 @@
 //! `joulebus data` and `joulebus analyze`.
 
-use super::fleet::{Fleet, code, json, output, stderr, stdout};
+use super::fleet::{Fleet, code, done, json, output, stderr, stdout};
 use joulebus_testkit::says;
 
 #[test]

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use joulebus_testkit::says;
 use serde_json::Value;
 
-use super::fleet::{Fleet, code, json, output, stderr, stdout};
+use super::fleet::{Fleet, code, done, json, output, stderr, stdout};
 
 /// Doors, with what stands for the recording; each loads its other inputs first.
 const DOORS: [&str; 8] = [
@@ -197,13 +197,6 @@ fn noise_has_no_resolution() {
     }
     fs::write(&path, text).unwrap();
     let (path, out) = (path.display().to_string(), fleet.path("lab"));
-    let made = done([
-        "config",
-        "init",
-        "--from",
-        &path,
-        "-o",
-        out.to_str().unwrap(),
-    ]);
+    let made = done(format!("config init --from {path} -o {}", out.to_str().unwrap()).split(' '));
     assert!(!stdout(&made).contains("resolution"), "{}", stdout(&made));
 }

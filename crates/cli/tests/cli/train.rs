@@ -1,6 +1,6 @@
 //! `joulebus train trials`: from recordings to a model that the worker loads.
 
-use super::fleet::{Fleet, code, json, output, stderr, stdout};
+use super::fleet::{Fleet, code, done, json, output, stderr, stdout};
 
 #[test]
 fn a_model_is_trained_and_its_split_is_reported() {

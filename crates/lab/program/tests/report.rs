@@ -52,15 +52,13 @@ fn a_split_reports_on_what_was_held_out() {
         data.join("t_4.csv").to_str().unwrap(),
     ]);
     says(&text, [", on 1 recordings", "t_4.csv held out"]);
-    let refused = output([
-        data.to_str().unwrap(),
-        "--model",
-        "builtin:gternal-sim",
-        "--split",
-        "row",
-        "-o",
-        "x",
-    ])
+    let refused = output(
+        format!(
+            "{} --model builtin:gternal-sim --split row -o x",
+            data.to_str().unwrap()
+        )
+        .split(' '),
+    )
     .exits(2);
 }
 
