@@ -140,6 +140,16 @@ impl fmt::Display for Build {
     }
 }
 
+/// Anonymous memory of this process: neither files nor shared memory; `None` if unknown.
+pub(crate) fn anonymous_bytes() -> Option<u64> {
+    let status = fs::read_to_string("/proc/self/status").ok()?;
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("RssAnon:"))?;
+    let kilobytes: u64 = line.trim().trim_end_matches(" kB").parse().ok()?;
+    Some(kilobytes * 1024)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

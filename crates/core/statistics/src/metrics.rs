@@ -231,20 +231,6 @@ impl Tally {
             f64::NAN
         }
     }
-
-    /// The scores as plain numbers.
-    pub fn accuracy(&self) -> Accuracy {
-        Accuracy {
-            count: self.count,
-            unscored: self.unscored,
-            r2: self.r2(),
-            rmse_w: self.rmse_w(),
-            mae_w: self.mae_w(),
-            mape: self.mape(),
-            bias_w: self.bias_w(),
-            energy_error: self.energy_error(),
-        }
-    }
 }
 
 /// The tally of two slices of the same length, W, with one step for all pairs, s.
@@ -254,27 +240,6 @@ pub fn tally(readings_w: &[f64], forecasts_w: &[f64], step_s: f64) -> Tally {
         tally.add(*reading_w, *forecast_w, step_s);
     }
     tally
-}
-
-/// The scores of a [`Tally`], defined there. Undefined scores are NaN, null in JSON.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Accuracy {
-    /// Pairs scored.
-    pub count: u64,
-    /// Pairs not scored, because reading or forecast was not finite.
-    pub unscored: u64,
-    /// Coefficient of determination.
-    pub r2: f64,
-    /// Root of the mean squared residual, W.
-    pub rmse_w: f64,
-    /// Mean absolute residual, W.
-    pub mae_w: f64,
-    /// Mean absolute relative residual, share; readings of exactly 0 excluded.
-    pub mape: f64,
-    /// Mean residual, W, positive if forecasts are too low.
-    pub bias_w: f64,
-    /// (Forecast energy − measured energy) / measured energy, share.
-    pub energy_error: f64,
 }
 
 /// Sums over intervals and the readings they were made for.
