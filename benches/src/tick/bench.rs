@@ -1,6 +1,5 @@
 //! A fleet with its input and output buffers.
 
-use std::fs;
 use std::hint::black_box;
 use std::path::Path;
 use std::time::{Duration, Instant};
