@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use joulebus_testkit::says;
 use serde_json::Value;
 
-use super::fleet::{Fleet, code, done, joulebus, json, output, stderr, stdout};
+use super::fleet::{Exits as _, Fleet, code, done, joulebus, json, output, stderr, stdout};
 
 const MODELS: [&str; 2] = [
     concat!(
@@ -106,8 +106,7 @@ fn a_built_in_model_is_named_as_in_a_config() {
     let (by_name, by_file) = (with("builtin:gternal-sim"), with(MODELS[0]));
     assert_eq!(code(&by_name), 0, "{}", stderr(&by_name));
     assert_eq!(json(&by_name), json(&by_file));
-    let refused = with("builtin:nothing");
-    assert_eq!(code(&refused), 2);
+    let refused = with("builtin:nothing").exits(2);
     says(
         &stderr(&refused),
         ["builtin:nothing", "builtin:gternal-sim-power"],
@@ -179,8 +178,7 @@ fn rows_trained_on_are_recognised_under_other_names_and_in_captures_and_scored_a
     let capture = fleet.path("played.mcap");
     let mut import = fleet.joulebus("import");
     import.arg(of("training")).arg("-o").arg(&capture);
-    let imported = import.output().unwrap();
-    assert_eq!(code(&imported), 0, "{}", stderr(&imported));
+    import.output().unwrap().exits(0);
     for path in [renamed, capture, of("validation")] {
         let (found, told) = eval(&path);
         assert_eq!(found["models"][0]["trained_on"]["share"], 1.0, "{path:?}");
@@ -210,8 +208,7 @@ fn baselines_can_be_fitted_on_given_recordings() {
     std::fs::copy(&ice, &copy).unwrap();
     for again in [&ice, &copy] {
         let arguments = [text(&ice), "--fit", text(again)];
-        let twice = output([&["eval", "--model", MODELS[1]], &arguments[..]].concat());
-        assert_eq!(code(&twice), 2);
+        let twice = output([&["eval", "--model", MODELS[1]], &arguments[..]].concat()).exits(2);
         says(&stderr(&twice), ["must not be scored on"]);
     }
 }
@@ -288,8 +285,7 @@ fn a_comparison_shows_differences_and_exits_with_3_only_on_request() {
     }
     // Two models that differ much.
     assert!(verdicts.contains(&"worse".to_owned()), "{verdicts:?}");
-    let same = compare(MODELS[0], MODELS[0], &["--fail-worse"]);
-    assert_eq!(code(&same), 0);
+    let same = compare(MODELS[0], MODELS[0], &["--fail-worse"]).exits(0);
     assert!(stdout(&same).contains("undecided"), "{}", stdout(&same));
     let parts = "old: model | By group | By robot | By trial | new − old | paired";
     says(&stdout(&same), parts.split(" | "));
@@ -331,8 +327,7 @@ fn parts_of_an_evaluation_by_several_processes_merge_into_the_report_of_one_run_
                 let mut files = parts(&asked, folder.path(), of);
                 // Schedulers end in any order.
                 files.reverse();
-                let merged = merge(&files, format);
-                assert_eq!(code(&merged), 0, "{}", stderr(&merged));
+                let merged = merge(&files, format).exits(0);
                 assert_eq!(stdout(&merged), stdout(&whole), "{of} parts");
                 assert_eq!(stderr(&merged), stderr(&whole), "{of} parts");
             }
@@ -419,8 +414,7 @@ fn the_script_reports_what_one_run_does_and_leaves_nothing_when_a_part_fails() {
     let asked = ["--model", MODELS[0], text(&data)];
     let whole = output(["eval"].iter().chain(&asked));
     // More parts than recordings.
-    let found = run(&[&["5"], &asked[..]].concat());
-    assert_eq!(code(&found), 0, "{}", stderr(&found));
+    let found = run(&[&["5"], &asked[..]].concat()).exits(0);
     assert_eq!(stdout(&found), stdout(&whole));
 
     let failed = run(&["2", "--model", "/nowhere.safetensors", text(&data)]);

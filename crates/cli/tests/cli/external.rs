@@ -5,7 +5,7 @@ use std::os::unix::process::ExitStatusExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use crate::fleet::{code, output, stderr, stdout};
+use crate::fleet::{Exits as _, code, output, stderr, stdout};
 use joulebus_testkit::says;
 
 /// The program in an otherwise empty directory.
@@ -54,8 +54,9 @@ fn an_executable_beside_this_one_gets_the_arguments_and_passes_its_exit_code_and
     write_program(&in_path, "serve", "exit 9");
     write_program(installed.0.path(), "serve", "exit 3");
     let path = format!("{}:/usr/bin:/bin", in_path.display());
-    let ended = installed.joulebus(&path, "-v --format json serve --foxglove --port 0");
-    assert_eq!(code(&ended), 3, "{}", stderr(&ended));
+    let ended = installed
+        .joulebus(&path, "-v --format json serve --foxglove --port 0")
+        .exits(3);
     let beside = installed.0.path().join("joulebus-serve");
     let told = format!(
         "{} -v --format json --foxglove --port 0\n",
@@ -82,8 +83,7 @@ fn without_one_the_executable_is_looked_up_in_path_but_not_in_the_current_direct
     let in_path = installed.directory("path");
     write_program(&in_path, "bench", "exit 0");
     let path = format!(".:{}:/usr/bin:/bin", in_path.display());
-    let found = installed.joulebus(&path, "bench kernel");
-    assert_eq!(code(&found), 0, "{}", stderr(&found));
+    let found = installed.joulebus(&path, "bench kernel").exits(0);
     assert!(stdout(&found).starts_with(in_path.to_str().unwrap()));
 }
 

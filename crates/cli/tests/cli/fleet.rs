@@ -27,9 +27,20 @@ pub(crate) fn output<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) ->
 /// The output of a command that succeeds.
 #[track_caller]
 pub(crate) fn done<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Output {
-    let output = output(arguments);
-    assert_eq!(code(&output), 0, "{}", stderr(&output));
-    output
+    output(arguments).exits(0)
+}
+
+pub(crate) trait Exits {
+    /// The same, if this is its exit code.
+    fn exits(self, code: i32) -> Self;
+}
+
+impl Exits for Output {
+    #[track_caller]
+    fn exits(self, wanted: i32) -> Self {
+        assert_eq!(code(&self), wanted, "{}{}", stdout(&self), stderr(&self));
+        self
+    }
 }
 
 pub(crate) fn stdout(output: &Output) -> String {

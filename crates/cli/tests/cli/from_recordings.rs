@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::fleet::{Fleet, code, done, json, output, stderr, stdout};
+use super::fleet::{Exits as _, Fleet, code, done, json, output, stderr, stdout};
 use joulebus_testkit::says;
 
 fn text(path: &Path) -> &str {
@@ -101,16 +101,14 @@ fn all_missing_columns_are_named_at_once_with_the_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.csv");
     fs::write(&path, "stamp_of_log,load,power\n0,1,2\n1,2,3\n").unwrap();
-    let refused = output(["data", "info", text(&path)]);
-    assert_eq!(code(&refused), 1);
+    let refused = output(["data", "info", text(&path)]).exits(1);
     let parts = "timestamp_s | power_mW | stamp_of_log, load, power | --map";
     says(&stderr(&refused), parts.split(" | "));
     let mapped = |map: &str| output(["data", "info", text(&path), "--map", map]);
     let refused = mapped("time=stamp_of_log,power_W=lod");
     says(&stderr(&refused), ["power=lod"]);
     assert_eq!(code(&mapped("speed=load")), 2);
-    let fine = mapped("time=stamp_of_log,power_W=load");
-    assert_eq!(code(&fine), 0, "{}", stderr(&fine));
+    mapped("time=stamp_of_log,power_W=load").exits(0);
     let help = stdout(&output(["data", "check", "--help"]));
     let parts = "power_mW | timestamp_s | omega_cmd_radps | yaw_rate | battery_voltage";
     says(&help, parts.split(" | "));
@@ -193,8 +191,7 @@ fn config_init_writes_a_fleet_that_passes_config_check_and_says_what_is_next() {
     done(["eval", from, "--config", text(&fleet), "--format", "json"]);
 
     // Nothing is overwritten.
-    let again = output(init);
-    assert_eq!(code(&again), 2, "{}", stderr(&again));
+    output(init).exits(2);
 }
 
 #[test]
@@ -213,8 +210,7 @@ fn config_init_with_wrong_options_writes_nothing_and_works_once_they_are_right()
         assert_eq!(code(&refused), 2, "{option}: {}", stderr(&refused));
         assert!(!out.exists(), "{option}");
     }
-    let made = init("--battery-wh=5");
-    assert_eq!(code(&made), 0, "{}", stderr(&made));
+    init("--battery-wh=5").exits(0);
 }
 
 #[test]
@@ -226,14 +222,12 @@ fn recordings_of_one_name_are_refused_before_any_is_imported() {
         recording(path, LAYOUT.0, LAYOUT.1, 100, seed);
     }
     let out = folder.path().join("trials");
-    let both = output(["import", text(&one), text(&two), "-o", text(&out)]);
-    assert_eq!(code(&both), 2, "{}", stderr(&both));
+    let both = output(["import", text(&one), text(&two), "-o", text(&out)]).exits(2);
     says(&stderr(&both), ["two recordings"]);
     assert!(!out.exists());
     let import = || output(["import", text(&one), "-o", text(&out)]);
     assert_eq!(code(&import()), 0);
-    let again = import();
-    assert_eq!(code(&again), 1, "{}", stderr(&again));
+    let again = import().exits(1);
     says(&stderr(&again), ["not overwritten"]);
 }
 
@@ -250,8 +244,7 @@ fn a_file_that_no_run_has_written_stays_where_a_result_would_be_put() {
         &["model", "export", model, "--to", "npz", "--out"],
         &["model", "export", model, "--python"],
     ] {
-        let refused = output(command.iter().chain(&[text(&out)]));
-        assert_eq!(code(&refused), 1, "{}", stderr(&refused));
+        let refused = output(command.iter().chain(&[text(&out)])).exits(1);
         says(&stderr(&refused), ["\"precious\""]);
         assert_eq!(fs::read_to_string(&out).unwrap(), "precious");
     }
@@ -302,8 +295,7 @@ fn config_init_trains_when_asked_and_the_worker_starts_with_the_result() {
     fs::remove_file(&fleet).unwrap();
     fs::remove_file(out.join("platforms/mine.toml")).unwrap();
     fs::write(out.join("models/mine.safetensors"), b"of somebody").unwrap();
-    let again = output(init.split(' '));
-    assert_eq!(code(&again), 2, "{}", stderr(&again));
+    let again = output(init.split(' ')).exits(2);
     assert!(stderr(&again).contains("mine.safetensors exists"));
     let kept = fs::read(out.join("models/mine.safetensors")).unwrap();
     assert_eq!(kept, b"of somebody");

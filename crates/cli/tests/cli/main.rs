@@ -28,14 +28,13 @@ use std::process::Stdio;
 use std::time::Duration;
 
 use exits::{below, subcommands};
-use fleet::{Fleet, code, done, joulebus, json, output, stderr, stdout};
+use fleet::{Exits as _, Fleet, code, done, joulebus, json, output, stderr, stdout};
 use joulebus_config::Config;
 use joulebus_testkit::{cases, says};
 
 #[test]
 fn every_verb_has_help_with_examples() {
-    let help = output(["--help"]);
-    assert_eq!(code(&help), 0);
+    let help = output(["--help"]).exits(0);
     assert!(stdout(&help).contains("Exit codes"));
     for words in subcommands() {
         let help = output(words.iter().map(String::as_str).chain(["--help"]));
@@ -112,8 +111,7 @@ fn a_typo_in_a_config_is_refused_with_its_line_and_the_nearest_key() {
         says(&said, ["capcity", "`fleet.capacity`"]);
     }
     let good = fleet.config().display().to_string();
-    let checked = output(["config", "check", &good, &path, "--format", "json"]);
-    assert_eq!(code(&checked), 2);
+    let checked = output(["config", "check", &good, &path, "--format", "json"]).exits(2);
     let files = &json(&checked)["files"];
     assert_eq!(
         (&files[0]["accepted"], &files[1]["accepted"]),
@@ -135,10 +133,8 @@ fn config_check_refuses_a_config_whose_model_the_worker_would_refuse() {
     let path = path.display().to_string();
     for bytes in ["", "no model", "{}"] {
         fs::write(&model, bytes).unwrap();
-        let ran = output(["run", "--config", &path]);
-        assert_eq!(code(&ran), 1, "{}", stderr(&ran));
-        let checked = output(["config", "check", &path, "--format", "json"]);
-        assert_eq!(code(&checked), 2, "{}", stderr(&checked));
+        let ran = output(["run", "--config", &path]).exits(1);
+        let checked = output(["config", "check", &path, "--format", "json"]).exits(2);
         // The same error text.
         let why = stderr(&ran);
         let why = why.trim().strip_prefix("error: ").unwrap();
@@ -176,8 +172,8 @@ fn config_show_prints_an_equivalent_config() {
     let shipped = joulebus(["config", "show"])
         .current_dir("/")
         .output()
-        .unwrap();
-    assert_eq!(code(&shipped), 0, "{}", stderr(&shipped));
+        .unwrap()
+        .exits(0);
     Config::parse(&stdout(&shipped), std::path::Path::new("/")).unwrap();
 }
 
@@ -226,8 +222,7 @@ fn a_closed_stdout_is_no_error_and_no_panic() {
 #[test]
 fn doctor_passes_on_a_fresh_fleet_and_leaves_no_files() {
     let fleet = Fleet::new();
-    let healthy = fleet.output("doctor --format json");
-    assert_eq!(code(&healthy), 0, "{}", stdout(&healthy));
+    let healthy = fleet.output("doctor --format json").exits(0);
     let report = json(&healthy);
     let checks = report["checks"].as_array().unwrap();
     let about = |name: &str| {
@@ -259,8 +254,7 @@ fn doctor_finds_and_removes_stale_files() {
     // Younger ones may be under construction.
     std::thread::sleep(Duration::from_millis(400));
 
-    let ill = fleet.output("doctor --format json");
-    assert_eq!(code(&ill), 1, "{}", stdout(&ill));
+    let ill = fleet.output("doctor --format json").exits(1);
     let report = json(&ill);
     assert_eq!(report["status"], "fail");
     let failed: Vec<&str> = report["checks"]
@@ -274,8 +268,7 @@ fn doctor_finds_and_removes_stale_files() {
     let mode = |path| fs::metadata(path).unwrap().mode() & 0o777;
     assert_eq!(mode(fleet.root()), 0o755, "doctor changed the mode");
 
-    let mended = fleet.output("doctor --fix");
-    assert_eq!(code(&mended), 0, "{}", stdout(&mended));
+    let mended = fleet.output("doctor --fix").exits(0);
     says(&stdout(&mended), ["0755 changed to 0700"]);
     assert!(!fs::exists(&unfinished).unwrap());
     assert!(fleet.stale_files().is_empty());
@@ -283,7 +276,6 @@ fn doctor_finds_and_removes_stale_files() {
 
 #[test]
 fn training_does_not_start_if_its_result_cannot_be_written() {
-    let refused = output("train sim --seed 7 --out /nowhere/model.safetensors".split(' '));
-    assert_eq!(code(&refused), 1);
+    let refused = output("train sim --seed 7 --out /nowhere/model.safetensors".split(' ')).exits(1);
     says(&stderr(&refused), ["/nowhere"]);
 }

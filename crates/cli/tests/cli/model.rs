@@ -3,7 +3,7 @@
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
-use super::fleet::{Fleet, code, done, json, output, stderr, stdout};
+use super::fleet::{Exits as _, Fleet, code, done, json, output, stderr, stdout};
 use joulebus_testkit::says;
 
 const SHIPPED: &str = concat!(
@@ -54,8 +54,7 @@ fn a_foreign_file_is_shown_imported_exported_and_read_back() {
 
         let out = at("imported.safetensors");
         let import = ["model", "import", text(&file), "--out", text(&out)];
-        let without_data = output(import);
-        assert_eq!(code(&without_data), 2, "{}", stderr(&without_data));
+        let without_data = output(import).exits(2);
         assert!(stderr(&without_data).contains("--data"));
         let data = ["--data", text(&data), "--convention", CONVENTION];
         let data = data.iter().chain(&["--format", "json"]);

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use joulebus_testkit::says;
 use serde_json::Value;
 
-use super::fleet::{Fleet, code, done, json, output, stderr, stdout};
+use super::fleet::{Exits as _, Fleet, code, done, json, output, stderr, stdout};
 
 /// Doors, with what stands for the recording; each loads its other inputs first.
 const DOORS: [&str; 8] = [
@@ -73,8 +73,7 @@ fn every_door_names_what_is_implausible_with_its_option_and_stops() {
         ),
     ] {
         let path = path.display().to_string();
-        let checked = output(["data", "check", &path]);
-        assert_eq!(code(&checked), 3, "{}", stdout(&checked));
+        let checked = output(["data", "check", &path]).exits(3);
         assert!(stdout(&checked).contains(says), "{}", stdout(&checked));
         for (number, door) in DOORS.iter().enumerate() {
             let plain = words(&fleet, door, &path, number);
@@ -117,12 +116,11 @@ fn what_is_accepted_is_said_and_goes_on_in_text_and_json() {
         (&found["kind"], &found["accepted"]),
         (&Value::from("sign"), &Value::from(true))
     );
-    let checked = output([
+    output([
         "data", "check", &path, "--accept", "sign", "--format", "json",
-    ]);
-    assert_eq!(code(&checked), 0, "{}", stdout(&checked));
-    let refused = output(["data", "check", &path, "--accept", "smell"]);
-    assert_eq!(code(&refused), 2, "{}", stderr(&refused));
+    ])
+    .exits(0);
+    let refused = output(["data", "check", &path, "--accept", "smell"]).exits(2);
     says(&stderr(&refused), ["saturation"]);
 }
 

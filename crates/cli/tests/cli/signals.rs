@@ -11,7 +11,7 @@ use rustix::process::Signal;
 
 use crate::captures::capture;
 use crate::exits::{below, subcommands};
-use crate::fleet::{Fleet, Program, code, joulebus, json, output, stderr, stdout};
+use crate::fleet::{Exits as _, Fleet, Program, code, joulebus, json, output, stderr, stdout};
 
 /// Subcommands that go on until a signal, and what they say once they run; their exit code is 0, but for training: the
 /// model is not made, the checkpoint is. Words in capitals are files.
@@ -227,8 +227,9 @@ fn a_snapshot_requested_together_with_the_end_is_written() {
     );
     let mut record = Program::start(fleet.joulebus(&verb));
     record.wait_for_stderr("recording cli into");
-    let sent = fleet.output("publish sim --robots 3 --duration 0.5 --format json");
-    assert_eq!(code(&sent), 0, "{}", stderr(&sent));
+    fleet
+        .output("publish sim --robots 3 --duration 0.5 --format json")
+        .exits(0);
     eventually("messages in memory", || {
         // Progress is printed every five seconds.
         record
