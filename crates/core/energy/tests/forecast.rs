@@ -453,7 +453,8 @@ fn commands_outside_the_training_data_are_named() {
     let model = model(&[0.5; TERMS], 0.0);
     let state = EnergyState::new(0);
     for (v_mps, outside) in [(0.9, 0), (1.1, 1), (-1.1, 1)] {
-        let plan = commands(0.1, &[0.0, v_mps], &[0.0; 2]);
+        let v_mps = [0.0, v_mps];
+        let plan = commands(0.1, &v_mps, &[0.0; 2]);
         assert_eq!(model.forecast(&state, plan).steps_outside, outside);
     }
 }

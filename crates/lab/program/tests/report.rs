@@ -38,7 +38,7 @@ fn a_split_reports_on_what_was_held_out() {
         let out = folder.path().join("report");
         let (data, out) = (data.to_str().unwrap(), out.to_str().unwrap());
         let arguments = [data, "--model", "builtin:gternal-sim", "-o", out];
-        let made = output([&arguments[..], more].concat()).exits(0);
+        output([&arguments[..], more].concat()).exits(0);
         fs::read_to_string(Path::new(out).join("report.txt")).unwrap()
     };
     let text = report(&["--split", "trial", "--held-out", "0.3", "--seed", "3"]);
@@ -52,7 +52,7 @@ fn a_split_reports_on_what_was_held_out() {
         data.join("t_4.csv").to_str().unwrap(),
     ]);
     says(&text, [", on 1 recordings", "t_4.csv held out"]);
-    let refused = output(
+    output(
         format!(
             "{} --model builtin:gternal-sim --split row -o x",
             data.to_str().unwrap()

@@ -18,7 +18,7 @@ fn archive(place: &Path) -> PathBuf {
     ];
     let folder = place.join("archive");
     let paths: Vec<&Path> = recordings.iter().map(AsRef::as_ref).collect();
-    let ended = export(&paths, &folder).exits(0);
+    export(&paths, &folder).exits(0);
     folder
 }
 
@@ -197,7 +197,7 @@ fn a_name_that_is_hostile_stays_in_its_partition() {
     let folder = place.path().join("archive");
     assert_eq!(export(&[&recording], &folder).code(), Some(0));
     assert_eq!(files(place.path()).len(), before + files(&folder).len());
-    let ended = joulebus("data info --format json", &[&folder]).exits(0);
+    joulebus("data info --format json", &[&folder]).exits(0);
 }
 
 #[test]

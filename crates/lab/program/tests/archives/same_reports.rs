@@ -12,7 +12,7 @@ use crate::{export, joulebus};
 /// A folder of an archive of the recordings in `from`.
 fn exported(from: &Path, place: &Path) -> PathBuf {
     let archive = place.join("archive");
-    let ended = export(&[from], &archive).exits(0);
+    export(&[from], &archive).exits(0);
     archive
 }
 
@@ -103,7 +103,7 @@ fn training_on_an_archive_gives_the_same_model_to_the_byte() {
     let trained = |folder: &Path, name: &str| {
         let out = place.path().join(name);
         let words = "train trials --split time --features power --name a --recipe";
-        let ended = joulebus(words, &[&recipe, folder, Path::new("--out"), &out]).exits(0);
+        joulebus(words, &[&recipe, folder, Path::new("--out"), &out]).exits(0);
         fs::read(out).unwrap()
     };
     assert!(trained(&from, "a.safetensors") == trained(&archive, "b.safetensors"));
@@ -211,7 +211,7 @@ fn an_archive_is_played_as_the_recordings_in_their_order() {
 fn simulated_trials_in_arrays_are_exported_whole() {
     let place = tempfile::tempdir().unwrap();
     let from = place.path().join("runs");
-    let made = joulebus("data simulate --steps 500", &[&from]).exits(0);
+    joulebus("data simulate --steps 500", &[&from]).exits(0);
     let arrays = crate::files(&from);
     assert_eq!(arrays.len(), 6 + 7);
     let archive = exported(&from, place.path());

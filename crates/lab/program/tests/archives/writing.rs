@@ -56,7 +56,7 @@ fn recordings_before_one_that_cannot_be_read_are_whole_and_of_it_nothing_is_read
     let run = capture(place.path(), "b.mcap", 300, 2);
     let bytes = fs::read(&run).unwrap();
     fs::write(&run, &bytes[..bytes.len() / 2]).unwrap();
-    let ended = export(&[&first, &run], &folder).exits(1);
+    export(&[&first, &run], &folder).exits(1);
     assert_eq!(listings(&folder).unwrap().len(), 1);
     assert_eq!(joulebus("data info", &[&folder]).code(), Some(0));
     assert_eq!(
@@ -91,7 +91,7 @@ fn an_export_killed_at_any_time_leaves_whole_recordings_and_the_next_one_finishe
         // The listed files are read without a fault.
         let listed = listings(&folder).unwrap_or_default();
         if !listed.is_empty() {
-            let ended = joulebus("data info", &[&folder]).exits(0);
+            joulebus("data info", &[&folder]).exits(0);
         }
         // The recordings that are missing.
         let names: Vec<String> = listed
@@ -104,7 +104,7 @@ fn an_export_killed_at_any_time_leaves_whole_recordings_and_the_next_one_finishe
             .collect();
         if !missing.is_empty() {
             let missing: Vec<&Path> = missing.iter().map(AsRef::as_ref).collect();
-            let ended = export(&missing, &folder).exits(0);
+            export(&missing, &folder).exits(0);
         }
         let contents = |archive: &Path| -> Vec<Vec<u8>> {
             let mut all: Vec<_> = parquet(archive)
@@ -223,6 +223,6 @@ fn parquet_files_that_no_listing_names_are_kept() {
     }
     kept.extend(parquet(&folder));
     fs::remove_file(folder.join("_joulebus/000000.recording")).unwrap();
-    let ended = export(&[&three], &folder).exits(0);
+    export(&[&three], &folder).exits(0);
     assert!(kept.iter().all(|file| file.exists()), "{kept:?}");
 }

@@ -184,7 +184,8 @@ fn changes_of_commands_are_known_up_to_those_that_two_recordings_reached() {
         assert!(known <= highest[term]);
     }
     let outside = |v_mps: &[f32]| {
-        let plan = commands(v_mps, &vec![0.0; v_mps.len()]);
+        let at_rest = vec![0.0; v_mps.len()];
+        let plan = commands(v_mps, &at_rest);
         spoilt.forecast(&EnergyState::new(0), plan).steps_outside
     };
     assert_eq!(outside(&[0.0, 0.25, 0.25, 0.0]), 0);
