@@ -146,7 +146,7 @@ mod tests {
                 panic!("{case:?}");
             };
             let read = Pattern::parse(pattern).unwrap();
-            assert_eq!(read.filter(), filter);
+            assert_eq!(&read.filter(), filter);
             assert_eq!(
                 &format!("{:?}", read.matches(topic)),
                 found,
