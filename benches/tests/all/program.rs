@@ -106,7 +106,7 @@ fn a_comparison_fails_only_on_request() {
         "1",
     ];
     let with = |more: &[&str]| output(base.into_iter().chain(more.iter().copied()));
-    let first = with(&["--json", &old_name]).exits(0);
+    with(&["--json", &old_name]).exits(0);
     flatter(&old, 1e6);
     let compared = with(&["--compare", &old_name]).exits(0);
     assert!(compared.text().contains("WORSE"), "{}", compared.text());
@@ -115,7 +115,7 @@ fn a_comparison_fails_only_on_request() {
         &failed.text(),
         ["too slow: kernel scalar_ns_per_robot, 7 robots"],
     );
-    let allowed = with(&["--compare", &old_name, "--fail-above", "1e12"]).exits(0);
+    with(&["--compare", &old_name, "--fail-above", "1e12"]).exits(0);
 }
 
 #[test]

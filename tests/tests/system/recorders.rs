@@ -130,7 +130,7 @@ fn a_capture_is_played_under_another_name() {
         .arg(config);
     let mut worker = Child::spawn("the copy's worker", command);
     worker.wait_for_line("ready:");
-    let played = alone(&[
+    alone(&[
         "replay",
         file.to_str().unwrap(),
         "--remap",

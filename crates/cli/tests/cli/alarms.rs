@@ -39,7 +39,7 @@ fn wait_for_silence(path: &Path) {
 }
 
 fn publish(fleet: &Fleet) {
-    let sent = fleet.output("publish sim --robots 3 --duration 1").exits(0);
+    fleet.output("publish sim --robots 3 --duration 1").exits(0);
 }
 
 #[test]

@@ -8,7 +8,7 @@ use std::process::{Command, Output};
 use joulebus_capture_format::{Attachments, CaptureSettings, Writer};
 use joulebus_testkit::recordings::shared;
 
-use crate::fleet::{Exits as _, Fleet, code, json, output, stderr, stdout};
+use crate::fleet::{Exits as _, Fleet, code, joulebus, json, output, stderr, stdout};
 use joulebus_testkit::says;
 
 /// The program with the words of a line.

@@ -50,7 +50,7 @@ fn recordings_are_converted_and_resampled_only_on_request() {
     };
     let from = from.to_str().unwrap();
     let array = path("a.npy");
-    let made = convert(from, &["--out", &array]).exits(0);
+    convert(from, &["--out", &array]).exits(0);
     let again = convert(from, &["--out", &array]);
     assert_eq!(code(&again), 1, "a file was overwritten");
     let back = path("b.csv");

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use rustix::process::Signal;
 
-use crate::fleet::{Exits as _, Fleet, Program, code, stderr, stdout};
+use crate::fleet::{Exits as _, Fleet, Program, code, stdout};
 
 const LONGEST: Duration = Duration::from_secs(60);
 

@@ -108,7 +108,7 @@ fn every_verb_that_runs_until_stopped_ends_cleanly_at_each_signal_with_its_code(
             program.wait_for_stderr(says);
             let ended = program.end(signal);
             let said = stderr(&ended);
-            assert_eq!(code(&ended), *expected, "{row}, {signal:?}: {said}");
+            assert_eq!(code(&ended), expected, "{row}, {signal:?}: {said}");
             assert!(fleet.stale_files().is_empty(), "{row}, {signal:?}");
             assert!(!fleet.path("new").exists(), "{row}, {signal:?}");
         }
