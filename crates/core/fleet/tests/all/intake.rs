@@ -30,10 +30,15 @@ fn good() -> Sample {
 }
 
 type Spoil = fn(&mut Sample);
+type Faults = (
+    DropReason,
+    Option<InvalidReason>,
+    &'static [(&'static str, Spoil)],
+);
 
 /// Faults of one sample of a known robot, by the reason for which it is refused and what its
 /// forecast shows.
-const SAMPLES: [(DropReason, Option<InvalidReason>, &[(&str, Spoil)]); 9] = [
+const SAMPLES: [Faults; 9] = [
     (
         DropReason::NotFinite,
         Some(InvalidReason::NotFinite),

@@ -81,28 +81,35 @@ fn each_fault_is_found_with_its_row_and_nothing_else_is() {
     type Spoil = fn(&mut [f64; 11]);
     const ALL: Range<usize> = 0..260;
     const NAN: f64 = f64::NAN;
-    let cases: [(FindingKind, &[usize], &str, Range<usize>, Spoil); 11] = [
+    type Fault = (
+        FindingKind,
+        &'static [usize],
+        &'static str,
+        Range<usize>,
+        Spoil,
+    );
+    let faults: [Fault; 11] = [
         (TimeRepeated, &[31], "as row 30", 30..260, |row| {
-            row[1] -= 0.1
+            row[1] -= 0.1;
         }),
         (Gap, &[31], "0.500 s", 30..260, |row| row[1] += 0.4),
         (MissingReading, &[10], "power_mW", 9..10, |row| {
-            row[10] = NAN
+            row[10] = NAN;
         }),
         (MissingValue, &[10], "v_cmd_mps", 9..10, |row| row[3] = NAN),
         (OutOfRange, &[10], "12 in SI units", 9..10, |row| {
-            row[3] = 12.0
+            row[3] = 12.0;
         }),
         (OutOfRange, &[10], "voltage_mV", 9..10, |row| row[8] *= -1.0),
         (PowerMismatch, &[10], "times current", 9..10, |row| {
-            row[10] *= 1.2
+            row[10] *= 1.2;
         }),
         (Unit, &[], "mW", ALL, |row| row[10] /= 1e3),
         (Unit, &[], "mV", ALL, |row| row[8] /= 1e3),
         (Unit, &[], "voltage times current", ALL, |row| row[9] /= 1e3),
         (Unit, &[], "seconds?", ALL, |row| row[1] *= 1e3),
     ];
-    for (kind, at, words, rows, spoil) in cases {
+    for (kind, at, words, rows, spoil) in faults {
         let mut table = sound(260);
         table[rows].iter_mut().for_each(spoil);
         assert_only(kind, at, words, &table);

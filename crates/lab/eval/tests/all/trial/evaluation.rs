@@ -266,20 +266,20 @@ fn a_robot_that_leaves_during_its_recording_comes_back_and_every_scored_reading_
     type Change = fn(usize, &mut (f64, f64));
     let kinds: [(&str, Range<usize>, Change); 6] = [
         ("a gap that ingest takes", 1_500..3_000, |_, row| {
-            row.0 += 59.0
+            row.0 += 59.0;
         }),
         ("a gap of a day", 1_500..3_000, |_, row| row.0 += 86_400.0),
         ("impossible values for 40 s", 300..1_500, |_, row| {
-            row.1 = -1e9
+            row.1 = -1e9;
         }),
         ("impossible values at first", 0..1_500, |_, row| {
-            row.1 = 1e12
+            row.1 = 1e12;
         }),
         ("a stamp of a day later", 700..701, |_, row| {
-            row.0 += 86_400.0
+            row.0 += 86_400.0;
         }),
         ("a day after each row", 0..3_000, |number, row| {
-            row.0 = 86_400.0 * number as f64
+            row.0 = 86_400.0 * number as f64;
         }),
     ];
     let files = Files::new();
