@@ -13,7 +13,6 @@ use crate::scan::{MAX_RECORD_BYTES, is_opcode, parse_record, zstd_decoder};
 /// Opcode and length before every record, bytes.
 const HEAD_BYTES: usize = 9;
 
-/// A sequence of records.
 #[derive(Default)]
 pub(crate) struct Records {
     bytes: Vec<u8>,

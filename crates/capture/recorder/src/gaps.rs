@@ -16,7 +16,6 @@ const MOST_RUNS: usize = 4_096;
 /// Maximum number of ticks without diagnostics stored per run.
 const MOST_UNSENT: usize = 4_096;
 
-/// Counts gaps.
 #[derive(Debug, Default)]
 pub(crate) struct Gaps {
     /// Runs that began later are tracked from their first frame, monotonic ns. Start of the
@@ -34,7 +33,6 @@ type Key = (Arc<str>, MessageKind, u64, u64);
 #[derive(Debug, Default)]
 struct Run {
     next: u64,
-    /// The last number.
     last: u64,
     /// Numbers from `next` on that were not sent.
     unsent: VecDeque<u64>,

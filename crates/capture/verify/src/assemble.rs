@@ -22,7 +22,6 @@ const MOST_RUNS: usize = 8;
 /// Maximum size of a keyframe, bytes: that of a million robots has about 305 MB.
 const MOST_KEYFRAME_BYTES: u64 = 512 << 20;
 
-/// One frame of samples.
 pub(super) type SampleFrame = Frame<Samples>;
 
 /// Recorded parts of one tick.

@@ -112,7 +112,6 @@ impl<T: Copy> Lane<T> {
         }
     }
 
-    /// The stamps of its headers.
     fn stamps(&self) -> Stamps {
         let seconds = |ns: u64, since_ns: u64| (ns as i128 - i128::from(since_ns)) as f64 * 1e-9;
         let mut stamps = Stamps::default();

@@ -3,11 +3,11 @@
 //!
 //! | in shared memory | in protobuf |
 //! |---|---|
-//! | `x` | `x`: `uint32`, `uint64`, `int64`, `fixed64`, an enumeration, `optional float` or `double` |
+//! | `x` | `x`: `uint32`, `uint64`, `int64`, `fixed64`, enumeration, `optional float` or `double` |
 //! | `x_unix_ns` | `x_at`, a `google.protobuf.Timestamp` |
 //! | an array `x` | `repeated` `x`; zeros at the end of numbers and structs are not written |
 //! | a struct `x` | a message `x` |
-//! | a struct of one array | a message of its named elements, then a `repeated` field of the others |
+//! | a struct of one array | a message of its named elements, then the others, `repeated` |
 
 use joulebus_wire::{FieldLayout, FieldType, StructLayout, layouts};
 use prost_types::field_descriptor_proto::{Label, Type};
@@ -52,7 +52,6 @@ pub(super) struct Plain {
     pub(super) of: Number,
 }
 
-/// A field of a message.
 #[derive(Debug)]
 pub(super) struct Field {
     number: u32,

@@ -81,7 +81,6 @@ pub struct ChunkFrame {
     pub header: ChunkHeader,
 }
 
-/// Head of a record.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Head {
     pub(super) offset: u64,
