@@ -1,7 +1,7 @@
 //! The `joulebus` program as a library, so that other packages can build the same program.
 //!
-//! Heavy verbs are separate programs, which this one executes: `joulebus-VERB`, and `joulebus-lab` for
-//! all verbs that work on recordings and models. `joulebus_program` has the code shared by all programs.
+//! Heavy verbs are separate programs, which this one executes: `joulebus-VERB`, and `joulebus-lab`
+//! for all verbs on recordings and models. `joulebus_program` has the code that all programs share.
 #![forbid(unsafe_code)]
 
 mod alarms;

@@ -20,7 +20,7 @@ pub(crate) struct Args {
     folder: PathBuf,
 }
 
-/// Writes those of `program`.
+/// Writes the manual pages of `program`.
 pub(crate) fn run(args: &Args, program: clap::Command) -> anyhow::Result<Outcome> {
     let folder = args.folder.display();
     std::fs::create_dir_all(&args.folder).with_context(|| format!("cannot make {folder}"))?;

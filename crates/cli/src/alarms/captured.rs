@@ -43,7 +43,7 @@ struct AlarmsReport {
     damage: Vec<String>,
     /// Unix time of the first diagnostics, ns.
     from_ns: Option<u64>,
-    /// Of the last.
+    /// Unix time of the last diagnostics, ns.
     to_ns: Option<u64>,
 }
 
@@ -171,7 +171,7 @@ impl fmt::Display for AlarmsReport {
         if self.ticks_missed > 0 {
             writeln!(out, "{} ticks without diagnostics", self.ticks_missed)?;
         }
-        // Of one fleet it would say the same in each line.
+        // With one fleet, its name would be the same in each line.
         let widths = self.fleets.iter().map(|fleet| fleet.chars().count());
         let width = widths.max().filter(|_| self.fleets.len() > 1);
         let fleet_column = |fleet: &str| {

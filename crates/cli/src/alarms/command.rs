@@ -21,7 +21,7 @@ const MOST: Duration = Duration::from_secs(10);
 /// Interval between two looks at a running command.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
-/// Runs a command for each change, in a thread of its own: whoever tells the changes never waits.
+/// Runs a command for each change, in a thread of its own, so that its caller never waits.
 pub(super) struct OnAlarm {
     lines: Option<SyncSender<Line>>,
     thread: Option<JoinHandle<u64>>,
@@ -62,8 +62,8 @@ impl OnAlarm {
         }
     }
 
-    /// Tells what waits, as far as the time of one command reaches. Returns how many changes were not told, or told
-    /// to a command that failed.
+    /// Runs the command for waiting changes, for as long as one command may take. Returns how many
+    /// changes it did not run for, or failed for.
     pub(super) fn finish(mut self) -> u64 {
         self.ending.store(true, Ordering::Relaxed);
         drop(self.lines.take());
@@ -72,7 +72,7 @@ impl OnAlarm {
     }
 }
 
-/// Runs the command for every change until the sender is dropped. Returns how many changes it did not take.
+/// Runs the command for every change until the sender is dropped. Returns how many failed.
 fn run_all(command: &str, waiting: &Receiver<Line>, ending: &AtomicBool) -> u64 {
     let mut failed = 0;
     let (mut last_failure, mut end_by) = (None, None);

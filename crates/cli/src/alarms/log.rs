@@ -30,7 +30,7 @@ pub(crate) struct AlarmReport {
     pub(crate) ticks_missed: u64,
 }
 
-/// A thread that logs alarms. It reads as a planner does, so the tick knows nothing of it. Stopped when dropped.
+/// A thread that logs alarms, stopped when dropped. It reads as a planner, not in the tick.
 pub(crate) struct AlarmLog {
     thread: Background,
     report: Arc<Mutex<AlarmReport>>,
@@ -38,8 +38,8 @@ pub(crate) struct AlarmLog {
 }
 
 impl AlarmLog {
-    /// Starts the thread, which waits for [`AlarmLog::open`]. To be called before the worker is opened, whose CPUs and
-    /// priority it would inherit.
+    /// Starts the thread, which waits for [`AlarmLog::open`]. Call it before the worker is opened,
+    /// whose CPUs and priority the thread would inherit.
     ///
     /// # Errors
     /// The system refuses the thread.
@@ -65,7 +65,7 @@ impl AlarmLog {
         })
     }
 
-    /// Opens the diagnostics, once the worker holds the fleet's lock: until then the reader's place is another worker's.
+    /// Opens the diagnostics, once the worker holds the fleet's lock.
     pub(crate) fn open(&self) {
         self.may_open.store(true, Ordering::Relaxed);
     }
@@ -82,7 +82,7 @@ impl AlarmLog {
 struct Logging {
     config: Config,
     feed: Option<AlarmFeed>,
-    /// Of feeds before this one.
+    /// Totals of earlier feeds.
     before: AlarmReport,
     report: Arc<Mutex<AlarmReport>>,
     worker_is_open: Arc<AtomicBool>,
@@ -90,7 +90,7 @@ struct Logging {
 }
 
 impl Logging {
-    /// The feed, which is opened if there is none. A failure is logged once, until there is none again.
+    /// The feed, opened if there is none. A failure is logged once, until a feed is opened.
     fn feed(&mut self) -> Option<&mut AlarmFeed> {
         if self.feed.is_none() {
             match AlarmFeed::with_config(&self.config, "alarms") {
@@ -134,7 +134,7 @@ impl Steps for Logging {
             return None;
         }
         if let Err(error) = read {
-            // Another version's diagnostics, or files that were removed: the worker notices that too.
+            // Diagnostics of another version, or removed files: the worker notices that too.
             tracing::warn!(%error, "alarms cannot be read: they are opened again");
             self.before = report;
             self.feed = None;

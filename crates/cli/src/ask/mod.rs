@@ -21,7 +21,8 @@ use place::{Place, ReturnTo};
 /// Timeout for a frame of the worker, or its answer.
 const PATIENCE: Duration = Duration::from_secs(3);
 
-/// Ask what a plan of a robot costs, whether the robot makes it, and which robot does it for the least
+/// Ask what a plan of a robot costs, whether the robot makes it, and which robot does it for the
+/// least
 #[derive(Debug, clap::Args)]
 #[command(
     group = ArgGroup::new("who").required(true).args(["robot", "rank"]),
@@ -193,8 +194,8 @@ impl Args {
     }
 }
 
-/// Refuses speeds that the platform of a robot does not reach: the follower would take its greatest, and the answer be about
-/// another plan.
+/// Refuses speeds above the platform's maximum: the follower would take that maximum, and the
+/// answer would be about another plan.
 fn refuse_too_fast(config: &Config, plan: &Plan) -> Result<(), UsageError> {
     let Plan::Follow { robots, path, .. } = plan else {
         return Ok(());

@@ -42,12 +42,10 @@ enum Status {
     Fail,
 }
 
-/// One check.
 #[derive(Debug, Serialize)]
 struct Check {
     name: &'static str,
     status: Status,
-    /// What was found.
     found: String,
     /// The remedy; empty if none is needed.
     remedy: String,
@@ -73,7 +71,6 @@ impl Check {
     }
 }
 
-/// All checks.
 #[derive(Debug, Serialize)]
 struct DoctorReport {
     status: Status,

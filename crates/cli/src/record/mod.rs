@@ -53,7 +53,8 @@ pub(crate) struct Args {
     /// configs/fleet.toml, or the built-in one if that file does not exist]
     #[arg(long, value_name = "FILE")]
     config: Vec<PathBuf>,
-    /// The file; further parts are run_1.mcap, run_2.mcap …, without names that are taken; - for stdout
+    /// The file; further parts are run_1.mcap, run_2.mcap …, without names that are taken; - for
+    /// stdout
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
     /// Start with the next part instead of refusing when the file exists

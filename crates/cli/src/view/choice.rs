@@ -14,7 +14,6 @@ const ORDERS: [(Sort, &str); 4] = [
     (Sort::Power, "power"),
 ];
 
-/// The choice of a user.
 #[derive(Debug)]
 pub(crate) struct Choice {
     platforms: Platforms,
@@ -27,7 +26,6 @@ pub(crate) struct Choice {
     only_alarms: bool,
 }
 
-/// Robots as listed.
 #[derive(Debug)]
 pub(crate) struct Listed {
     /// Ids, in order.
@@ -56,7 +54,6 @@ impl Choice {
         }
     }
 
-    /// The robots that it lists.
     pub(crate) fn listed(&self, board: &Board) -> Listed {
         let search = Search::new(&self.search, &self.platforms);
         let (sort, _) = ORDERS[self.order];
@@ -111,7 +108,6 @@ impl Choice {
         }
     }
 
-    /// The next order.
     pub(crate) const fn next_order(&mut self) {
         self.order = (self.order + 1) % ORDERS.len();
     }
@@ -148,7 +144,6 @@ impl Choice {
         self.only_alarms || !self.search.is_empty()
     }
 
-    /// Ends the search.
     pub(crate) fn clear_search(&mut self) {
         self.search.clear();
     }

@@ -19,7 +19,6 @@ const SHORT: [(&str, &str); 7] = [
     ("a", "next alarm"),
 ];
 
-/// All keys.
 const ALL: [(&str, &str); 13] = [
     ("↑ ↓  k j", "the robot before, the next one"),
     ("PgUp PgDn", "ten robots"),

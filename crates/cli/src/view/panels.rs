@@ -1,4 +1,4 @@
-//! What stands above and below the table of the live view: sums, the selected robot's chart, and events.
+//! The panels around the live view's table: sums, the selected robot's chart, and events.
 
 use joulebus_board::{Board, Point, Row};
 use joulebus_latency::Spread;

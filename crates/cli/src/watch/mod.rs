@@ -190,7 +190,6 @@ struct LinkReporter {
 }
 
 impl LinkReporter {
-    /// Reports changes.
     fn report_changes(&mut self, board: &Board) {
         if self.link != Some(board.link) && board.link == Link::Waiting {
             say("waiting for a worker: `joulebus run` starts one");

@@ -42,7 +42,8 @@ fn ask(fleet: &Fleet, question: &str) -> Value {
     last
 }
 
-/// The outcome of a question, once it is as expected: a process that gets no processor for three seconds finds no worker.
+/// The outcome of a question, once it is as expected. Retries, because a process without a
+/// processor for three seconds finds no worker.
 fn outcome(fleet: &Fleet, question: &str, is_expected: impl Fn(&Output) -> bool) -> Output {
     let mut found = None;
     eventually(question, || {

@@ -1,5 +1,5 @@
-//! Exit codes of every subcommand: 0 done, 1 failed, 2 wrong usage or config, 3 finished with losses or differences.
-//! What runs until it is stopped is in [`crate::signals`] too.
+//! Exit codes of every subcommand: 0 done, 1 failed, 2 wrong usage or config, 3 finished with
+//! losses or differences. What runs until it is stopped is in [`crate::signals`] too.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -43,7 +43,7 @@ pub(crate) fn json(output: &Output) -> Value {
     serde_json::from_str(&stdout(output)).unwrap_or_else(|error| panic!("{error}: {output:?}"))
 }
 
-/// Whether the program of a row is there: some verbs are programs of their own, which are built with the workspace.
+/// True if the program of a row is built: some verbs are programs of the workspace.
 pub(crate) fn is_built(row: &str) -> bool {
     let verb = row.split(' ').next().unwrap_or_default();
     if !["serve", "bridge", "link", "bench"].contains(&verb) {

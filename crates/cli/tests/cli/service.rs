@@ -106,7 +106,7 @@ fn every_verb_has_a_manual_page() {
     }
 }
 
-/// The units, and what `systemd-analyze security` says of them at most, in tenths of its points of 10.
+/// The units, and their maximum exposure by `systemd-analyze security`, in tenths of a point of 10.
 const UNITS: [(&str, u32); 4] = [
     ("joulebus@.service", 12),
     ("joulebus-record@.service", 12),

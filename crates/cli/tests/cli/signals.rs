@@ -13,8 +13,8 @@ use crate::captures::capture;
 use crate::exits::{below, subcommands};
 use crate::fleet::{Fleet, Program, code, joulebus, json, output, stderr, stdout};
 
-/// Subcommands that go on until a signal, their exit code then, and what they say once they run. Words in capitals are
-/// files.
+/// Subcommands that go on until a signal, their exit code then, and a line that they print once
+/// they run. Words in capitals are files.
 const RUNS: &[(i32, &str, &str)] = &[
     (
         0,
@@ -65,8 +65,7 @@ const RUNS: &[(i32, &str, &str)] = &[
     (1, "train sim --seed 1 -o NEW", "epoch   1"),
 ];
 
-/// Subcommands that compute for a while, and leave nothing but whole files: a signal ends them at once, as it ends any
-/// program.
+/// Subcommands that compute for a while, and leave only whole files: a signal ends them at once.
 const COMPUTES: &[&str] = &[
     "data simulate NEW --steps 4000000",
     "mission --hours 24",
@@ -74,7 +73,7 @@ const COMPUTES: &[&str] = &[
     "bench kernel",
 ];
 
-/// Subcommands that end by themselves within moments, or as soon as they have read their files: [`crate::exits`] has
+/// Subcommands that end by themselves, at once or after reading their files. [`crate::exits`] has
 /// their codes.
 const ENDS: &[&str] = &[
     "ask",
@@ -178,7 +177,7 @@ fn a_signal_ends_what_computes_at_once_and_leaves_only_whole_files() {
     }
 }
 
-/// Runs a row until it computes, and ends it; tries again where this process got no processor until it was done.
+/// Runs a row until it computes, and ends it. Retries where it was done before this process looked.
 fn interrupted(row: &str, signal: Signal) -> (Fleet, Output) {
     for _ in 0..20 {
         let fleet = Fleet::new();
@@ -191,8 +190,8 @@ fn interrupted(row: &str, signal: Signal) -> (Fleet, Output) {
     panic!("{row} is done before any signal");
 }
 
-/// Sends a signal to a program that runs, and waits for its end; `None` if it was over before. It is stopped first, so
-/// that there is no doubt.
+/// Sends a signal to a running program, and waits for its end. `None` if it was over before: it is
+/// stopped first, to be sure.
 fn end_running(mut program: Program, signal: Signal) -> Option<Output> {
     program.signal(Signal::STOP);
     let stat = format!("/proc/{}/stat", program.pid());
@@ -210,7 +209,6 @@ fn end_running(mut program: Program, signal: Signal) -> Option<Output> {
     is_stopped.then_some(ended)
 }
 
-/// The files of a folder, if there is one.
 fn files_below(folder: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).into_iter().flatten();
     let paths = entries.map(|entry| entry.unwrap().path());

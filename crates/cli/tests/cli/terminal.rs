@@ -1,4 +1,4 @@
-//! The live view in a pseudo-terminal: real programs, keys as a terminal sends them, and what it would show.
+//! The live view in a pseudo-terminal: real programs, a terminal's keys, and the resulting screen.
 
 use std::fs::File;
 use std::io::{Read as _, Write as _};
