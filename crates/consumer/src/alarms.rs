@@ -54,7 +54,6 @@ pub struct AlarmChange {
 /// The alarms that are raised, and since when.
 #[derive(Debug, Clone, Default)]
 pub struct AlarmHistory {
-    /// Robots with alarms.
     robots: HashMap<u32, Raised>,
     /// Run of the worker, and tick, of the newest frame.
     place: Option<(u64, u64)>,
@@ -72,8 +71,8 @@ struct Raised {
 }
 
 impl AlarmHistory {
-    /// Takes the diagnostics of a tick, sent or received at `at_ns`, and calls `each` for every change: robots in
-    /// the order of the frame, then those that have left, by id. Frames of an earlier tick are passed over.
+    /// Takes the diagnostics of a tick, sent or received at `at_ns`, and calls `each` for every
+    /// change: robots in the order of the frame, then robots that left, by id. Skips earlier ticks.
     pub fn take(
         &mut self,
         header: &DiagnosticHeader,
@@ -85,7 +84,7 @@ impl AlarmHistory {
         if self.place >= Some(place) {
             return;
         }
-        // Of another run nothing is known to be missing.
+        // Ticks of different runs are not comparable.
         let before = self.place.filter(|(epoch, _)| *epoch == place.0);
         let missed = before.map_or(0, |(_, tick)| place.1 - tick - 1);
         self.ticks_missed = self.ticks_missed.saturating_add(missed);
@@ -187,15 +186,15 @@ impl AlarmHistory {
         self.ticks
     }
 
-    /// Ticks between them without diagnostics: overwritten before they were read, or not sent by a worker that
-    /// lacked the time. Alarms that were raised and cleared within them are not known.
+    /// Ticks between them without diagnostics: overwritten before they were read, or left out by an
+    /// overloaded worker. Alarms that were raised and cleared within them are not known.
     #[must_use]
     pub const fn ticks_missed(&self) -> u64 {
         self.ticks_missed
     }
 }
 
-/// All diagnostics of a fleet from now on, as changes of alarms. Belongs to the thread that connected it.
+/// All diagnostics of a fleet from now on, as changes of alarms. Belongs to the connecting thread.
 pub struct AlarmFeed {
     reader: Reader<Diagnostics>,
     history: AlarmHistory,
@@ -221,15 +220,15 @@ impl AlarmFeed {
         })
     }
 
-    /// The pause after which [`AlarmFeed::changes`] is to be called again, so that nothing is overwritten.
+    /// Longest pause between calls of [`AlarmFeed::changes`] in which nothing is overwritten.
     #[must_use]
     pub const fn look_every(&self) -> Duration {
         self.look_every
     }
 
-    /// Takes everything that the worker has sent since the last call, and calls `each` for every change, with
-    /// monotonic times. It does not wait, and does not listen to events: a listener costs the worker time in every
-    /// tick.
+    /// Takes everything that the worker has sent since the last call, and calls `each` for every
+    /// change, with monotonic times. Does not wait, nor listen to events, which would cost the
+    /// worker time in every tick.
     ///
     /// # Errors
     /// [`ReadError`]; the next call may succeed, unless the fleet's files were removed.
@@ -247,7 +246,7 @@ impl AlarmFeed {
         check_schema(found, foreign)
     }
 
-    /// What is raised.
+    /// The alarms so far.
     #[must_use]
     pub const fn history(&self) -> &AlarmHistory {
         &self.history

@@ -14,7 +14,7 @@ use crate::{AlarmChange, AlarmFeed, AlarmHistory, Change, Event, ReadError, Subs
 pub struct FleetAlarm {
     /// The robot; `None` for the worker.
     pub robot: Option<u32>,
-    /// The alarm's name: of a robot that of [`joulebus_wire::Alarm`]; of the worker `WorkerGone` or `WorkerStale`.
+    /// Name of the [`joulebus_wire::Alarm`]; for the worker `WorkerGone` or `WorkerStale`.
     pub alarm: &'static str,
     /// Its level.
     pub level: Level,
@@ -72,8 +72,9 @@ impl FleetAlarms {
         })
     }
 
-    /// Waits a tenth of a second at most, and calls `each` for every change. To be called again at once, so that
-    /// nothing is overwritten. It listens to no events, which would cost the worker time in every tick.
+    /// Waits a tenth of a second at most, and calls `each` for every change. Call it again at once,
+    /// so that nothing is overwritten. It listens to no events, which would cost the worker time in
+    /// every tick.
     ///
     /// # Errors
     /// [`ReadError`]; the next call may succeed, unless the fleet's files were removed.

@@ -39,8 +39,8 @@ pub(crate) fn member() {
     });
 }
 
-/// Commands: `ticks FROM TO`, `wake`, `period NS`, `schema N`, `epoch N`, `pid N`, `update`, `end`. An impostor has
-/// the worker's ports, and not its lock.
+/// Commands: `ticks FROM TO`, `wake`, `period NS`, `schema N`, `epoch N`, `pid N`, `update`, `end`.
+/// An impostor has the worker's ports, but not its lock.
 fn worker(config: &Path, is_worker: bool) {
     let config = Config::load(config).unwrap();
     let limits = config.limits();
