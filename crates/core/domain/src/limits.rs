@@ -38,12 +38,12 @@ impl Default for Limits {
 const SPARE: usize = 2;
 /// Questions of a client that can be in transfer.
 pub const ACTIVE_QUERIES: usize = 1;
-/// Most clients that ask the worker.
+/// Maximum number of clients that ask the worker.
 const MOST_QUERY_CLIENTS: usize = 16;
 /// The thread that answers questions waits as a planner does.
 const ANSWERING: usize = 1;
-/// Readers in the worker's own process: the checkpointer, and the thread that answers questions or, of diagnostics, the one
-/// that logs alarms.
+/// Readers in the worker's own process: the checkpointer, and a thread that answers questions or
+/// (of diagnostics) logs alarms.
 const OF_WORKER: usize = 2;
 /// Recorders that a fleet can have at once.
 const RECORDERS: usize = 2;
@@ -144,7 +144,7 @@ impl Limits {
         }
     }
 
-    /// The most rows that a frame may have.
+    /// Maximum number of rows of a frame.
     #[must_use]
     pub fn rows(&self, rows: FrameRows) -> usize {
         match rows {
@@ -172,14 +172,12 @@ impl Limits {
         self.query_clients() * ACTIVE_QUERIES
     }
 
-    /// Listeners and notifiers of the event that wakes clients; of that which wakes the worker the other
-    /// way round.
+    /// Listeners and notifiers of the event that wakes clients; swapped, those of the worker's.
     #[must_use]
     pub const fn query_events(&self) -> (usize, usize) {
         (self.query_clients(), 1 + SPARE)
     }
 
-    /// Bytes of a piece of a keyframe.
     fn state_piece_bytes(&self) -> usize {
         let (least, most) = STATE_PIECE_BYTES;
         self.capacity
