@@ -1,7 +1,7 @@
 //! What a channel is: a service of shared memory through which frames go, each a header and rows.
 //!
-//! A channel is declared once, here or in another crate. Its ports, its place in a capture, its way over a
-//! link and through a simulation follow from the declaration.
+//! A channel is declared once, here or in another crate. Ports, captures, links and simulations
+//! follow from the declaration.
 
 use crate::{
     Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
@@ -13,7 +13,8 @@ use crate::{
 pub trait Channel: std::fmt::Debug + Copy + Send + Sync + 'static {
     /// Its service, which also names its topic in a capture.
     const SERVICE: Service;
-    /// Name of a frame's message in a capture, without the package; that of a row is [`crate::StructLayout::name`].
+    /// Name of a frame's message in a capture, without the package. A row has its
+    /// [`crate::StructLayout::name`].
     const MESSAGE: &'static str;
     /// Who sends and who reads.
     const FLOW: Flow;
@@ -72,7 +73,7 @@ pub enum FrameRows {
 pub struct Place {
     /// The run of the worker, or of the source.
     pub run: u64,
-    /// The tick within it, the number of the source's frame, or the time of sending where frames have no number.
+    /// The tick within it, the number of the source's frame, or else the time of sending.
     pub number: u64,
 }
 
@@ -120,8 +121,9 @@ macro_rules! channels {
     )*};
 }
 
-/// Implements [`FrameHeader`]: the fields of the place; of the times of sending and of the period, each where there is one.
-/// `frame_header!(ForecastHeader { place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns; })`.
+/// Implements [`FrameHeader`] from the fields of the place, and of times and period if there are
+/// any:
+/// `frame_header!(Header { place: run, number; sent: sent_ns, sent_unix_ns; period: period_ns; })`.
 #[macro_export]
 macro_rules! frame_header {
     ($header:ident {
@@ -167,8 +169,8 @@ channels! {
     /// Samples of the robots, from their controllers.
     Samples: "samples", SampleHeader { place: source_epoch, frame_seq; sent: sent_ns, sent_unix_ns; },
         Sample, Flow::Sources, FrameRows::Robots;
-    /// Forecasts, of every tick. A planner can keep two frames beside the newest: that of its loop's variable while
-    /// the next is waited for, and one more.
+    /// Forecasts, of every tick. A planner can keep two frames beside the newest: one in its loop's
+    /// variable while it waits for the next, and one more.
     Forecasts: "forecasts", ForecastHeader {
             place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns;
         }, Forecast, Flow::Planners { kept: 2, history: 0 }, FrameRows::Robots;

@@ -11,8 +11,8 @@ bits! {
         pub const RESIDUAL: u32 = 1 << 0;
         /// At least one residual has been scored.
         pub const SCORES: u32 = 1 << 1;
-        /// The forecast learns online: the fields from `network_w` to `level_w` are known. Otherwise they are
-        /// NaN.
+        /// The forecast learns online: the fields from `network_w` to `level_w` are known.
+        /// Otherwise they are NaN.
         pub const LEARNED: u32 = 1 << 2;
     }
 }
@@ -84,7 +84,8 @@ rows! {
         pub held_weight_last: f32,
         /// That of the stack.
         pub held_weight_stack: f32,
-        /// Gain of the last reading within the stack: signed, on its deviation from the model's autoregression.
+        /// Gain of the last reading within the stack: signed, on its deviation from the model's
+        /// autoregression.
         pub gain_last: f32,
         /// That of the network.
         pub gain_network: f32,
@@ -217,8 +218,7 @@ pub enum Alarm {
     BatteryCritical,
     /// The state of charge is below the platform's low level.
     BatteryLow,
-    /// The measured state of charge contradicts the energy drawn: it does not change, or jumps. It is
-    /// not used.
+    /// The measured state of charge does not follow the energy drawn, or jumps. It is not used.
     SocImplausible,
     /// No alarm.
     None,
@@ -227,8 +227,8 @@ pub enum Alarm {
 }
 
 impl Alarm {
-    /// All alarms that can be raised, in the order of their codes. Of one level, the first is the most
-    /// important.
+    /// All alarms that can be raised, in the order of their codes. Of one level, the most important
+    /// first.
     pub const ALL: [Self; 16] = [
         Self::NoData,
         Self::OutOfRange,

@@ -58,7 +58,7 @@ const fn element<T>(name: &'static str) -> StructLayout {
     }
 }
 
-/// The most instants or runs that a row has.
+/// Maximum number of instants or runs of a row.
 const MAX_MOVED: usize = 16;
 
 /// Offsets of the fields with a role, and their number.
@@ -98,7 +98,7 @@ pub enum FieldRole {
     Value,
     /// An instant of the monotonic clock of the host where the frame was sent, ns.
     Instant,
-    /// The run of a source or of the worker: the instant at which it began, which names it on every host.
+    /// The run of a source or of the worker, named on every host by the instant at which it began.
     Run,
 }
 
@@ -202,13 +202,14 @@ pub const fn field<P, T: Described>(
     }
 }
 
-/// Declares structs of shared memory: `Name: type name, bytes` and, where it is not 8, the alignment.
-/// The file imports [`crate::declare::ZeroCopySend`], which the derive names without a path, and its crate has `bytemuck` with
-/// `derive`.
+/// Declares structs of shared memory: `Name: type name, bytes` and, where it is not 8, the
+/// alignment. The file imports [`crate::declare::ZeroCopySend`], which the derive names without a
+/// path, and its crate has `bytemuck` with `derive`.
 ///
-/// The type name is what iceoryx2 compares between processes. [`Pod`] is derived, so the compiler refuses padding and fields with
-/// invalid bit patterns. Size and alignment are part of the schema: another one does not compile. [`Row::LAYOUT`] lists the
-/// fields, with their comments, for other languages. A field is marked `#[instant]` or `#[run]` where it is one of [`FieldRole`].
+/// iceoryx2 compares the type name between processes. [`Pod`] is derived, so the compiler refuses
+/// padding and fields with invalid bit patterns. Size and alignment are part of the schema: another
+/// one does not compile. [`Row::LAYOUT`] lists the fields, with their comments, for other
+/// languages. `#[instant]` and `#[run]` mark the fields of these [`FieldRole`]s.
 #[macro_export]
 macro_rules! rows {
     ($($(#[doc = $doc:literal])* $(#[derive($derive:ident)])?
@@ -254,7 +255,7 @@ macro_rules! rows {
     (@align $align:literal) => { $align };
 }
 
-/// Declares a module of bits of one field, with the table of them: `TABLE` has name, value and comment.
+/// Declares a module of bits of one field, with their `TABLE` of name, value and comment.
 macro_rules! bits {
     ($(#[doc = $doc:literal])* pub mod $module:ident {
         $($(#[doc = $bit_doc:literal])* pub const $name:ident: $type:ty = $value:expr;)*
