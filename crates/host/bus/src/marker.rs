@@ -47,7 +47,6 @@ impl Marked {
         }
     }
 
-    /// The directory of the fleet.
     pub(crate) fn fleet(domain: &Domain) -> Self {
         let (fleet, prefix) = (domain.fleet(), domain.shm_prefix());
         Self {

@@ -120,8 +120,8 @@ pub(crate) fn shared_memory() -> Result<(u64, u64), CapacityError> {
     ))
 }
 
-/// Checks that a node, service or port would have the file descriptors and `needed` bytes of shared memory: the
-/// errors of iceoryx2 do not state that one of them is lacking (#624).
+/// Checks that a node, service or port would have the file descriptors and `needed` bytes of shared
+/// memory: iceoryx2's errors do not name the lack of one of them (#624).
 pub(crate) fn check_left(needed: usize) -> Result<(), CapacityError> {
     check_free(needed)?;
     let limit = descriptors_limit();
@@ -152,8 +152,8 @@ pub(crate) fn segment_bytes<C: Channel>(limits: &Limits, max_len: usize) -> u64 
     (limits.shape(C::FLOW).frames() * frame + SEGMENT_OVERHEAD) as u64
 }
 
-/// Bytes of the memory that the port for answers writes to, as iceoryx2 counts them: for each question that
-/// can be in transfer, in both its queue and its client's hands, one response buffered, borrowed and loaned.
+/// Bytes of the memory that the port for answers writes to, as iceoryx2 counts them: for each
+/// question in a queue or a client's hands, one response buffered, borrowed and loaned.
 pub(crate) const fn server_bytes(clients: usize) -> u64 {
     let frame = FRAME_OVERHEAD + size_of::<AnswerHeader>() + 8 * ANSWER_WORDS;
     (clients * 2 * ACTIVE_QUERIES * 3 * frame + SEGMENT_OVERHEAD) as u64

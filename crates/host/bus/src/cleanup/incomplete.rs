@@ -1,8 +1,8 @@
 //! Objects, services and nodes whose creator was killed before they were complete.
 //!
 //! iceoryx2 removes complete nodes of dead processes only, and it cannot distinguish an incomplete
-//! object from one that is being created (#1771, #364). The kernel can: a process that creates or uses an object
-//! has its file open.
+//! object from one that is being created (#1771, #364). The kernel can: a process that creates or
+//! uses an object has its file open.
 
 use std::collections::{BTreeMap, HashSet};
 use std::fs;
@@ -44,14 +44,14 @@ pub(crate) fn remove_incomplete(domain: &Domain) -> Result<u64, RootError> {
     Ok(Candidates::find(domain)?.remove())
 }
 
-/// Searches again and again, and passes over directories that have not changed: nothing becomes incomplete without a name
-/// that is added to one of them. A search costs some 200 system calls, and every member searches four times a second.
+/// Repeats the search, without directories that have not changed: whatever becomes incomplete adds
+/// a name to one of them. A search costs some 200 system calls, four times a second per member.
 #[derive(Debug, Default)]
 pub(super) struct Search {
     /// The directories before the last search, with what changes when a name is added.
     seen: Vec<(PathBuf, Change)>,
-    /// Nothing was incomplete in them, twice: a name may be added at the instant of a search, in which the clock of the
-    /// file system stands still.
+    /// The last two searches found nothing. One is not enough: a name may be added at the instant
+    /// of a search, while the clock of the file system stands still.
     is_settled: bool,
     passed_over: u32,
 }
@@ -165,12 +165,15 @@ pub(crate) struct Abandoned {
 }
 
 impl Abandoned {
-    /// Removes the description of service `name` if no process uses it, and none has for a quarter of a second: its
-    /// creator was killed before its shared memory existed, or its last user before removing the description; one that
-    /// is just removing both, memory first, needs a moment. One whose shared memory was removed is removed even if a
-    /// process has it open: no other process can use it. To be called again and again; returns the number removed.
+    /// Removes the description of service `name` once no process has used it for a quarter of a
+    /// second. To be called repeatedly. Returns the number removed.
     ///
-    /// iceoryx2's `force_remove_service` (#1584) leaves it to its caller that no process uses the service.
+    /// Its creator was killed before its shared memory existed, or its last user before removing
+    /// the description. A user that is just leaving removes the memory first, and needs a moment.
+    /// Without shared memory the description is removed even if a process has it open: it is of no
+    /// use.
+    ///
+    /// iceoryx2's `force_remove_service` (#1584) relies on its caller that nobody uses the service.
     pub(crate) fn remove(&mut self, domain: &Domain, name: &str) -> u64 {
         let mut services = services(domain);
         services.retain(|service| {
@@ -224,7 +227,6 @@ fn remove_unless_open(files: Vec<Object>, open: &HashSet<Identity>) -> u64 {
         .count() as u64
 }
 
-/// The descriptions of the domain's services.
 fn services(domain: &Domain) -> Vec<Object> {
     own_files(domain, &domain.directory().join(SERVICES))
 }

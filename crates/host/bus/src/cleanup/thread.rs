@@ -17,7 +17,7 @@ use crate::liveness::presence::{FilesRemoved, Presence};
 use crate::marker::{Marked, open_directory};
 use crate::os::fork;
 
-/// A member may be blocked on an incomplete object, so this is frequent; most passes read no directory ([`Search`]).
+/// A member may be blocked on an incomplete object. Most rounds read no directory ([`Search`]).
 const INCOMPLETE_EVERY: Duration = Duration::from_millis(250);
 /// Number of rounds between searches for dead nodes: once a second.
 const DEAD_NODES_EVERY: u64 = 4;

@@ -14,20 +14,21 @@ use crate::marker::open_directory;
 const PATIENCE: Duration = Duration::from_millis(500);
 const TRY_EVERY: Duration = Duration::from_millis(2);
 
-/// The exclusive right to remove nodes and services, among the processes of a domain; the kernel gives it back when
-/// its holder ends.
+/// The exclusive right to remove nodes and services, among the processes of a domain. The kernel
+/// gives it back when its holder ends.
 ///
-/// iceoryx2 0.10 locks each dead node, not the services that dead nodes share (#1578, #897, #21). One process may read the
-/// description of a service, then another removes the last of its nodes with the service, a third creates the service
-/// anew, and the first, which does not find the old service's list of ports, removes the new description: by name.
+/// iceoryx2 0.10 locks each dead node, not the services that dead nodes share (#1578, #897, #21).
+/// One process may read the description of a service, and another removes its last node and the
+/// service. A third creates the service anew. The first finds no list of ports of the old service,
+/// and removes the new description, by name.
 #[derive(Debug)]
 pub(crate) struct Turn {
     _lock: Option<File>,
 }
 
 impl Turn {
-    /// Waits until no other process has the turn, at most half a second; then, or where there is no folder of services to
-    /// lock, goes on without.
+    /// Waits at most half a second until no other process has the turn. Then, or where no folder of
+    /// services can be locked, goes on without it.
     pub(crate) fn take(domain: &Domain) -> Self {
         let Ok(folder) = open_directory(&domain.directory().join(SERVICES)) else {
             return Self { _lock: None };

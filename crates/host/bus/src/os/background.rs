@@ -30,8 +30,8 @@ pub struct Panicked {
 }
 
 impl Background {
-    /// Starts a thread of the name `name`, and waits until `open` has returned in it: ports belong to
-    /// the thread that opens them.
+    /// Starts a thread named `name`, and waits until `open` has returned in it: ports belong to the
+    /// thread that opens them.
     ///
     /// # Errors
     /// That of `open`, or that of the system if the thread could not be started.

@@ -23,8 +23,8 @@ impl Failures {
         })
     }
 
-    /// A handler that records a failed connection to `port` instead of returning an error immediately,
-    /// which would leave the following ports unconnected too.
+    /// A handler that records a failed connection to `port`. Returning an error immediately would
+    /// leave the following ports unconnected too.
     pub(crate) fn handler(
         self: &Arc<Self>,
         port: fn(&DegradationInfo) -> u128,

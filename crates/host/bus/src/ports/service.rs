@@ -172,8 +172,8 @@ fn retry<S, E: Debug>(
     }
 }
 
-/// Creates a port. The ports of killed processes take places until their nodes are removed, which members do once a second:
-/// where no place is left it is done at once, as long as there are such nodes.
+/// Creates a port. Ports of killed processes take places until members, once a second, remove their
+/// nodes. If no place is left that is done at once, as long as there are such nodes.
 ///
 /// # Errors
 /// That of iceoryx2.

@@ -29,7 +29,7 @@ impl Wear {
         self.clients.len()
     }
 
-    /// Whether connections of clients that have left may be kept for nothing. `is_idle`: no question waits.
+    /// True if connections of clients that have left may be kept; `is_idle`: no question waits.
     pub(crate) fn is_worn(&self, is_idle: bool, now_ns: u64) -> bool {
         let is_quiet = now_ns.saturating_sub(self.left_ns) >= WORN_AFTER_NS;
         self.left >= MOST_LEFT || (self.left > 0 && is_idle && is_quiet)

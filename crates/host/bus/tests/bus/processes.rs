@@ -318,7 +318,7 @@ fn a_start_removes_all_files_only_if_no_member_is_alive() {
     let report = must(&mut place.member(), "join");
     assert!(report.contains("cold: false"), "{report}");
     assert!(!sweep(&place.domain).unwrap().cold);
-    // The source itself may be removing what the dead ones had, and has not got a processor until it is done.
+    // The source itself may be removing the dead ones' files, and not have got a processor since.
     eventually("live members are not affected", || {
         must(&mut source, "send 1") == "0"
     });
