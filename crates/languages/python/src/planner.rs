@@ -91,7 +91,8 @@ impl PlannerPorts {
         Ok(Self { thread })
     }
 
-    /// The next event within `timeout_s`, for ever without: a frame, `("gone", how)`, `("stale", age_s)`, or `None`.
+    /// The next event within `timeout_s`, or without limit: a frame, `("gone", how)`,
+    /// `("stale", age_s)`, or `None`.
     fn wait<'py>(
         &self,
         py: Python<'py>,
@@ -114,7 +115,7 @@ impl PlannerPorts {
         }
     }
 
-    /// The newest of the fleet's diagnostics: tick and bytes; `None` if none arrived within `timeout_s`.
+    /// The fleet's newest diagnostics: tick and bytes; `None` if none arrived within `timeout_s`.
     fn diagnostics<'py>(
         &self,
         py: Python<'py>,
@@ -123,7 +124,7 @@ impl PlannerPorts {
         self.poll(py, timeout_s, State::diagnostics)
     }
 
-    /// The newest of the fleet's budgets: tick and bytes; `None` if none arrived within `timeout_s`.
+    /// The fleet's newest budgets: tick and bytes; `None` if none arrived within `timeout_s`.
     fn budgets<'py>(
         &self,
         py: Python<'py>,
@@ -210,7 +211,7 @@ impl State {
             Ok(Event::Frame(frame)) => frame.arrival(),
             Ok(Event::Gone(end)) => return Ok(Told::Gone(end)),
             Ok(Event::Stale { age_ns }) => return Ok(Told::Stale { age_ns }),
-            // Of an interruption, the caller learns by its signal.
+            // The caller learns of an interruption by its signal.
             Ok(_) => return Ok(Told::Nothing),
             Err(error) => return Err(read_failed(&error, kept)),
         };
@@ -258,8 +259,8 @@ impl State {
     }
 }
 
-/// A frame of forecasts in shared memory, for NumPy: the array that it makes has this object as its base, which
-/// keeps the frame. Nothing is copied.
+/// A frame of forecasts in shared memory, for NumPy. The array that NumPy makes has this object as
+/// its base, which keeps the frame. Nothing is copied.
 #[pyclass(module = "joulebus._native", frozen)]
 #[derive(Debug)]
 pub(crate) struct FrameMemory {

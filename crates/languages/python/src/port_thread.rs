@@ -1,5 +1,5 @@
-//! A thread that owns ports of shared memory, which belong to the thread that opened them, while Python's
-//! objects may be used and destroyed in any thread.
+//! A thread that owns ports of shared memory. Ports belong to the thread that opened them, but
+//! Python's objects may be used and destroyed in any thread.
 
 use std::fmt;
 use std::process;
@@ -14,8 +14,8 @@ type Call<S> = Box<dyn FnOnce(&mut S) + Send>;
 
 /// A handle of the thread. It ends, and drops its ports, when the last handle is dropped.
 ///
-/// Belongs to the process that started it: in a child made by `fork` there is no such thread, and the ports are the
-/// parent's. Every use there is refused, and dropping a handle there does nothing.
+/// Belongs to the process that started it: a child made by `fork` has no such thread, and the ports
+/// are the parent's. Every use there is refused, and dropping a handle there does nothing.
 pub(crate) struct PortThread<S> {
     calls: Option<Sender<Call<S>>>,
     pid: u32,

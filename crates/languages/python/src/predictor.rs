@@ -17,7 +17,7 @@ use crate::array::{Numbers, array, shape_error, shape_text};
 use crate::error::ModelError;
 use crate::model;
 
-/// Rows from which on other Python threads may run meanwhile: below, releasing costs more than computing.
+/// Rows from which on other Python threads may run meanwhile: below, releasing costs more.
 const RELEASED_FROM: usize = 32;
 
 /// Energies and powers of rollouts.

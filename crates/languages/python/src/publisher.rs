@@ -36,8 +36,8 @@ impl PublisherPort {
         Ok(Self { thread })
     }
 
-    /// Sends one frame. `columns` are by the names of `RobotState`'s fields; NaN and absent columns are unknown.
-    /// Returns the number of readers, that of samples, and the frame's own.
+    /// Sends one frame. `columns` are by the names of `RobotState`'s fields; NaN and absent columns
+    /// are unknown. Returns the numbers of readers and of samples, and the frame's own.
     fn publish(
         &self,
         py: Python<'_>,

@@ -1,5 +1,5 @@
-//! Questions about plans: what command sequences, a path or a time at rest cost, computed here from what the
-//! worker writes into shared memory.
+//! Questions about plans: what command sequences, a path or a time at rest cost, computed here from
+//! the worker's shared memory.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -18,7 +18,7 @@ use crate::error::{ConnectError, ReadError, of_read};
 use crate::planner::{SLICE, deadline};
 use crate::port_thread::PortThread;
 
-/// The connection of a planner that asks. The worker writes what plans start from while there is one.
+/// The connection of a planner that asks, for which the worker writes what plans start from.
 #[pyclass(module = "joulebus._native", frozen)]
 #[derive(Debug)]
 pub(crate) struct QuestionPorts {
@@ -242,7 +242,7 @@ impl Nothing {
 fn seen(planner: &mut Planner, slice: Duration, robots: &[u32]) -> PyResult<Result<Seen, Nothing>> {
     let view = match planner.wait(slice) {
         Ok(view) => view,
-        // Of an interruption, the caller learns by its signal.
+        // The caller learns of an interruption by its signal.
         Err(ViewError::Nothing { .. } | ViewError::Interrupted) => return Ok(Err(Nothing)),
         Err(ViewError::Read(error)) => return Err(ReadError::new_err(of_read(&error))),
         Err(error) => return Err(ReadError::new_err(error.to_string())),

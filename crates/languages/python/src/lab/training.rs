@@ -85,8 +85,8 @@ enum Told {
 /// The report's JSON and text, the model file's bytes, and the epochs.
 type Made<'py> = (String, String, Bound<'py, PyBytes>, Vec<EpochRow>);
 
-/// Trains on recordings: with a split of them, or with parts of their own. `remark` is called with what was left out of
-/// directories, `progress` with each epoch.
+/// Trains on recordings, with a split of them or with parts of their own. `remark` is called with
+/// what was left out of directories, `progress` with each epoch.
 #[pyfunction]
 #[allow(clippy::too_many_arguments, reason = "arguments of one call in Python")]
 pub(crate) fn train_recordings<'py>(
