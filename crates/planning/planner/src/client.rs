@@ -11,8 +11,8 @@ use joulebus_connect::{ConnectError, join};
 use joulebus_plan::{Question, Refused, Reply};
 use joulebus_wire::{AnswerHeader, QueryHeader, fnv1a};
 
-/// Asks the thread of `joulebus run` that answers questions about plans. Loads no models, and needs no
-/// more memory than a question and an answer. Belongs to one thread.
+/// A client of the thread of `joulebus run` that answers questions about plans. Loads no models,
+/// and needs no more memory than a question and an answer. Belongs to one thread.
 pub struct PlanClient {
     client: QueryClient,
     fleet: u64,
@@ -86,11 +86,11 @@ impl PlanClient {
         asked.answered(&answer, &words)
     }
 
-    /// As [`PlanClient::ask`], without waiting: [`PlanClient::poll`] returns the answer. An earlier question is given
-    /// up.
+    /// As [`PlanClient::ask`], without waiting: [`PlanClient::poll`] returns the answer. Gives up
+    /// an earlier question.
     ///
     /// # Errors
-    /// [`ClientError`]; [`QueryError::NotServed`] also of a worker that is just starting: ask again.
+    /// [`ClientError`]. [`QueryError::NotServed`] also if the worker is just starting: ask again.
     pub fn send(&mut self, question: &Question, timeout: Duration) -> Result<(), ClientError> {
         let (asked, header, values) = self.begin(question, timeout)?;
         self.client.send(header, &values)?;
@@ -111,8 +111,8 @@ impl PlanClient {
         Ok((asked, header, values))
     }
 
-    /// The answer to the question sent last, if it has arrived; `None` as long as it has not, and when no question is
-    /// waiting for one. Does not wait.
+    /// The answer to the question sent last. `None` until it has arrived, and if no question waits.
+    /// Does not wait.
     ///
     /// # Errors
     /// [`ClientError`]; the question is given up. At the end of its time [`QueryError::TimedOut`].
