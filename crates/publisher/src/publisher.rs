@@ -47,9 +47,8 @@ impl Publisher {
     /// run.
     ///
     /// `source_name`, 1 to 128 bytes, tells the sources of a fleet apart and must stay the same
-    /// over restarts: the worker lets the robots of a source be spoken for by its next run. The
-    /// runs are distinguished by the monotonic clock at their beginning: setting the wall clock changes
-    /// nothing.
+    /// over restarts: the worker lets a source's next run speak for its robots. The monotonic clock
+    /// at their beginning distinguishes the runs, so setting the wall clock changes nothing.
     ///
     /// # Errors
     /// [`ConnectError`] with the cause and the remedy.
