@@ -33,7 +33,7 @@ pub struct Campaign {
     pub shrinks: bool,
 }
 
-/// What a campaign came to.
+/// Results of a campaign.
 #[derive(Debug, Default, Serialize)]
 pub struct Totals {
     /// Seeds run.
@@ -138,7 +138,8 @@ impl fmt::Display for Failed {
     }
 }
 
-/// Runs a campaign; `progress` is told the number of seeds that are done, once `stop` is set, a seed that runs is given up.
+/// Runs a campaign. `progress` gets the number of seeds done. Setting `stop` gives up running
+/// seeds.
 #[must_use]
 pub fn play(campaign: &Campaign, stop: &AtomicBool, progress: impl Fn(u64) + Sync) -> Totals {
     let next = AtomicU64::new(campaign.first);
@@ -206,7 +207,6 @@ fn one(campaign: &Campaign, seed: u64, stop: &AtomicBool) -> (Outcome, Option<Fa
     (outcome, failed)
 }
 
-/// The command that runs a scenario again.
 fn command(scenario: &Scenario) -> String {
     let numbers: Vec<String> = scenario
         .faults

@@ -1,4 +1,4 @@
-//! What must always hold.
+//! The invariants.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
@@ -556,8 +556,8 @@ impl Checker {
                     format!("robot {robot} over a restart: {before:?}, then {row:?}")
                 })?;
             }
-            // The floor of the next worker is what this one found, not what it may have metered since. It makes that last when
-            // it begins, and has the slack for it.
+            // The next worker's floor is what this one found, not what it metered since. It saves
+            // that when it begins, within the slack.
             let began_ns = self.life.as_ref().map_or(now_ns, |life| life.began_ns);
             let found_ns = row.metered_ns.saturating_sub(now_ns - began_ns);
             let is_known = ended_ns > self.excused_until_ns;
@@ -600,7 +600,7 @@ impl Checker {
         Ok(())
     }
 
-    /// A capture, whose files begin with `path`, contains what its summary says, and computes to the bit.
+    /// A capture, whose files begin with `path`, contains what its summary says, and verifies.
     pub(crate) fn capture(&mut self, path: &str, summary: Option<&Summary>) -> Checked {
         let mut messages = 0;
         let names = disk::names();

@@ -21,14 +21,14 @@ pub enum Role {
     Recorder,
 }
 
-/// What happens.
+/// A fault.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Fault {
     /// A process dies in its n-th operation from then.
     Kill(Role, u64),
-    /// A process dies in its n-th access to the disk from then, and the next one in its place in the m-th.
+    /// A process dies in its n-th access to the disk from then, and its successor in the m-th.
     KillAtDisk(Role, u64, u64),
-    /// A process dies in its n-th access to the disk from then, because the power fails, for a time.
+    /// The power fails, for a time, in a process's n-th access to the disk from then.
     PowerLossAtDisk(Role, u64, u64),
     /// A process is asked to end.
     End(Role),
@@ -56,7 +56,7 @@ pub enum Fault {
     Flood(usize, u64),
     /// A process of the user sends false frames on all services.
     Hostile(u64),
-    /// A process is asked to end, and so many false frames on all services are the first that the next one reads.
+    /// A process is asked to end. Its successor first reads so many false frames on all services.
     HostileAtStart(Role, u64),
     /// So many further sources appear, each with a name and a robot of its own.
     Newcomers(u64),
@@ -123,11 +123,11 @@ pub struct Scenario {
     pub faults: Vec<(usize, Planned)>,
 }
 
-/// Longest duration of a seed that is not told otherwise, ns.
+/// Maximum duration of a seed that is not told otherwise, ns.
 const LONGEST_NS: u64 = 1_800 * SECOND;
 /// From this duration on a fleet is small and slow.
 const LONG_NS: u64 = 200 * 3_600 * SECOND;
-/// Most faults of a plan.
+/// Maximum number of faults of a plan.
 const MOST_FAULTS: u64 = 4_000;
 
 impl Setup {
@@ -249,7 +249,8 @@ impl Scenario {
             duration_ns,
         ));
         setup.poll_every_ns = polling(&mut Noise::new(seed, 5), &setup, is_long);
-        // Whoever comes first owns a robot, and starts while there is memory: source 0, if nothing is to happen to it.
+        // The first source that comes owns a robot: source 0, which starts while there is memory,
+        // if nothing is to happen to it.
         let begin_ns = if setup.everything {
             0
         } else {

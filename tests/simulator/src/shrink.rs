@@ -3,8 +3,8 @@
 use crate::scenario::Scenario;
 use crate::world::Outcome;
 
-/// The smallest scenario found that fails with the same invariant as `scenario`, and what it came to. `run`
-/// runs a scenario; `give_up` is asked before each further run.
+/// The smallest scenario found that fails with the same invariant as `scenario`, and its result.
+/// `run` runs a scenario; `give_up` is asked before each further run.
 #[must_use]
 pub fn shrink(
     scenario: &Scenario,

@@ -1,5 +1,5 @@
-//! Questions and answers. Connections of clients do not fail; that of a client which has left with a question
-//! unread is kept, as by iceoryx2 0.10.
+//! Questions and answers. Connections of clients do not fail; that of a client which has left with
+//! a question unread is kept, as by iceoryx2 0.10.
 
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
@@ -34,7 +34,6 @@ struct Server {
     kept: Cell<usize>,
 }
 
-/// A question in transfer.
 #[derive(Debug)]
 struct Transfer {
     header: QueryHeader,

@@ -167,7 +167,8 @@ impl Poller {
         self.lock = LockWatch::open(pid);
     }
 
-    /// Returns what has happened. If nothing has, the process sleeps from its next pause on until `deadline_ns`.
+    /// Returns what has happened. If nothing has, the process sleeps from its next pause on until
+    /// `deadline_ns`.
     ///
     /// # Errors
     /// The files of this process were removed.

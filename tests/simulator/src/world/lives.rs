@@ -202,7 +202,7 @@ impl World<'_> {
         self.ledger_is_kept(newest_whole(disk::peek))
     }
 
-    /// The newest ledger that was whole when a worker ended is still there, or a newer one: `found` is.
+    /// The newest ledger that was whole when a worker ended, or a newer one, is `found`.
     pub(super) fn ledger_is_kept(&mut self, found: u64) -> Checked {
         let before = std::mem::replace(&mut self.saved, found);
         if found >= before {
