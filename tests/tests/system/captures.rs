@@ -60,8 +60,8 @@ fn name(entry: &Entry) -> (String, u64, u64) {
     (entry.topic.to_string(), run, number)
 }
 
-/// Whether a recorder once got no processor for as long as its buffers last: what had waited in them was read that late, and
-/// what came before was overwritten.
+/// Whether a recorder once got no processor for as long as its buffers last: waiting messages were
+/// read that late, and earlier ones overwritten.
 fn was_overrun(found: &[Entry]) -> bool {
     // The shortest buffers of this fleet hold 16 frames (`Limits::forecast_frames` of 100 robots).
     const BUFFER_NS: u64 = 15 * 1_000_000_000 / 30;
@@ -119,8 +119,8 @@ fn a_killed_recorder_loses_at_most_the_stated_window() {
         let names: HashSet<_> = found.iter().map(name).collect();
         assert_eq!(names.len(), found.len(), "a message occurs twice");
         // A recorder opens one service after the other: of each, the messages after its first one.
-        // Nothing is missing in the middle: what is lost is the end. By numbers: some messages have the time at
-        // which the recorder received them, which differs between the two.
+        // Nothing is missing in the middle, only at the end. Compared are numbers: some messages
+        // have the time of their receipt, which differs between the two.
         let mut spans: BTreeMap<(String, u64), (u64, u64)> = BTreeMap::new();
         for entry in &found {
             let (topic, run, number) = name(entry);

@@ -1,5 +1,5 @@
-//! Rows 29 to 32: questions about plans that the worker answers: killed clients and workers, floods, hostile
-//! questions, the same bits as in the planner's process, recordings.
+//! Rows 29 to 32: questions about plans that the worker answers: killed clients and workers,
+//! floods, hostile questions, the same bits as in the planner's process, recordings.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -40,7 +40,6 @@ impl Asker {
         Some(serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error} in {line:?}")))
     }
 
-    /// Waits for a line.
     fn until<T>(&mut self, what: &str, wanted: impl Fn(&AskerLine) -> Option<T>) -> T {
         loop {
             let Some(line) = self.next() else {
@@ -58,7 +57,6 @@ impl Asker {
         });
     }
 
-    /// All further lines.
     fn rest(&mut self) -> Vec<AskerLine> {
         std::iter::from_fn(|| self.next()).collect()
     }
@@ -77,8 +75,7 @@ fn held(arena: &Arena, pid: u32) -> (usize, usize) {
     (descriptors, arena.stale_files().len())
 }
 
-/// The least that is held at any time, once all is open: some descriptors are open for moments only, those of
-/// questions among them.
+/// Minimum held at any time, once all is open: some descriptors are open for moments only.
 fn least(arena: &Arena, pid: u32) -> (usize, usize) {
     let mut last = (0, 0);
     eventually("as little is held as before", || {
@@ -457,8 +454,8 @@ fn recorded_answers_are_computed_again_and_a_changed_one_is_found() {
         let passed = std::cell::Cell::new(0);
         let place = std::cell::Cell::new(0);
         spoilt(&file, &to, |message| {
-            // Of candidates, whose last command counts, of a robot that has been read: not of a path, nor of one that
-            // is answered with unknown whatever is asked.
+            // Of candidates, whose last command counts, for a robot that has been read: not a path,
+            // nor one whose answer is always unknown.
             let query = message.get_mut::<Query>();
             let is_known =
                 |query: &&mut Query| query.rows.len() > 4 && query.rows[15].mean_j.is_finite();

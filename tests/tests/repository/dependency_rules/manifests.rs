@@ -45,8 +45,8 @@ fn table(first: &str) -> Vec<(String, String)> {
     rows.collect()
 }
 
-/// The packages of `Cargo.lock`, those of the workspace without dev-dependencies, which the lock file
-/// does not distinguish. A crate's name is that in ARCHITECTURE.md.
+/// The packages of `Cargo.lock`, those of the workspace without dev-dependencies, which the lock
+/// file does not distinguish. Crates have the names of ARCHITECTURE.md.
 fn graph() -> Graph {
     let lock = fs::read_to_string(root().join("Cargo.lock")).unwrap();
     let mut graph = Graph::new();
