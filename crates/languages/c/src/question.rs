@@ -89,7 +89,6 @@ fn follow(from: &joulebus_question, robots: &[u32], path: &[joulebus_waypoint]) 
     }
 }
 
-/// Places for answers.
 pub(crate) struct Places<'a> {
     rows: &'a mut [AnswerRow],
     power_w: &'a mut [f32],

@@ -1,5 +1,5 @@
-//! The C library and its C++ layer, as users get them: installed, found by a compiler, run beside a real worker in real
-//! shared memory. Needs `cc` and `c++`; without them the tests skip, and fail with CI=true.
+//! The C library and its C++ layer, as users get them: installed, found by a compiler, run beside a
+//! real worker in real shared memory. Without `cc` and `c++` the tests skip, and fail with CI=true.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
