@@ -49,7 +49,7 @@ impl Grown {
 /// Maximum growth of a process, however long it works and whatever it is sent, bytes: somewhat more
 /// than 60 seeds needed. A worker that is asked about plans opens plan states. The recorder has a
 /// chunk, and the index of its file.
-pub(crate) const fn most_bytes(program: &Program, setup: &Setup) -> i64 {
+pub(crate) const fn max_bytes(program: &Program, setup: &Setup) -> i64 {
     const KIB: i64 = 1_024;
     match program {
         Program::Worker(..) if setup.clients > 0 => 256 * KIB,

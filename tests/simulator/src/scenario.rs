@@ -124,11 +124,11 @@ pub struct Scenario {
 }
 
 /// Maximum duration of a seed that is not told otherwise, ns.
-const LONGEST_NS: u64 = 1_800 * SECOND;
+const MAX_DURATION_NS: u64 = 1_800 * SECOND;
 /// From this duration on a fleet is small and slow.
 const LONG_NS: u64 = 200 * 3_600 * SECOND;
 /// Maximum number of faults of a plan.
-const MOST_FAULTS: u64 = 4_000;
+const MAX_FAULTS: u64 = 4_000;
 
 impl Setup {
     /// `platform.stale_after_s`, ns.
@@ -228,7 +228,7 @@ impl Scenario {
     #[must_use]
     pub fn of(seed: u64, asked_ns: Option<u64>) -> Self {
         let mut noise = Noise::new(seed, 0);
-        let drawn_ns = (1 + noise.below(30)) as u64 * LONGEST_NS / 30;
+        let drawn_ns = (1 + noise.below(30)) as u64 * MAX_DURATION_NS / 30;
         let duration_ns = asked_ns.unwrap_or(drawn_ns);
         let is_long = duration_ns >= LONG_NS;
         let mut setup = Setup::draw(&mut noise, is_long);
@@ -299,7 +299,7 @@ fn plan(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planned> {
     const KINDS: usize = 17;
     let allowed: Vec<usize> = (0..KINDS).filter(|_| noise.below(2) == 0).collect();
     let mean_s = [3.0, 10.0, 30.0, 120.0][noise.below(4)];
-    let least_s = duration_ns as f64 * 1e-9 / MOST_FAULTS as f64;
+    let least_s = duration_ns as f64 * 1e-9 / MAX_FAULTS as f64;
     let mean_s = f64::max(mean_s * (setup.period_ns as f64 * 1e-9).max(0.3), least_s);
     let mut faults = Vec::new();
     let mut at_s = 0.0;

@@ -15,9 +15,9 @@ use rustix::process::{Pid, Signal, kill_process_group};
 use super::Line;
 
 /// Changes that wait for the command.
-const MOST_WAITING: usize = 256;
+const MAX_WAITING: usize = 256;
 /// Time that a command may take.
-const MOST: Duration = Duration::from_secs(10);
+const TIMEOUT: Duration = Duration::from_secs(10);
 /// Interval between two looks at a running command.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
@@ -31,7 +31,7 @@ pub(super) struct OnAlarm {
 
 impl OnAlarm {
     pub(super) fn start(command: String) -> anyhow::Result<Self> {
-        let (lines, waiting) = sync_channel(MOST_WAITING);
+        let (lines, waiting) = sync_channel(MAX_WAITING);
         let ending = Arc::new(AtomicBool::new(false));
         let ends = Arc::clone(&ending);
         let thread = std::thread::Builder::new()
@@ -78,13 +78,13 @@ fn run_all(command: &str, waiting: &Receiver<Line>, ending: &AtomicBool) -> u64 
     let (mut last_failure, mut end_by) = (None, None);
     for line in waiting {
         if ending.load(Ordering::Relaxed) {
-            let by = *end_by.get_or_insert_with(|| Instant::now() + MOST);
+            let by = *end_by.get_or_insert_with(|| Instant::now() + TIMEOUT);
             if Instant::now() > by {
                 failed += 1;
                 continue;
             }
         }
-        match run_once(command, &line, MOST) {
+        match run_once(command, &line, TIMEOUT) {
             Ok(()) => last_failure = None,
             Err(why) => {
                 failed += 1;
@@ -207,7 +207,7 @@ mod tests {
     fn of_more_changes_than_may_wait_the_others_are_counted() {
         let mut command = OnAlarm::start("sleep 11".to_owned()).unwrap();
         // One is taken by the command at some time, the others wait.
-        for _ in 0..MOST_WAITING + 11 {
+        for _ in 0..MAX_WAITING + 11 {
             command.tell(&line());
         }
         assert!((10..=11).contains(&command.untold), "{}", command.untold);

@@ -3,8 +3,8 @@
 use joulebus_board::{Board, Platforms, Row, Search, Sort, SortKey};
 use joulebus_wire::Level;
 
-/// Longest search, characters.
-const MOST_SEARCH_CHARACTERS: usize = 40;
+/// Maximum length of a search.
+const MAX_SEARCH_CHARACTERS: usize = 40;
 
 /// Orders in turn, with their names on the screen.
 const ORDERS: [(Sort, &str); 4] = [
@@ -129,7 +129,7 @@ impl Choice {
 
     /// Adds a character to the search; control characters are none.
     pub(crate) fn type_in(&mut self, character: char) {
-        if !character.is_control() && self.search.chars().count() < MOST_SEARCH_CHARACTERS {
+        if !character.is_control() && self.search.chars().count() < MAX_SEARCH_CHARACTERS {
             self.search.push(character);
         }
     }

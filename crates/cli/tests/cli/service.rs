@@ -9,7 +9,7 @@ use rustix::process::Signal;
 
 use crate::fleet::{Fleet, Program, code, stderr, stdout};
 
-const LONGEST: Duration = Duration::from_secs(60);
+const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// The next message that is not `WATCHDOG=1`, and how many of those came before it.
 fn next(socket: &UnixDatagram) -> (String, usize) {
@@ -47,7 +47,7 @@ fn a_service_manager_learns_when_the_worker_is_ready_works_and_ends() {
     let fleet = Fleet::new();
     let path = fleet.path("notify");
     let socket = UnixDatagram::bind(&path).unwrap();
-    socket.set_read_timeout(Some(LONGEST)).unwrap();
+    socket.set_read_timeout(Some(TIMEOUT)).unwrap();
     let mut worker = run(&fleet, &path, true);
     let (first, _) = next(&socket);
     assert!(
@@ -61,7 +61,7 @@ fn a_service_manager_learns_when_the_worker_is_ready_works_and_ends() {
         .set_read_timeout(Some(Duration::from_secs(1)))
         .unwrap();
     while ping(&socket) {}
-    socket.set_read_timeout(Some(LONGEST)).unwrap();
+    socket.set_read_timeout(Some(TIMEOUT)).unwrap();
     worker.signal(Signal::CONT);
     assert!(ping(&socket), "it works again");
     let ended = worker.end(Signal::TERM);
@@ -74,7 +74,7 @@ fn without_a_watchdog_only_ready_and_the_end_are_told() {
     let fleet = Fleet::new();
     let path = fleet.path("notify");
     let socket = UnixDatagram::bind(&path).unwrap();
-    socket.set_read_timeout(Some(LONGEST)).unwrap();
+    socket.set_read_timeout(Some(TIMEOUT)).unwrap();
     let mut worker = run(&fleet, &path, false);
     assert!(next(&socket).0.contains("READY=1"));
     worker.wait_for_stderr("ready:");

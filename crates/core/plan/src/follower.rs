@@ -159,7 +159,7 @@ pub struct Follower {
     period_s: f64,
     v_max_mps: f32,
     omega_max_radps: f32,
-    most_steps: usize,
+    max_steps: usize,
 }
 
 impl Follower {
@@ -182,19 +182,19 @@ impl Follower {
             period_s: settings.period_ns as f64 * 1e-9,
             v_max_mps,
             omega_max_radps,
-            most_steps: MAX_STEPS,
+            max_steps: MAX_STEPS,
         })
     }
 
     /// With at most this many steps a path, itself at most [`MAX_STEPS`].
     #[must_use]
-    pub fn within(mut self, most_steps: usize) -> Self {
-        self.most_steps = most_steps.min(MAX_STEPS);
+    pub fn within(mut self, max_steps: usize) -> Self {
+        self.max_steps = max_steps.min(MAX_STEPS);
         self
     }
 
-    pub(crate) const fn most_steps(&self) -> usize {
-        self.most_steps
+    pub(crate) const fn max_steps(&self) -> usize {
+        self.max_steps
     }
 
     /// The platform's name.
@@ -243,11 +243,11 @@ impl Follower {
             if away_m <= REACH_M {
                 return Ok(());
             }
-            if to.v_mps.len() >= self.most_steps {
+            if to.v_mps.len() >= self.max_steps {
                 return Err(PathError::TooLong {
                     point,
                     distance_m: away_m,
-                    allowed: self.most_steps,
+                    allowed: self.max_steps,
                 });
             }
             if to.v_mps.len() - begun >= most {

@@ -149,13 +149,13 @@ fn expected_values(header: &QueryHeader, found: usize) -> Result<usize, Refused>
     let kind = kind(header)?;
     let counts = [header.robots, header.candidates, header.steps].map(|count| count as usize);
     let [robots, candidates, steps] = counts;
-    let most_robots = if kind == QueryKind::WhatIf {
+    let max_robots = if kind == QueryKind::WhatIf {
         1
     } else {
         QUERY_ROBOTS
     };
     for (name, found, allowed) in [
-        ("robots", robots, most_robots),
+        ("robots", robots, max_robots),
         ("candidates", candidates, QUERY_CANDIDATES),
         ("steps or points", steps, QUERY_VALUES),
         ("values", found, QUERY_VALUES),

@@ -16,7 +16,7 @@ use crate::protocol::{Driver, Protocol, TRIAL_S};
 use joulebus_statistics::noise::Noise;
 use thiserror::Error;
 
-const LONGEST_STEP_S: f64 = 1.0;
+const MAX_STEP_S: f64 = 1.0;
 
 /// Random streams of one robot: manufacturing variation, state, motion.
 const STREAMS: u64 = 3;
@@ -127,7 +127,7 @@ impl Plant {
     /// positive has no effect, a step beyond one second is clamped to one second.
     pub fn step(&mut self, dt_s: f64) -> &[SimReading] {
         if dt_s > 0.0 {
-            let dt_s = dt_s.min(LONGEST_STEP_S);
+            let dt_s = dt_s.min(MAX_STEP_S);
             let end_ns = self.now_ns + libm::round(dt_s * 1e9) as u64;
             for (i, (robot, reading)) in self.robots.iter_mut().zip(&mut self.readings).enumerate()
             {

@@ -21,8 +21,8 @@ use crate::port_thread::PortThread;
 
 /// Longest wait without a look at Python's signals: Ctrl-C works within twice this.
 pub(crate) const SLICE: Duration = Duration::from_millis(40);
-/// Longest time-out; longer ones are the same as none.
-const LONGEST: Duration = Duration::from_secs(1 << 32);
+/// Maximum timeout; longer ones are the same as none.
+const MAX_TIMEOUT: Duration = Duration::from_secs(1 << 32);
 
 /// Tick and rows of the newest frame, if one arrived.
 type Rows = PyResult<Option<(u64, Vec<u8>)>>;
@@ -387,8 +387,8 @@ pub(crate) fn deadline(timeout_s: Option<f64>) -> PyResult<Option<Instant>> {
             "timeout is {timeout_s}, allowed are 0 s and more, and None for ever"
         )));
     }
-    let timeout = Duration::try_from_secs_f64(timeout_s).unwrap_or(LONGEST);
-    Ok(Instant::now().checked_add(timeout.min(LONGEST)))
+    let timeout = Duration::try_from_secs_f64(timeout_s).unwrap_or(MAX_TIMEOUT);
+    Ok(Instant::now().checked_add(timeout.min(MAX_TIMEOUT)))
 }
 
 fn closed() -> PyErr {

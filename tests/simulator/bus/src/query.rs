@@ -21,7 +21,7 @@ mod worn;
 use worn::Wear;
 
 /// Connections at which iceoryx2 panics.
-const MOST_KEPT: usize = 128;
+const MAX_KEPT: usize = 128;
 
 /// The worker's port as clients see it.
 #[derive(Debug)]
@@ -157,7 +157,7 @@ impl QueryServer {
                 let kept = self.server.kept.get() + 1;
                 self.server.kept.set(kept);
                 assert!(
-                    kept < MOST_KEPT,
+                    kept < MAX_KEPT,
                     "{kept} connections of clients that left are kept"
                 );
             }

@@ -82,12 +82,12 @@ pub(crate) fn begin() {
 }
 
 /// Maximum space that a disk has left when it begins to be full, bytes.
-const MOST_ROOM: usize = 20_000;
+const MAX_ROOM: usize = 20_000;
 
 /// Sets what fails.
 pub fn fail(fault: Fault) {
     let room = if fault == Fault::Full {
-        below(MOST_ROOM)
+        below(MAX_ROOM)
     } else {
         0
     };

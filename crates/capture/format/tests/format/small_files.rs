@@ -12,7 +12,7 @@ use prost_types::field_descriptor_proto::{Label, Type};
 use prost_types::{DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet};
 
 /// Rows that a message may have.
-const MOST_ROWS: usize = 1 << 20;
+const MAX_ROWS: usize = 1 << 20;
 
 /// Descriptors of a message with `count` fields of its own type, and one of numbers.
 fn recursive(count: i32) -> Vec<u8> {
@@ -124,11 +124,11 @@ fn no_message_of_empty_rows_is_decoded_that_has_more_than_a_fleet_has_robots() {
                 Ok(tag) if tag < 0x80 => vec![tag, 0],
                 _ => vec![(tag & 0x7f) as u8 | 0x80, (tag >> 7) as u8, 0],
             };
-            let rows = empty.repeat(MOST_ROWS + 1);
+            let rows = empty.repeat(MAX_ROWS + 1);
             let is_refused = |data: &[u8]| {
                 matches!(
                     Message::decode(kind, data),
-                    Err(DecodeError::TooManyRows { found }) if found > MOST_ROWS
+                    Err(DecodeError::TooManyRows { found }) if found > MAX_ROWS
                 )
             };
             assert!(is_refused(&rows), "{kind:?}, {number}");

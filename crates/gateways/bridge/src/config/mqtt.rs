@@ -36,7 +36,7 @@ pub(crate) struct MqttSettings {
     /// User name and password.
     pub(crate) login: Option<(String, String)>,
     pub(crate) keep_alive: Duration,
-    pub(crate) most_payload_bytes: usize,
+    pub(crate) max_payload_bytes: usize,
     pub(crate) routes: Vec<Route>,
     pub(crate) vizier: Option<VizierSettings>,
     pub(crate) writes: Vec<Write>,
@@ -129,7 +129,7 @@ impl Check<'_> {
             client_id,
             login,
             keep_alive: Duration::from_secs(section.keep_alive_s),
-            most_payload_bytes: section.max_payload_bytes as usize,
+            max_payload_bytes: section.max_payload_bytes as usize,
             routes,
             vizier,
             writes,

@@ -18,20 +18,20 @@ use super::snapshot::Snapshot;
 /// The type of the text.
 pub(super) const KIND: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// The metrics at `now_ns` (monotonic). At most `most_robots` robots have series of their own,
+/// The metrics at `now_ns` (monotonic). At most `max_robots` robots have series of their own,
 /// those with the smallest ids.
 pub(super) fn text(
     snapshot: &Arc<Snapshot>,
     now_ns: u64,
     fleet: &str,
-    most_robots: usize,
+    max_robots: usize,
 ) -> Result<String, fmt::Error> {
     let mut registry =
         Registry::with_labels([("fleet".into(), fleet.to_owned().into())].into_iter());
     registry.register_collector(Box::new(Metrics {
         snapshot: Arc::clone(snapshot),
         now_ns,
-        most_robots,
+        max_robots,
     }));
     let mut text = String::new();
     prometheus_client::encoding::text::encode(&mut text, &registry)?;
@@ -42,7 +42,7 @@ pub(super) fn text(
 struct Metrics {
     snapshot: Arc<Snapshot>,
     now_ns: u64,
-    most_robots: usize,
+    max_robots: usize,
 }
 
 /// The labels of a metric without labels.
@@ -191,7 +191,7 @@ impl Metrics {
 
     fn robots(&self, encoder: &mut DescriptorEncoder) -> fmt::Result {
         let all = self.snapshot.entries();
-        let robots = &all[..all.len().min(self.most_robots)];
+        let robots = &all[..all.len().min(self.max_robots)];
         let beyond = (all.len() - robots.len()) as f64;
         gauge(
             encoder,

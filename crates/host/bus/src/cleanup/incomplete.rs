@@ -60,12 +60,12 @@ pub(super) struct Search {
 type Change = Option<(u64, u64, i64, i64)>;
 
 /// Searches in a row that are passed over: somebody may have changed a file itself.
-const MOST_PASSED_OVER: u32 = 15;
+const MAX_PASSED_OVER: u32 = 15;
 
 impl Search {
     /// As [`remove_incomplete`].
     pub(super) fn remove(&mut self, domain: &Domain) -> Result<u64, RootError> {
-        if self.is_settled && self.passed_over < MOST_PASSED_OVER {
+        if self.is_settled && self.passed_over < MAX_PASSED_OVER {
             let is_same = |(path, seen): &(PathBuf, Change)| change(path) == *seen;
             if self.seen.iter().all(is_same) {
                 self.passed_over += 1;
@@ -389,7 +389,7 @@ mod tests {
         settle(&mut search, &domain);
         fs::set_permissions(&path, fs::Permissions::from_mode(0o600)).unwrap();
         sleep(Duration::from_millis(300));
-        let removed = (0..=MOST_PASSED_OVER).map(|_| search.remove(&domain).unwrap());
+        let removed = (0..=MAX_PASSED_OVER).map(|_| search.remove(&domain).unwrap());
         assert_eq!(removed.sum::<u64>(), 1);
         fs::remove_dir_all(domain.root()).unwrap();
     }

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use rustix::fs::{FlockOperation, OFlags, flock};
 
-use crate::liveness::worker_lock::{LONGEST_BYTES, Owner};
+use crate::liveness::worker_lock::{MAX_BYTES, Owner};
 
 /// The lock file of one run of a worker. A worker that shuts down removes the file and then empties
 /// it. That of a killed one keeps its contents until another worker writes its own into it.
@@ -46,7 +46,7 @@ impl LockWatch {
 }
 
 fn named(file: &File) -> Option<Owner> {
-    let mut text = [0; LONGEST_BYTES as usize];
+    let mut text = [0; MAX_BYTES as usize];
     let len = file.read_at(&mut text, 0).ok()?;
     Owner::parse(std::str::from_utf8(&text[..len]).ok()?)
 }

@@ -86,7 +86,7 @@ impl WorkerLock {
             .open(path)
             .ok()?;
         let mut text = String::new();
-        file.take(LONGEST_BYTES).read_to_string(&mut text).ok()?;
+        file.take(MAX_BYTES).read_to_string(&mut text).ok()?;
         Owner::parse(&text)
     }
 
@@ -212,7 +212,7 @@ impl Looks {
     }
 }
 /// A file that is longer than this is not a lock's, bytes.
-pub(crate) const LONGEST_BYTES: u64 = 64;
+pub(crate) const MAX_BYTES: u64 = 64;
 
 /// What the holder of the lock has written into its file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -280,7 +280,7 @@ fn is_lock(file: &mut File) -> io::Result<bool> {
     let is_line = line
         .iter()
         .all(|byte| byte.is_ascii_digit() || *byte == b' ');
-    Ok(found.len() <= LONGEST_BYTES && (is_line || text.iter().all(|byte| *byte == 0)))
+    Ok(found.len() <= MAX_BYTES && (is_line || text.iter().all(|byte| *byte == 0)))
 }
 
 fn first_bytes(file: &mut File) -> io::Result<Vec<u8>> {
@@ -288,7 +288,7 @@ fn first_bytes(file: &mut File) -> io::Result<Vec<u8>> {
     // A directory or a FIFO is not read.
     if file.metadata()?.is_file() {
         file.seek(SeekFrom::Start(0))?;
-        file.take(LONGEST_BYTES).read_to_end(&mut text)?;
+        file.take(MAX_BYTES).read_to_end(&mut text)?;
     }
     Ok(text)
 }

@@ -12,7 +12,7 @@ use rustix::mm::{Advice, madvise};
 /// Directory of POSIX shared memory on Linux.
 pub(crate) use joulebus_domain::SHM_DIR;
 /// Maximum size of a mapping populated while ticks run, bytes: takes a few milliseconds.
-const MOST_AT_ONCE: usize = 64 << 20;
+const MAX_AT_ONCE: usize = 64 << 20;
 
 /// Allocates the first `bytes` of a file in shared memory, all or none: no SIGBUS later.
 ///
@@ -50,7 +50,7 @@ pub(crate) fn map(part: &str) {
         return;
     };
     let of_part = |mapping: &Mapping<'_>| {
-        mapping.is_shared() && mapping.path.contains(part) && mapping.len <= MOST_AT_ONCE
+        mapping.is_shared() && mapping.path.contains(part) && mapping.len <= MAX_AT_ONCE
     };
     for mapping in maps.lines().filter_map(Mapping::parse).filter(of_part) {
         mapping.populate(Advice::LinuxPopulateRead);

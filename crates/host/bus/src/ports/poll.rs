@@ -7,7 +7,7 @@ use std::rc::Rc;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
-use super::wait::{LONGEST_SLEEP_NS, WaitError, Woken};
+use super::wait::{MAX_SLEEP_NS, WaitError, Woken};
 use crate::liveness::lock_watch::LockWatch;
 use crate::membership::Membership;
 use crate::{Bus, PeerWatch, clock};
@@ -50,7 +50,7 @@ impl Poller {
         let sleep_ns = deadline_ns.saturating_sub(clock::monotonic_ns());
         let timeout = Timespec {
             tv_sec: 0,
-            tv_nsec: sleep_ns.min(LONGEST_SLEEP_NS).cast_signed() as _,
+            tv_nsec: sleep_ns.min(MAX_SLEEP_NS).cast_signed() as _,
         };
         let mut polled = peer.map(|peer| [PollFd::new(peer, PollFlags::IN)]);
         let polled: &mut [PollFd<'_>] = polled.as_mut().map_or(&mut [], |polled| polled);

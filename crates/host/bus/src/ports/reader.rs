@@ -20,7 +20,7 @@ use crate::membership::Membership;
 use crate::{Bus, FilesRemoved, Limits, clock};
 
 /// Maximum number of frames of other processes than the worker that one call skips.
-const MOST_PASSED_OVER: u32 = 4_096;
+const MAX_PASSED_OVER: u32 = 4_096;
 
 type Port<C> = (Inlet<C>, Factory<C>);
 /// The port itself.
@@ -191,7 +191,7 @@ impl<C: Channel> Reader<C> {
                 }
                 passed_over += 1;
                 // A process that sends without end must not block the reader.
-                if passed_over == MOST_PASSED_OVER {
+                if passed_over == MAX_PASSED_OVER {
                     return Ok(None);
                 }
                 continue;

@@ -105,10 +105,10 @@ fn a_writer_connects_to_a_reader_once_it_has_file_descriptors_again() {
 
 #[test]
 fn a_start_with_few_file_descriptors_is_an_error_that_says_so_and_leaves_nothing() {
-    const MOST: u64 = 200;
+    const MAX: u64 = 200;
     let place = Place::new();
     let mut started = false;
-    for more in (0..48).chain([MOST]) {
+    for more in (0..48).chain([MAX]) {
         for role in ["source", "worker", "planner"] {
             let mut member = place.member();
             must(&mut member, &format!("files {more}"));
@@ -123,7 +123,7 @@ fn a_start_with_few_file_descriptors_is_an_error_that_says_so_and_leaves_nothing
                 "{role} with {more} descriptors: {answer}"
             );
             started |= answer.starts_with("ok");
-            assert!(more < MOST || answer.starts_with("ok"), "{role}: {answer}");
+            assert!(more < MAX || answer.starts_with("ok"), "{role}: {answer}");
             must(&mut member, "files 1000");
             member.finish();
         }
