@@ -30,7 +30,7 @@ pub(crate) fn run(args: &Args, program: clap::Command) -> anyhow::Result<Outcome
     for program in [program, external::rosbag(), external::lab()] {
         clap_mangen::generate_to(program, made.path()).with_context(failed)?;
     }
-    // What clap_mangen writes it writes in place, through links and into pipes.
+    // clap_mangen writes in place, through links and into pipes.
     for page in std::fs::read_dir(made.path()).with_context(failed)? {
         let page = page.with_context(failed)?;
         let text = std::fs::read(page.path()).with_context(failed)?;

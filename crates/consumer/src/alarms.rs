@@ -12,7 +12,7 @@ use joulebus_wire::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, Diagnostics, 
 use crate::newest::{ReadError, check_schema};
 use crate::subscriber::look_every;
 
-/// What has become of an alarm.
+/// A change of an alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Change {
     /// It is raised.
@@ -43,7 +43,7 @@ pub struct AlarmChange {
     pub robot: u32,
     /// Its alarm.
     pub alarm: Alarm,
-    /// What has become of it.
+    /// The change.
     pub change: Change,
     /// When, as the caller of [`AlarmHistory::take`] counts time, ns.
     pub at_ns: u64,
@@ -286,7 +286,7 @@ mod tests {
         }
     }
 
-    /// What changes from one frame to the next, each alarm of each robot for itself.
+    /// Expected changes from one frame to the next, for each alarm of each robot.
     fn expected(
         before: &BTreeMap<u32, u32>,
         after: &BTreeMap<u32, u32>,

@@ -18,7 +18,7 @@ pub struct FleetAlarm {
     pub alarm: &'static str,
     /// Its level.
     pub level: Level,
-    /// What has become of it.
+    /// The change.
     pub change: Change,
     /// When, monotonic ns.
     pub at_ns: u64,

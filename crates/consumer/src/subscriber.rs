@@ -20,7 +20,7 @@ use crate::{
     Arrival, Budgets, Counts, Diagnostics, End, Feed, Forecasts, PlanStates, Queries, WorkerState,
 };
 
-/// What is done with each frame.
+/// A function that is called with each frame.
 type Each<'a> = &'a mut dyn FnMut(&ForecastHeader, &[Forecast]);
 
 /// A reader of forecasts: for planners, live views, recorders.
@@ -60,7 +60,7 @@ pub(crate) fn look_every(config: &Config) -> Duration {
     LOOK_EVERY.min(Duration::from_nanos(buffered_ns / 4))
 }
 
-/// What a subscriber waits with.
+/// A subscriber's means of waiting.
 enum Waiting {
     /// Every tick wakes it.
     Listening(Box<Waiter>),

@@ -65,11 +65,11 @@ pub struct Totals {
 pub struct Failed {
     /// The seed.
     pub seed: u64,
-    /// What did not hold.
+    /// The invariant that did not hold.
     pub failure: Failure,
     /// Faults of its plan, and those that are left of them, each with its number.
     pub planned: usize,
-    /// What is left: number, time in s, fault.
+    /// The faults left: number, time in s, fault.
     pub left: Vec<(usize, f64, String)>,
     /// The command that does the same again.
     pub command: String,

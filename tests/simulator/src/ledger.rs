@@ -8,7 +8,7 @@ use simulated_host::disk;
 
 pub(crate) const LEDGER: &str = "/sim/ledger.json";
 
-/// What a file begins with.
+/// The head of a file.
 #[derive(Deserialize)]
 struct Head {
     schema: u32,

@@ -106,10 +106,10 @@ impl Program {
     }
 }
 
-/// What a program says at its end.
+/// A program's result at its end.
 pub(crate) enum Finished {
     Nothing,
-    /// What a recorder has written.
+    /// A recorder's summary.
     Recorded(Box<Summary>),
     /// Questions that a worker has answered.
     Answered(QueryReport),

@@ -1,4 +1,4 @@
-//! What a seed means: a fleet, and the faults that happen to it.
+//! The meaning of a seed: a fleet, and its faults.
 
 use joulebus_statistics::noise::Noise;
 use simulated_host::disk;
@@ -48,7 +48,7 @@ pub enum Fault {
     MemoryFull(u64),
     /// A process has no file descriptors left, for a time.
     NoDescriptors(Role, u64),
-    /// What the processes have in shared memory is removed.
+    /// All files of the processes in shared memory are removed.
     FilesRemoved,
     /// A bit of the saved ledger changes while the worker is killed.
     DamagedLedger(u64),
@@ -233,7 +233,7 @@ impl Scenario {
         let is_long = duration_ns >= LONG_NS;
         let mut setup = Setup::draw(&mut noise, is_long);
         let mut faults = plan(&mut noise, &setup, duration_ns);
-        // Of numbers of their own: what seeds meant before, they still mean.
+        // Numbers of their own, so that earlier seeds keep their meaning.
         faults.extend(forgeries(&mut Noise::new(seed, 2), &setup, duration_ns));
         let mut asking = Noise::new(seed, 3);
         setup.clients = if is_long { 0 } else { asking.below(4) };

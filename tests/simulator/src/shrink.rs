@@ -17,7 +17,7 @@ pub fn shrink(
         outcome: outcome.clone(),
         run,
     };
-    // What happens after the failure does not matter.
+    // Later events do not matter.
     if let Some(failure) = &outcome.failure {
         small.accepts(
             scenario

@@ -65,7 +65,7 @@ fn beside(program: &str, name: &str) -> PathBuf {
         let mut build = Command::new(env!("CARGO"));
         build.args(["build", "--quiet", "--locked"]);
         build.args(["--package", name, "--bin", name]);
-        // That of `program`: its folder has the profile's name, but for the one of `dev`.
+        // The profile of `program` is its folder's name, but for `dev`.
         let profile = found.parent().and_then(Path::file_name);
         if let Some(profile) = profile.filter(|profile| *profile != "debug") {
             build.arg("--profile").arg(profile);

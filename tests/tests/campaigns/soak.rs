@@ -34,7 +34,7 @@ const RECORDER: usize = 1;
 /// Interval of printing what is held in a run of hours.
 const PRINT_EVERY: Duration = Duration::from_secs(600);
 
-/// What the processes of a fleet hold.
+/// Resources of a fleet's processes.
 #[derive(Debug, Clone)]
 struct Held {
     /// Resident memory of each process without shared memory and files, kB.

@@ -12,7 +12,7 @@ use super::packaging::{metadata, name, packages};
 /// Directories that are not of the repository.
 const SKIPPED: [&str; 3] = [".git", "node_modules", "target"];
 
-/// What cargo's options that select a target call its kind.
+/// Cargo's options that select a target.
 const KINDS: [&str; 4] = ["--test", "--bin", "--example", "--bench"];
 
 /// Maximum width of a comment's line, as of code.

@@ -320,7 +320,7 @@ fn a_calm_client_is_served_next_whatever_others_ask() {
             let other = &other.record.answer;
             answer.taken_ns < other.taken_ns && other.sent_ns < answer.sent_ns
         });
-        // Those have used more time by then: a question of several robots that comes later waits.
+        // They have used more time by then: a question of several robots that comes later waits.
         assert_eq!(overtook.count(), 0, "{:?}", query.record);
     }
     arena.close();
@@ -358,7 +358,7 @@ fn hostile_questions_are_refused_by_reason_and_counted_and_harm_nobody() {
     let report = worker.stop().json();
     let counted = &report["queries"]["refused"];
     for (reason, count) in &reasons {
-        // What is too long is not even sent.
+        // Longer ones are not even sent.
         let sent = count - u64::from(reason == "TooLarge");
         assert!(
             counted[reason].as_u64().unwrap_or(0) >= sent,
@@ -438,7 +438,7 @@ fn recorded_answers_are_computed_again_and_a_changed_one_is_found() {
     assert!(count("queries_verified") > 60, "{report}");
 
     type Spoil = fn(&mut Query);
-    // Of the answer, and of the question that it belongs to.
+    // Changes of the answer, and of its question.
     let changes: [(&str, Spoil); 3] = [
         ("query.hi_j", |query| {
             query.rows[0].hi_j = f32::from_bits(query.rows[0].hi_j.to_bits() ^ 1);
@@ -450,7 +450,7 @@ fn recorded_answers_are_computed_again_and_a_changed_one_is_found() {
     ];
     for (at, (field, spoil)) in changes.into_iter().enumerate() {
         let to = arena.files().join(format!("spoilt-{at}.mcap"));
-        // Those at the begin may be about ticks before the first keyframe.
+        // The first ones may be about ticks before the first keyframe.
         let passed = std::cell::Cell::new(0);
         let place = std::cell::Cell::new(0);
         spoilt(&file, &to, |message| {

@@ -323,12 +323,12 @@ fn part(path: &Path, number: u32) -> PathBuf {
     path.with_file_name(name)
 }
 
-/// What a snapshot keeps in memory.
+/// A snapshot's contents in memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Kept {
     /// Messages.
     pub messages: u64,
-    /// What they take, bytes.
+    /// Size of the messages, bytes.
     pub bytes: u64,
     /// From the oldest to the newest, ns.
     pub span_ns: u64,

@@ -1,4 +1,4 @@
-//! What a worker sends in each tick, and how it is computed again.
+//! Outputs of a worker in each tick, and their recomputation.
 
 use std::fmt;
 
@@ -84,7 +84,7 @@ impl Output {
         }
     }
 
-    /// Those of a worker.
+    /// All outputs of a worker.
     pub(super) fn all() -> Vec<Self> {
         let forecasts = Self::of::<Forecasts>(
             &[

@@ -40,7 +40,7 @@ pub(super) struct Queries {
     span: Option<(Place, Place)>,
 }
 
-/// What plans start from, as of one tick.
+/// Plan states and budgets of one tick.
 #[derive(Debug)]
 struct Tick {
     states: Vec<PlanState>,

@@ -78,7 +78,7 @@ pub struct Verification {
     /// Whether the verification has begun.
     #[serde(skip)]
     pub(super) has_begun: bool,
-    /// What a worker sends, and whether it is recorded.
+    /// A worker's outputs, and whether they are recorded.
     #[serde(skip)]
     outputs: Vec<(MessageKind, bool)>,
 }

@@ -33,7 +33,7 @@ struct Episode {
 #[derive(Debug, Serialize)]
 struct AlarmsReport {
     alarms: Vec<Episode>,
-    /// Those whose diagnostics were read.
+    /// Fleets whose diagnostics were read.
     fleets: Vec<String>,
     /// Ticks whose diagnostics were read.
     ticks: u64,

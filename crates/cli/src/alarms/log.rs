@@ -19,7 +19,7 @@ const OPEN_EVERY: Duration = Duration::from_secs(1);
 /// Interval of checking whether the worker is open.
 const LOOK_EVERY: Duration = Duration::from_millis(5);
 
-/// What was logged.
+/// Counts of logged alarms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub(crate) struct AlarmReport {
     /// Alarms that were raised.

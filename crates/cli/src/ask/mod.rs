@@ -92,7 +92,7 @@ pub(crate) struct Args {
     through: Through,
 }
 
-/// Who computes an answer.
+/// The process that computes an answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Through {
     /// This process, with the models that its config names.

@@ -122,7 +122,7 @@ impl Choice {
         self.only_alarms = !self.only_alarms;
     }
 
-    /// What is searched for; empty: nothing.
+    /// The searched text; empty: no search.
     pub(crate) fn search(&self) -> &str {
         &self.search
     }

@@ -1,4 +1,4 @@
-//! What the keys of the live view do: in its last line, and in a box over it.
+//! The keys of the live view: in its last line, and in a box over it.
 
 use ratatui::Frame;
 use ratatui::layout::Rect;

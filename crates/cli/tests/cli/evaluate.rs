@@ -555,7 +555,7 @@ fn parts_that_are_missing_twice_there_damaged_or_of_other_evaluations_are_refuse
     }
     refused(&[&data.join("ice_01.csv")], 1, "is no part");
 
-    // What is there is not replaced.
+    // Existing files are not replaced.
     let again = output(
         asked
             .iter()

@@ -207,7 +207,7 @@ fn every_subcommand_ends_with_the_code_that_its_help_states() {
     let fleet = Fleet::new();
     prepare(&fleet);
     let mut wrong = Vec::new();
-    // What options of a program require of each other only that program knows.
+    // Only the program knows which options require each other.
     let cases = CASES.iter().enumerate();
     for (place, (expected, words)) in cases.filter(|(_, (_, words))| is_built(words)) {
         let new = fleet.path(&format!("new-{place}"));
@@ -215,7 +215,7 @@ fn every_subcommand_ends_with_the_code_that_its_help_states() {
         let ended = joulebus(arguments).output().unwrap();
         let said = stderr(&ended);
         let fails = matches!(expected, 1 | 2);
-        // What failed has no result, says why, and leaves no part of a file.
+        // A failed call has no result, says why, and leaves no part of a file.
         let is_silent = stdout(&ended).is_empty() && !said.is_empty() && !new.exists();
         if code(&ended) != *expected || fails && !is_silent {
             wrong.push(format!("{expected}, {words}: {ended:?}"));

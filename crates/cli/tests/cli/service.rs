@@ -1,4 +1,4 @@
-//! What a service manager is told: systemd's `Type=notify` and `WatchdogSec=`.
+//! Messages to a service manager: systemd's `Type=notify` and `WatchdogSec=`.
 
 use std::os::unix::net::UnixDatagram;
 use std::path::Path;

@@ -16,13 +16,13 @@ pub trait Channel: std::fmt::Debug + Copy + Send + Sync + 'static {
     /// Name of a frame's message in a capture, without the package. A row has its
     /// [`crate::StructLayout::name`].
     const MESSAGE: &'static str;
-    /// Who sends and who reads.
+    /// The senders and readers.
     const FLOW: Flow;
-    /// What its rows are.
+    /// The meaning of its rows.
     const ROWS: FrameRows;
-    /// What a frame begins with.
+    /// The header of a frame.
     type Header: FrameHeader;
-    /// What it consists of.
+    /// A row of a frame.
     type Row: Row;
 
     /// The robot of a row; none where rows are not of [`FrameRows::Robots`].
@@ -34,7 +34,7 @@ pub trait Channel: std::fmt::Debug + Copy + Send + Sync + 'static {
     }
 }
 
-/// Who sends on a channel and who reads, which sizes its service.
+/// The senders and readers of a channel, which size its service.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Flow {
     /// Sources send; the worker and recorders read.
@@ -55,7 +55,7 @@ pub enum Flow {
     },
 }
 
-/// What the rows of a frame are, which bounds their number.
+/// The meaning of a frame's rows, which bounds their number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FrameRows {
     /// One of each robot, which begins with the robot's id.
@@ -180,7 +180,7 @@ channels! {
     /// Budgets: planners need the newest at once, and recorders read all.
     Budgets: "budgets", BudgetHeader { place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; },
         Budget, Flow::Planners { kept: 0, history: 1 }, FrameRows::Robots;
-    /// What plans start from: sent while somebody reads it.
+    /// The state that plans start from: sent while somebody reads it.
     PlanStates: "plan_states", PlanStateHeader {
             place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns;
         }, PlanState, Flow::Planners { kept: 0, history: 1 }, FrameRows::Robots;

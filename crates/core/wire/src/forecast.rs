@@ -1,4 +1,4 @@
-//! What the worker forecasts.
+//! Forecasts of the worker.
 
 use crate::InvalidReason;
 use crate::declare::ZeroCopySend;

@@ -6,7 +6,7 @@ use bytemuck::Pod;
 
 use declare::ZeroCopySend;
 
-/// What [`crate::rows!`] needs where it is used.
+/// Names that [`crate::rows!`] needs where it is used.
 pub mod declare {
     pub use iceoryx2_bb_derive_macros::ZeroCopySend;
     pub use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
@@ -90,7 +90,7 @@ fn each_at<R: Row>(
     }
 }
 
-/// What a field means wherever a frame is read.
+/// The meaning of a field wherever a frame is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FieldRole {
@@ -137,7 +137,7 @@ pub struct FieldLayout {
     pub offset: usize,
     /// Its bytes.
     pub size: usize,
-    /// What it means wherever a frame is read.
+    /// Its meaning wherever a frame is read.
     pub role: FieldRole,
 }
 

@@ -1,4 +1,4 @@
-//! What a forecast of the energy of a plan starts from, per robot.
+//! The state from which a forecast of the energy of a plan starts, per robot.
 
 use crate::Quality;
 use crate::declare::ZeroCopySend;

@@ -27,7 +27,7 @@ pub const QUERY_STEPS: usize = 9_000;
 /// Maximum number of words of a frame of records.
 pub const RECORD_WORDS: usize = 16_384;
 
-/// What is asked.
+/// Kinds of questions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum QueryKind {
     /// The energy of each of several sequences of commands of one robot.

@@ -51,7 +51,7 @@ fn the_first_alarm_is_the_most_important_and_the_level_the_worst() {
         .with(Alarm::StuckSensor);
     assert_eq!(set.first(), Alarm::StuckSensor);
     assert_eq!(set.level(), Level::Error);
-    // Of a worse level, whatever its code.
+    // An alarm of a worse level comes first, whatever its code.
     let set = set.without(Alarm::StuckSensor).with(Alarm::CannotReturn);
     assert_eq!(set.first(), Alarm::CannotReturn);
     assert_eq!(AlarmSet::default().first(), Alarm::None);

@@ -111,7 +111,7 @@ impl Bus {
         self.lock_need = Some(self.member.presence.need([lock.path()]));
     }
 
-    /// What joining removed.
+    /// The cleanup when joining.
     #[must_use]
     pub const fn joined(&self) -> SweepReport {
         self.joined

@@ -23,7 +23,7 @@ fn waves(count: usize, scale: f32, from: usize) -> Vec<f32> {
     (0..count).map(|at| scale * wave(at + from)).collect()
 }
 
-/// What calls are made on.
+/// The objects of the calls.
 struct Calls {
     model: Model,
     planner: joulebus_consumer::Subscriber,

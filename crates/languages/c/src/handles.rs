@@ -24,9 +24,9 @@ const THREAD_BITS: u32 = 24;
 /// Open ports of one kind in one thread. Never dropped: at a thread's end iceoryx2 may be gone.
 pub(crate) type Table<T> = ManuallyDrop<RefCell<Vec<Place<T>>>>;
 
-/// What a handle stands for.
+/// The kind of object that a handle stands for.
 pub(crate) trait Kind: Sized + 'static {
-    /// What C points to.
+    /// The type that C points to.
     type Handle;
     /// In messages.
     const NAME: &'static str;
@@ -73,7 +73,7 @@ enum State<T> {
     Open(Box<T>),
 }
 
-/// What a handle says.
+/// The contents of a handle.
 #[derive(Debug, Clone, Copy)]
 struct Token {
     kind: u64,
@@ -195,7 +195,7 @@ pub(crate) fn close<T: Kind>(handle: *mut T::Handle) -> Result<(), Failure> {
     Ok(())
 }
 
-/// What the number says, if it is a handle of this kind and of this thread.
+/// The contents of a number that is a handle of this kind and of this thread.
 fn check<T: Kind>(handle: *mut T::Handle) -> Result<Token, Failure> {
     let name = T::NAME;
     if handle.is_null() {

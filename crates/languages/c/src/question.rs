@@ -7,7 +7,7 @@ use crate::abi::types::{joulebus_answers, joulebus_question, joulebus_waypoint};
 use crate::failure::Failure;
 use crate::memory::{array, array_mut, check_apart, product};
 
-/// What a C program may say in a question's flags.
+/// Flags that a C program may set in a question.
 const FLAGS: u32 = query_flag::RETURN | query_flag::HEADING;
 
 /// A question.

@@ -225,7 +225,7 @@ impl EnergyPredictor {
         network.predict(&rows, &mut forecasts_w);
         let range = &network.card().training_range;
         for (at, (robot, forecast_w)) in self.robots.iter_mut().zip(&forecasts_w).enumerate() {
-            // Of its own forecasts only what the training data had is fed back.
+            // Its own forecast is fed back only within the range of the training data.
             let measured_w = measured.map_or(f32::NAN, |measured| watt(of(measured, at)));
             let newest_w = if measured_w.is_nan() {
                 range.fed_back_w(*forecast_w)

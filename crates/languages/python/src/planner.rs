@@ -27,7 +27,7 @@ const MAX_TIMEOUT: Duration = Duration::from_secs(1 << 32);
 /// Tick and rows of the newest frame, if one arrived.
 type Rows = PyResult<Option<(u64, Vec<u8>)>>;
 
-/// What the thread has.
+/// The state of the thread.
 pub(crate) struct State {
     // Dropped first: the frames only keep their memory.
     ports: Option<Open>,
@@ -41,7 +41,7 @@ struct Open {
     budgets: Option<Feed<Budgets>>,
 }
 
-/// What happened, as the thread tells it.
+/// An event, as the thread reports it.
 #[allow(clippy::large_enum_variant, reason = "there is one at a time")]
 enum Told {
     Frame(Memory),
@@ -347,7 +347,7 @@ pub(crate) fn quality(
     })
 }
 
-/// What the newest state says: the worker, numbers counted, and frames kept.
+/// The newest state: the worker, numbers counted, and frames kept.
 fn status((open, kept): (&mut Open, usize)) -> (&'static str, [(&'static str, u64); 6], usize) {
     let worker = match open.planner.worker() {
         WorkerState::Waiting => "waiting",

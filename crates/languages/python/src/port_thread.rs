@@ -9,7 +9,7 @@ use std::thread;
 use pyo3::PyResult;
 use pyo3::exceptions::PyRuntimeError;
 
-/// What the thread is asked to do with its ports.
+/// A call that the thread makes with its ports.
 type Call<S> = Box<dyn FnOnce(&mut S) + Send>;
 
 /// A handle of the thread. It ends, and drops its ports, when the last handle is dropped.

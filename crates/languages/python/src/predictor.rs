@@ -247,7 +247,7 @@ fn transposed(from: &[f32], rows: usize, columns: usize) -> Vec<f32> {
     (0..columns).flat_map(column).collect()
 }
 
-/// What each robot starts from: its readings (W, newest first) and its command before.
+/// The start of each robot: its readings (W, newest first) and its command before.
 fn starts(
     robots: usize,
     readings_w: Option<&Bound<'_, PyAny>>,

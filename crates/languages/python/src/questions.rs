@@ -201,7 +201,7 @@ impl QuestionPorts {
         found.set_item("tick", seen.tick)?;
         found.set_item("age_s", seen.age_ns as f64 * 1e-9)?;
         if !reply.power_w.is_empty() {
-            // Of one robot: as many steps for each of its candidates.
+            // With one robot: as many steps for each of its candidates.
             let rows = reply.rows.len().max(1);
             let steps = reply.power_w.len() / rows;
             found.set_item("power_w", array(py, reply.power_w, &[rows, steps])?)?;

@@ -20,7 +20,7 @@ use crate::error::{RecordingError, of_file};
 
 type Floats<'py> = Bound<'py, PyArrayDyn<f32>>;
 
-/// What can be read of a capture.
+/// The readable channels of a capture.
 const READABLE: [Readable; 4] = [
     Readable::of::<Samples>(),
     Readable::of::<Forecasts>(),

@@ -1,4 +1,4 @@
-//! What lies in shared memory: the queues of readers, and who waits.
+//! The contents of shared memory: queues of readers, and waiters.
 
 use std::any::Any;
 use std::cell::{Cell, RefCell};

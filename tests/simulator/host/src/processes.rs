@@ -14,7 +14,7 @@ use crate::{memory, time};
 #[derive(Debug, Clone, Copy)]
 pub struct Killed;
 
-/// What a process repeats beside its main loop; see `Background` of the simulated bus.
+/// Work that a process repeats beside its main loop; see `Background` of the simulated bus.
 pub type Work = Box<dyn FnMut(bool) -> Option<Duration>>;
 
 struct Thread {

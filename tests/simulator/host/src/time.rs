@@ -67,7 +67,7 @@ impl Clocks {
     }
 }
 
-/// What the monotonic clock shows, ns.
+/// Time of the monotonic clock, ns.
 #[must_use]
 pub fn monotonic_ns() -> u64 {
     CLOCKS.get().monotonic_ns()
@@ -82,7 +82,7 @@ pub fn simulated_ns(monotonic_ns: u64) -> u64 {
         .saturating_add(monotonic_ns.saturating_sub(clocks.monotonic_ns()))
 }
 
-/// What the wall clock shows, Unix ns.
+/// Time of the wall clock, Unix ns.
 #[must_use]
 pub fn unix_ns() -> u64 {
     let clocks = CLOCKS.get();

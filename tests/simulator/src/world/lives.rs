@@ -103,7 +103,7 @@ impl World<'_> {
             return Ok(());
         }
         if self.slots[place].role == Some(Role::Worker) {
-            // What it sent before is out.
+            // Its earlier frames are out.
             self.checker.observe()?;
         }
         let slot = &mut self.slots[place];

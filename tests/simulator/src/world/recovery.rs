@@ -20,7 +20,7 @@ impl World<'_> {
     pub(super) fn everything_works_again(&mut self) -> Checked {
         let setup = &self.scenario.setup;
         let (settle_ns, period_ns) = (setup.settle_ns(), setup.period_ns);
-        // What was asked for and has not happened yet does not happen any more.
+        // Requested kills that are still due do not happen any more.
         host::spare_all();
         for slot in &mut self.slots {
             (slot.kills_at_disk, slot.power_loss_ns) = (VecDeque::new(), 0);

@@ -32,7 +32,7 @@ pub(super) struct Slot {
     pub(super) greeting: u64,
     /// The power fails for so long when it dies.
     pub(super) power_loss_ns: u64,
-    /// What it had allocated when it began its work, bytes.
+    /// Memory when it began its work, bytes.
     pub(super) opened_bytes: i64,
     /// A planner: the worker whose frames it has, and the deadline of learning of its end.
     pub(super) follows: Option<(u32, u64, u64)>,

@@ -7,7 +7,7 @@ use joulebus_wire::SCHEMA_VERSION;
 use simulated_bus::{self as bus, Bus, Domain, Limits, WorkerLock, Writer};
 use simulated_host as host;
 
-/// What process `pid` does now.
+/// Does `work` as process `pid`.
 fn of<T>(pid: u32, work: impl FnOnce() -> T) -> T {
     host::enter(pid, host::USUAL_COST_NS);
     let done = work();

@@ -350,7 +350,7 @@ impl<'a> Fleet<'a> {
             };
             match role {
                 Role::Worker | Role::Recorder => assert_ended(&child.wait(), &[1]),
-                // What these print at the end is up to whoever uses the library.
+                // The library's users decide what these print at the end.
                 Role::Controller(_) | Role::Planner => {
                     let ended = child.end();
                     let is_ended =

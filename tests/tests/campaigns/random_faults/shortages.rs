@@ -55,7 +55,7 @@ impl SmallDisk {
     /// Fills the disk until so many bytes are left, give or take a page.
     pub(crate) fn leave(&self, bytes: u64) {
         let (file, full) = (self.folder.join("filling"), DISK_BYTES - bytes);
-        // What captures take is not left either.
+        // Captures may not take the rest either.
         let _ = fs::write(file, vec![0; full as usize]);
     }
 }

@@ -152,7 +152,7 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         "predictor-worker/src/checkpointer.rs",
         // Clocks that an operator states are limited by round trips of the monotonic one.
         "link/src/wall_clock.rs",
-        // What a page shows beside its values.
+        // Times that a page shows beside its values.
         "serve/src/http/reader.rs",
         // Times that other hosts are told.
         "bridge/src/outbound.rs",

@@ -26,7 +26,7 @@ const MAX_COLUMN_BYTES: usize = 1 << 20;
 /// of a hundred thousand robots has some fifty. An empty message within another takes one byte in a
 /// file, and hundreds in memory.
 const MAX_VALUES: usize = 1 << 23;
-/// What a message within another counts as, beside its values.
+/// Cost of a nested message beside its values, in values.
 const MESSAGE_VALUES: usize = 8;
 /// Maximum nesting depth of a message that is decoded, that of the decoder.
 const DECODED_DEPTH: usize = 100;

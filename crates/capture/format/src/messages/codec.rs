@@ -23,7 +23,7 @@ pub struct OutOfRange {
     pub allowed: u64,
 }
 
-/// What makes bytes no message.
+/// Reason that bytes are no message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub(super) enum Wrong {
     #[error("buffer underflow")]
@@ -44,7 +44,7 @@ pub(super) enum Wrong {
     Text,
 }
 
-/// What makes bytes no message, and where.
+/// Reason that bytes are no message, and the place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Fault {
     wrong: Wrong,

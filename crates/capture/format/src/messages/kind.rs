@@ -50,7 +50,7 @@ channels! {
 }
 
 impl MessageKind {
-    /// That of a channel's frames.
+    /// The kind of a channel's frames.
     #[must_use]
     pub const fn of<C: Channel>() -> Self {
         let kind = Self {
@@ -74,7 +74,7 @@ impl MessageKind {
         }
     }
 
-    /// That of single robots' rows of a channel.
+    /// The kind of single robots' rows of a channel.
     #[must_use]
     pub const fn of_robot<C: Channel>() -> Self {
         Self {

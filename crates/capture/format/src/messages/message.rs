@@ -250,13 +250,13 @@ pub struct MessageKind {
 }
 
 impl MessageKind {
-    /// Who sends on the channel and who reads.
+    /// The senders and readers of the channel.
     #[must_use]
     pub const fn flow(self) -> Flow {
         self.flow
     }
 
-    /// What the rows of the channel's frames are.
+    /// The meaning of the channel's rows.
     #[must_use]
     pub const fn rows(self) -> FrameRows {
         self.rows

@@ -55,7 +55,7 @@ pub(super) struct Plain {
 #[derive(Debug)]
 pub(super) struct Field {
     number: u32,
-    /// What is written before its contents, from the lowest byte, and how many bytes.
+    /// Bytes before its contents, from the lowest, and their number.
     pub(super) key: (u64, usize),
     /// Name of message and field.
     pub(super) name: &'static str,
@@ -250,7 +250,7 @@ impl Table {
                     .for_each(|place| of.write_nan(place));
             }
             Form::Struct(table) => into[..table.empty.len()].copy_from_slice(&table.empty),
-            // Those that are not written are zeros.
+            // Unwritten ones are zeros.
             Form::Structs { .. } | Form::Number(_) | Form::Time(_) => {}
         }
         self.fields.push(field);

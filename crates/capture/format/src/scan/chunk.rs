@@ -124,7 +124,7 @@ impl<R: Read + Seek> Chunk<R> {
             });
         }
         let place = self.place();
-        // What comes out counts, not what the head claims: that may be damaged.
+        // Limit by decompressed bytes: the header's size may be corrupt.
         let compressed = self.frame.header.compressed_size;
         let allowed = max_expanded(compressed);
         if self.read > allowed {

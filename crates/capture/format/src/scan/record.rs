@@ -58,7 +58,7 @@ impl fmt::Display for Place {
 pub struct Crc {
     /// Stored in the file; 0 means none.
     pub saved: u32,
-    /// Of the bytes in the file.
+    /// Checksum of the bytes in the file.
     pub found: u32,
 }
 

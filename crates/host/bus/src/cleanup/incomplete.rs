@@ -98,7 +98,7 @@ fn change(directory: &Path) -> Change {
     Some((found.dev(), found.ino(), found.mtime(), found.mtime_nsec()))
 }
 
-/// What is incomplete, of whatever age: only what is old is removed.
+/// Incomplete objects of any age: only old ones are removed.
 struct Candidates {
     objects: Vec<Object>,
     descriptions: Vec<Object>,

@@ -174,7 +174,7 @@ impl Drop for WorkerLock {
         if is_same(&self.file, &path).unwrap_or(false) {
             let _ = fs::remove_file(&path);
         }
-        // Who has it open learns that this was no death: `LockWatch`.
+        // `LockWatch` tells a shutdown from a death by the empty file.
         let _ = self.file.set_len(0);
         crate::directory::remove_root(&self.domain);
     }
@@ -214,7 +214,7 @@ impl Looks {
 /// A file that is longer than this is not a lock's, bytes.
 pub(crate) const MAX_BYTES: u64 = 64;
 
-/// What the holder of the lock has written into its file.
+/// The lock file's statement about its holder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Owner {
     pub(crate) pid: u32,

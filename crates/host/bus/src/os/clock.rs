@@ -46,7 +46,7 @@ pub fn realtime_minus_monotonic_ns() -> Option<(u64, u64)> {
     ))
 }
 
-/// What the kernel knows about the realtime clock from the program that adjusts it.
+/// The kernel's view of the program that adjusts the realtime clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Synchronisation {
     /// A program adjusts it (`STA_UNSYNC` is not set).

@@ -35,13 +35,13 @@ const LIMITS_KEY: &[u8] = b"joulebus.limits";
 const OPEN_LIMIT_NS: u64 = 4_000_000_000;
 const OPEN_AGAIN_AFTER: Duration = Duration::from_millis(20);
 
-/// What the ports of a channel are made with.
+/// The factory of a channel's ports.
 pub(super) type Factory<C> = PortFactory<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
 
 pub(super) fn open<C: Channel>(bus: &Bus, limits: &Limits) -> Result<Factory<C>, OpenError> {
     let (service, shape) = (C::SERVICE, limits.shape(C::FLOW));
     bus.member.presence.look()?;
-    // Of an earlier attempt.
+    // Forget an earlier attempt's.
     let _ = take_shortage();
     let name = name(bus, service)?;
     let open = || {
@@ -77,7 +77,7 @@ pub(super) fn open_event(
     (listeners, notifiers): (usize, usize),
 ) -> Result<EventFactory<Ipc>, OpenError> {
     bus.member.presence.look()?;
-    // Of an earlier attempt.
+    // Forget an earlier attempt's.
     let _ = take_shortage();
     let name = name(bus, service)?;
     let open = || {
@@ -106,7 +106,7 @@ pub(super) type QueryFactory = RequestResponseFactory<Ipc, [f64], QueryHeader, [
 
 pub(super) fn open_queries(bus: &Bus, limits: &Limits) -> Result<QueryFactory, OpenError> {
     bus.member.presence.look()?;
-    // Of an earlier attempt.
+    // Forget an earlier attempt's.
     let _ = take_shortage();
     let name = name(bus, Service::ASK)?;
     let open = || {

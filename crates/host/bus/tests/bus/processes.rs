@@ -557,7 +557,7 @@ fn nodes_that_start_while_others_clean_up_are_ready_and_nobody_ends() {
     let place = Place::new();
     let source = place.joined("source");
     let mut stopped = 0;
-    // What makes a node visible: its files' permissions, and the lock that says that it is alive.
+    // A node becomes visible by its files' permissions and the lock of a live one.
     for call in ["fchmod", "fcntl"] {
         for number in 1.. {
             let trace = format!("trace={call}");
@@ -590,7 +590,7 @@ fn nodes_that_start_while_others_clean_up_are_ready_and_nobody_ends() {
             let is_it = |node: &NodeInfo| node.pid == Some(traced.as_raw_pid().cast_unsigned());
             let it = nodes.iter().find(|node| is_it(node)).unwrap();
             assert_eq!(it.alive, Some(true), "{call} {number}");
-            // What it leaves is cleaned up beside the next one's start.
+            // Its files are cleaned up beside the next one's start.
             kill_process(traced, Signal::KILL).unwrap();
             starting.wait();
             if !was_stopped {

@@ -10,7 +10,7 @@ use crate::failure::{self, entry};
 use crate::memory::text;
 use crate::version;
 
-/// Of the library's release. Its terminator is the only zero.
+/// The library's release. Its terminator is the only zero.
 const VERSION: &CStr =
     match CStr::from_bytes_with_nul(concat!(env!("CARGO_PKG_VERSION"), "\0").as_bytes()) {
         Ok(version) => version,

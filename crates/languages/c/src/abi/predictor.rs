@@ -14,7 +14,7 @@ use crate::failure::{Failure, entry};
 use crate::memory::{array, array_mut, check_apart, out, product, read, text};
 use crate::{model, version};
 
-/// What a program opens if it does not say.
+/// The model of a program that names none.
 const DEFAULT: &str = "builtin:gternal-sim";
 /// Marks the number of a predictor: no code of a [`crate::handles::Kind`] begins so.
 const MARK: usize = 0xf << 60;
@@ -233,7 +233,7 @@ fn place(predictor: *mut joulebus_predictor) -> Result<usize, Failure> {
     Ok(place)
 }
 
-/// What the numbers of all predictors of this process begin with.
+/// The upper bits of all predictors' numbers in this process.
 fn of_process() -> usize {
     MARK | (process_id() as usize) << PID_SHIFT
 }

@@ -16,7 +16,7 @@ use crate::version;
 
 kind!(Publisher, joulebus_publisher, "publisher", 1);
 
-/// What a [`joulebus_robot_state`] may say.
+/// Flags that a [`joulebus_robot_state`] may have.
 const FLAGS: u32 = sample_flag::ALL & !sample_flag::DISCONTINUITY;
 
 /// Joins the fleet of a config file as a source of samples. The worker need not run.

@@ -1,4 +1,4 @@
-//! What plans cost, computed in this process.
+//! Costs of plans, computed in this process.
 
 use std::ffi::c_char;
 use std::time::Duration;

@@ -45,7 +45,7 @@ impl Asked {
     }
 }
 
-/// What an evaluation tells while it runs.
+/// Progress of an evaluation.
 enum Told {
     Remark(String),
     /// Recordings done, of all.

@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 
 use crate::planner::SLICE;
 
-/// What a computation tells while it runs.
+/// Reports the progress of a computation.
 pub(super) struct Teller<P> {
     tell: Sender<Message<P>>,
     is_ended: Arc<AtomicBool>,

@@ -17,7 +17,7 @@ use super::{Choice, job, json, models, settings};
 #[derive(Debug)]
 pub(crate) struct Report {
     document: Document,
-    /// Of simulated experiments.
+    /// The network of simulated experiments.
     network: Option<Network>,
 }
 

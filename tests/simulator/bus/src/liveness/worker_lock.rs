@@ -8,7 +8,7 @@ use joulebus_simulated_host::{self as host, memory::outside};
 
 use crate::{Domain, WorkerLockError, clock};
 
-/// What the holder of the lock has written into its file.
+/// The lock file's statement about its holder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Owner {
     pub(crate) pid: u32,
