@@ -144,17 +144,20 @@ async fn ready(State(app): State<Arc<App>>) -> Answer {
     }
 }
 
-async fn metrics_text(State(app): State<Arc<App>>) -> Answer {
+async fn metrics_text(State(app): State<Arc<App>>, headers: HeaderMap) -> Answer {
+    let accept = headers.get(header::ACCEPT).and_then(|it| it.to_str().ok());
+    let format = metrics::TextFormat::accepted(accept);
     let now_ns = clock::monotonic_ns();
     let text = metrics::text(
         &app.newest(),
         now_ns,
         app.config.fleet(),
         app.metrics_robots,
+        format,
     );
     let text =
         text.map_err(|error| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))?;
-    Ok(typed(metrics::KIND, text))
+    Ok(typed(format.kind(), text))
 }
 
 async fn fleet(State(app): State<Arc<App>>) -> Response {
