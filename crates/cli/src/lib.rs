@@ -15,6 +15,7 @@ mod external;
 mod info;
 mod keys;
 mod man;
+mod other_users;
 mod publish;
 mod record;
 mod recover;

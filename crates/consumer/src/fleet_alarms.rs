@@ -5,7 +5,7 @@ use std::fmt;
 use joulebus_bus::clock;
 use joulebus_config::Config;
 use joulebus_connect::ConnectError;
-use joulebus_wire::Level;
+use joulebus_wire::{AlarmCard, Level};
 
 use crate::{AlarmChange, AlarmFeed, AlarmHistory, Change, Event, ReadError, Subscriber};
 
@@ -15,6 +15,7 @@ pub struct FleetAlarm {
     /// The robot; `None` for the worker.
     pub robot: Option<u32>,
     /// Name of the [`joulebus_wire::Alarm`]; for the worker `WorkerGone` or `WorkerStale`.
+    /// [`AlarmCard::named`] has its meaning.
     pub alarm: &'static str,
     /// Its level.
     pub level: Level,
@@ -49,7 +50,7 @@ impl From<AlarmChange> for FleetAlarm {
 }
 
 /// An alarm of the worker itself, and since when, monotonic ns.
-type OfWorker = (&'static str, Level, u64);
+type OfWorker = (AlarmCard, u64);
 
 /// All alarms of a running fleet. Belongs to the thread that connected it.
 pub struct FleetAlarms {
@@ -81,8 +82,8 @@ impl FleetAlarms {
     pub fn wait(&mut self, mut each: impl FnMut(FleetAlarm)) -> Result<(), ReadError> {
         let now = match self.subscriber.wait_next(self.feed.look_every())? {
             Event::Frame(_) => Some(None),
-            Event::Gone(_) => Some(Some(("WorkerGone", Level::Error))),
-            Event::Stale { .. } => Some(Some(("WorkerStale", Level::Stale))),
+            Event::Gone(_) => Some(Some(AlarmCard::WORKER_GONE)),
+            Event::Stale { .. } => Some(Some(AlarmCard::WORKER_STALE)),
             _ => None,
         };
         if let Some(now) = now {
@@ -91,31 +92,27 @@ impl FleetAlarms {
         self.feed.changes(|change| each(change.into()))
     }
 
-    fn set_worker(
-        &mut self,
-        now: Option<(&'static str, Level)>,
-        each: &mut impl FnMut(FleetAlarm),
-    ) {
-        if self.worker.map(|(alarm, level, _)| (alarm, level)) == now {
+    fn set_worker(&mut self, now: Option<AlarmCard>, each: &mut impl FnMut(FleetAlarm)) {
+        if self.worker.map(|(card, _)| card) == now {
             return;
         }
         let at_ns = clock::monotonic_ns();
-        let mut tell = |(alarm, level, raised_ns), change| {
+        let mut pass_on = |(card, raised_ns): OfWorker, change| {
             each(FleetAlarm {
                 robot: None,
-                alarm,
-                level,
+                alarm: card.name,
+                level: card.level,
                 change,
                 at_ns,
                 raised_ns,
             });
         };
         if let Some(ended) = self.worker.take() {
-            tell(ended, Change::Cleared);
+            pass_on(ended, Change::Cleared);
         }
-        self.worker = now.map(|(alarm, level)| (alarm, level, at_ns));
+        self.worker = now.map(|card| (card, at_ns));
         if let Some(begun) = self.worker {
-            tell(begun, Change::Raised);
+            pass_on(begun, Change::Raised);
         }
     }
 

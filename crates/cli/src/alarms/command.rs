@@ -166,6 +166,7 @@ mod tests {
             level: "warn",
             change: "cleared",
             lasted_s: Some(2.5),
+            card: None,
         })
     }
 

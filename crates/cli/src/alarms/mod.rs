@@ -2,6 +2,7 @@
 
 mod captured;
 mod command;
+mod explain;
 mod live;
 mod log;
 
@@ -24,6 +25,7 @@ pub(crate) use log::{AlarmLog, AlarmReport};
     joulebus alarms                                   of the running fleet, until Ctrl-C\n  \
     joulebus alarms --format json | jq .alarm\n  \
     joulebus alarms run.mcap                          history of a capture\n  \
+    joulebus alarms --explain BiasHigh                what it means and what to check\n  \
     joulebus alarms --on-alarm 'logger \"$JOULEBUS_ALARM of robot $JOULEBUS_ROBOT $JOULEBUS_CHANGE\"'\n\n\
     Live, one line for each change, with --format json one object; WorkerGone and WorkerStale are of \
     the worker itself. What is raised at the start is shown as raised then.\n\
@@ -36,7 +38,7 @@ pub(crate) use log::{AlarmLog, AlarmReport};
     command was not run or failed.")]
 pub(crate) struct Args {
     /// Captures; without any, the running fleet
-    #[arg(value_name = "FILE", conflicts_with_all = ["config", "on_alarm", "duration"])]
+    #[arg(value_name = "FILE", conflicts_with_all = ["config", "on_alarm", "duration", "explain"])]
     files: Vec<PathBuf>,
     #[command(flatten)]
     config: ConfigFile,
@@ -46,10 +48,16 @@ pub(crate) struct Args {
     /// End after this time, s
     #[arg(long, value_name = "S", value_parser = crate::alarms::seconds)]
     duration: Option<f64>,
+    /// Say what an alarm means, what to check and which keys set it; without a name, of all alarms
+    #[arg(long, value_name = "ALARM", num_args = 0..=1, default_missing_value = explain::ALL,
+          conflicts_with_all = ["config", "on_alarm", "duration"])]
+    explain: Option<String>,
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    if args.files.is_empty() {
+    if let Some(name) = &args.explain {
+        explain::run(name, output)
+    } else if args.files.is_empty() {
         live::run(args, output)
     } else {
         captured::run(&args.files, output)

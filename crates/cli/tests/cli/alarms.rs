@@ -201,3 +201,31 @@ fn the_worker_logs_each_raise_and_each_end_and_its_report_counts_them() {
     assert_eq!(report["alarms"]["ended"], over.len(), "{report}");
     assert!(fleet.stale_files().is_empty());
 }
+
+#[test]
+fn an_alarm_is_explained_by_its_name_in_any_case() {
+    let one = output(["alarms", "--explain", "biashigh"]);
+    assert_eq!(code(&one), 0, "{}", stderr(&one));
+    let text = stdout(&one);
+    for part in ["BiasHigh (warn)", "meaning", "check", "alarms.cusum_limit"] {
+        assert!(text.contains(part), "{text}");
+    }
+    let all = json(&output(["alarms", "--format", "json", "--explain"]));
+    let names: BTreeSet<&str> = all
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|card| card["alarm"].as_str().unwrap())
+        .collect();
+    assert!(
+        names.contains("NoData") && names.contains("WorkerGone"),
+        "{names:?}"
+    );
+    let unknown = output(["alarms", "--explain", "Bias"]);
+    assert_eq!(code(&unknown), 2);
+    assert!(
+        stderr(&unknown).contains("BiasHigh"),
+        "{}",
+        stderr(&unknown)
+    );
+}

@@ -231,8 +231,10 @@ pub(crate) fn below(words: &[String]) -> Vec<String> {
     let help = output(words.iter().map(String::as_str).chain(["--help"]));
     let text = stdout(&help);
     let (_, list) = text.split_once("Commands:\n").unwrap_or_default();
-    let lines = list.lines().take_while(|line| !line.is_empty());
-    let names = lines.filter(|line| line.starts_with("  ") && !line.starts_with("   "));
+    let (list, _) = list.split_once("Options:\n").unwrap_or((list, ""));
+    let names = list
+        .lines()
+        .filter(|line| line.starts_with("  ") && !line.starts_with("   "));
     let names = names.filter_map(|line| line.split_whitespace().next());
     names
         .filter(|name| *name != "help")

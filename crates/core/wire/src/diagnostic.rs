@@ -1,5 +1,6 @@
 //! Residual scores and alarms per robot.
 
+use crate::alarm_card::{AlarmCard, OF_ROBOTS};
 use crate::declare::ZeroCopySend;
 use crate::layout::bits;
 use crate::rows;
@@ -270,43 +271,32 @@ impl Alarm {
         }
     }
 
+    /// What it means and what to do about it; `None` for [`Alarm::None`] and [`Alarm::Unknown`].
+    #[must_use]
+    pub const fn card(self) -> Option<&'static AlarmCard> {
+        match self {
+            Self::None | Self::Unknown => None,
+            raised => Some(&OF_ROBOTS[raised as usize]),
+        }
+    }
+
     /// The name, as in the documentation and in JSON.
     #[must_use]
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::NoData => "NoData",
-            Self::OutOfRange => "OutOfRange",
-            Self::StuckSensor => "StuckSensor",
-            Self::HeldTooLong => "HeldTooLong",
-            Self::BiasHigh => "BiasHigh",
-            Self::BiasLow => "BiasLow",
-            Self::NoiseHigh => "NoiseHigh",
-            Self::ModelMismatch => "ModelMismatch",
-            Self::OutOfTraining => "OutOfTraining",
-            Self::OfflineCharging => "OfflineCharging",
-            Self::DeadlineMissed => "DeadlineMissed",
-            Self::WatchdogStop => "WatchdogStop",
-            Self::CannotReturn => "CannotReturn",
-            Self::BatteryCritical => "BatteryCritical",
-            Self::BatteryLow => "BatteryLow",
-            Self::SocImplausible => "SocImplausible",
-            Self::None => "None",
-            Self::Unknown => "Unknown",
+        match self.card() {
+            Some(card) => card.name,
+            None if matches!(self, Self::None) => "None",
+            None => "Unknown",
         }
     }
 
     /// The level that this alarm means.
     #[must_use]
     pub const fn level(self) -> Level {
-        match self {
-            Self::None | Self::OfflineCharging => Level::Ok,
-            Self::NoData => Level::Stale,
-            Self::OutOfRange
-            | Self::StuckSensor
-            | Self::CannotReturn
-            | Self::BatteryCritical
-            | Self::Unknown => Level::Error,
-            _ => Level::Warn,
+        match self.card() {
+            Some(card) => card.level,
+            None if matches!(self, Self::None) => Level::Ok,
+            None => Level::Error,
         }
     }
 }

@@ -13,6 +13,7 @@
 //! ```
 #![forbid(unsafe_code)]
 
+mod alarm_card;
 mod budget;
 mod channel;
 mod description;
@@ -28,6 +29,7 @@ mod sample;
 mod service;
 mod state;
 
+pub use alarm_card::AlarmCard;
 pub use budget::{Budget, BudgetHeader, ChargeState, budget_flag};
 pub use channel::{
     Budgets, Channel, Diagnostics, Flow, Forecasts, FrameHeader, FrameRows, Place, PlanStates,

@@ -60,7 +60,10 @@ impl BridgeReport {
     /// number of messages that should have been mapped but could not be.
     fn outcome(&self, unmapped: u64) -> Outcome {
         Outcome::unless_lost(
-            self.not_written > 0 || self.published.frames_failed > 0 || unmapped > 0,
+            self.not_written > 0
+                || self.published.frames_failed > 0
+                || self.published.samples_refused > 0
+                || unmapped > 0,
         )
     }
 }
@@ -384,12 +387,14 @@ impl fmt::Display for BridgeReport {
         let PublishedRecord {
             frames,
             samples,
+            samples_refused,
             frames_unheard,
             frames_failed,
         } = published;
         writeln!(
             out,
-            "published {samples} samples in {frames} frames, {frames_unheard} without a worker, {frames_failed} not sent"
+            "published {samples} samples in {frames} frames, {samples_refused} refused by the worker, \
+             {frames_unheard} frames without a worker, {frames_failed} not sent"
         )?;
         writeln!(out, "wrote {written} messages, {not_written} lost")?;
         for line in unmapped {
@@ -458,9 +463,14 @@ mod tests {
             frames_failed: 1,
             ..PublishedRecord::default()
         };
+        let refused = PublishedRecord {
+            samples_refused: 1,
+            ..PublishedRecord::default()
+        };
         for (published, not_written, unmapped, outcome) in [
             (unheard, 0, 0, Outcome::Done),
             (failed, 0, 0, Outcome::Incomplete),
+            (refused, 0, 0, Outcome::Incomplete),
             (unheard, 1, 0, Outcome::Incomplete),
             (unheard, 0, 1, Outcome::Incomplete),
         ] {

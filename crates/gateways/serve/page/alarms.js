@@ -40,8 +40,9 @@ function item(parts, shape) {
   const li = document.createElement("li");
   li.shape = shape;
   for (const [className, text, href] of parts) {
-    const node = document.createElement(href ? "a" : "span");
+    const node = document.createElement(href ? "a" : className === "alarm" ? "button" : "span");
     node.className = className;
+    if (className === "alarm") node.title = "What it means and what to check";
     node.textContent = text;
     if (href) node.href = href;
     li.append(node);

@@ -1,7 +1,9 @@
 //! A source of samples, from arrays.
 
+use std::collections::BTreeSet;
 use std::ffi::CString;
 use std::path::PathBuf;
+use std::sync::Mutex;
 
 use joulebus_publisher::{Charger, Config, Publisher as Port, RobotState, clock};
 use pyo3::exceptions::{PyRuntimeWarning, PyValueError};
@@ -20,6 +22,8 @@ type Counts = (u64, u64, usize, u64);
 pub(crate) struct PublisherPort {
     /// Empty after closing.
     thread: PortThread<Option<Port>>,
+    /// What it has warned of: once each.
+    warned: Mutex<BTreeSet<(u32, &'static str)>>,
 }
 
 #[pymethods]
@@ -33,7 +37,10 @@ impl PublisherPort {
         };
         let thread = py.detach(|| PortThread::start(open))?;
         let thread = thread.map_err(ConnectError::new_err)?;
-        Ok(Self { thread })
+        Ok(Self {
+            thread,
+            warned: Mutex::default(),
+        })
     }
 
     /// Sends one frame. `columns` are by the names of `RobotState`'s fields; NaN and absent columns
@@ -57,6 +64,21 @@ impl PublisherPort {
         if let Some(error) = &sent.not_woken {
             let message = CString::new(format!("the worker was not woken: {error}"))?;
             PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &message, 2)?;
+        }
+        if let Some(first) = &sent.first_refused {
+            let what = (first.robot, first.reason.name());
+            let is_new = self
+                .warned
+                .lock()
+                .is_ok_and(|mut warned| warned.insert(what));
+            if is_new {
+                let more = match sent.refused - 1 {
+                    0 => String::new(),
+                    more => format!("; {more} more of this frame"),
+                };
+                let message = CString::new(format!("{first}{more}"))?;
+                PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &message, 2)?;
+            }
         }
         Ok((sent.readers, sent.samples, sent.frame_seq))
     }

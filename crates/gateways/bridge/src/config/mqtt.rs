@@ -8,8 +8,8 @@ use toml::Spanned;
 
 use crate::config::check::Check;
 use crate::config::file::{
-    FieldsSection, FlagSection, MqttSection, NumberSection, OutgoingValueSection, Text,
-    WriteSection,
+    CurrentWord, FieldsSection, FlagSection, MqttSection, NumberSection, OutgoingValueSection,
+    Text, WriteSection,
 };
 use crate::config::secret::secret;
 use crate::mapping::fields::{Fields, Flag, Number, Place};
@@ -96,7 +96,8 @@ impl Check<'_> {
             routes.extend(self.route(&read.topic, "mqtt.read.topic", fields));
         }
         for vda in &section.vda5050 {
-            routes.extend(self.route(&vda.topic, "mqtt.vda5050.topic", Fields::vda5050()));
+            let negate = matches!(vda.current, Some(CurrentWord::DischargeNegative));
+            routes.extend(self.route(&vda.topic, "mqtt.vda5050.topic", Fields::vda5050(negate)));
         }
         let vizier = section.vizier.map(|vizier| {
             let fields = vizier

@@ -265,11 +265,15 @@ impl Reading<'_> {
                 (name, id)
             }
         };
-        let seen = self.observation(&route.fields, &document, &robot);
-        if !route.fields.may_lack {
-            let came = route.fields.came(&seen);
-            self.account.came(self.route, &robot, &came);
+        if let Some(standard) = route.fields.standard
+            && let Some(version) = standard.unknown_version(&document)
+        {
+            self.count(Reason::UnknownVersion, &format!("{version} of {robot}"));
+            return None;
         }
+        let seen = self.observation(&route.fields, &document, &robot);
+        let came = route.fields.came(&seen);
+        self.account.came(self.route, &robot, &came);
         if seen.is_empty() {
             self.count(Reason::Nothing, &robot);
             return None;

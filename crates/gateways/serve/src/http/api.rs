@@ -12,9 +12,11 @@ use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse as _, Response};
 use axum::routing::{get, post};
 use futures_util::stream;
+use joulebus_board::CardRecord;
 use joulebus_bus::clock;
 use joulebus_config::Config;
 use joulebus_plan::Question;
+use joulebus_wire::AlarmCard;
 use serde::Serialize;
 use tokio::sync::{oneshot, watch};
 use tokio::time::{Instant, MissedTickBehavior, interval_at, timeout};
@@ -104,6 +106,7 @@ pub(super) fn router(app: Arc<App>) -> Router {
         .route("/api/v1/robots/{id}", get(robot))
         .route("/api/v1/robots/{id}/history", get(history))
         .route("/api/v1/alarms", get(alarms))
+        .route("/api/v1/alarms/cards", get(cards))
         .route("/api/v1/stream", get(stream))
         .route("/api/v1/what_if", post(what_if))
         .fallback(get(file))
@@ -141,17 +144,20 @@ async fn ready(State(app): State<Arc<App>>) -> Answer {
     }
 }
 
-async fn metrics_text(State(app): State<Arc<App>>) -> Answer {
+async fn metrics_text(State(app): State<Arc<App>>, headers: HeaderMap) -> Answer {
+    let accept = headers.get(header::ACCEPT).and_then(|it| it.to_str().ok());
+    let format = metrics::TextFormat::accepted(accept);
     let now_ns = clock::monotonic_ns();
     let text = metrics::text(
         &app.newest(),
         now_ns,
         app.config.fleet(),
         app.metrics_robots,
+        format,
     );
     let text =
         text.map_err(|error| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))?;
-    Ok(typed(metrics::KIND, text))
+    Ok(typed(format.kind(), text))
 }
 
 async fn fleet(State(app): State<Arc<App>>) -> Response {
@@ -160,6 +166,11 @@ async fn fleet(State(app): State<Arc<App>>) -> Response {
 
 async fn alarms(State(app): State<Arc<App>>) -> Response {
     json(&*app.newest().alarms)
+}
+
+async fn cards() -> Response {
+    let cards: Vec<CardRecord> = AlarmCard::all().map(CardRecord::from).collect();
+    json(&cards)
 }
 
 #[derive(Serialize)]

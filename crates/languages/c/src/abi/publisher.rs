@@ -149,7 +149,7 @@ fn publish(
             samples: done.samples,
             frame_seq: done.frame_seq,
             woken: done.not_woken.is_none().into(),
-            reserved: 0,
+            refused: done.refused.try_into().unwrap_or(u32::MAX),
         });
     }
     Ok(())

@@ -102,8 +102,8 @@ pub struct joulebus_sent {
     pub frame_seq: u64,
     /// 1 if the worker was woken. It takes the frame at its next tick all the same.
     pub woken: u32,
-    /// 0.
-    pub reserved: u32,
+    /// Samples of it that the worker refuses for their values, by the limits of the config.
+    pub refused: u32,
 }
 
 /// What a publisher has done.
