@@ -486,18 +486,13 @@ mod tests {
         for (now_ns, up) in [(second_ns, 1), (3 * second_ns, 1), (3 * second_ns + 1, 0)] {
             let why = snapshot.why_not_up(now_ns);
             assert_eq!(why.is_none(), up == 1, "{why:?}");
-            let text = text(&snapshot, now_ns, "lab", 0).unwrap();
+            let text = text(&snapshot, now_ns, "lab", 0, TextFormat::Classic).unwrap();
             let line = format!("joulebus_worker_up{{fleet=\"lab\"}} {up}");
             assert!(text.contains(&line), "{now_ns}: {text}");
         }
         let why = snapshot.why_not_up(9 * second_ns).unwrap_or_default();
         assert!(why.contains("for 8.0 s, 2.0 s are allowed"), "{why}");
     }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
 
     #[test]
     fn openmetrics_is_sent_to_who_names_it() {
