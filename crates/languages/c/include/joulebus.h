@@ -1084,9 +1084,9 @@ typedef struct joulebus_sent {
      */
     uint32_t woken;
     /**
-     * 0.
+     * Samples of it that the worker refuses for their values, by the limits of the config.
      */
-    uint32_t reserved;
+    uint32_t refused;
 } joulebus_sent;
 
 /**
