@@ -112,7 +112,6 @@ pub(crate) struct BenchOptions {
 
 impl BenchOptions {
     /// Sizes to measure: those requested, or the benchmark's own.
-    #[must_use]
     pub(crate) fn sizes(&self, own: &[usize]) -> Vec<usize> {
         match (self.robots.is_empty(), self.quick) {
             (false, _) => self.robots.clone(),
@@ -122,20 +121,17 @@ impl BenchOptions {
     }
 
     /// Rounds, in each of which every measurement runs once.
-    #[must_use]
     pub(crate) fn repetitions(&self) -> usize {
         self.repetitions_or(1000)
     }
 
     /// The same with another default.
-    #[must_use]
     pub(crate) fn repetitions_or(&self, default: usize) -> usize {
         let default = if self.quick { 5 } else { default };
         self.repetitions.map_or(default, |count| count as usize)
     }
 
     /// Maximum time per measurement.
-    #[must_use]
     pub(crate) fn each(&self) -> Duration {
         if self.quick {
             Duration::from_millis(100)
@@ -145,7 +141,6 @@ impl BenchOptions {
     }
 
     /// Time for each size of a paced measurement, s.
-    #[must_use]
     pub(crate) fn seconds_or(&self, default_s: u64) -> u64 {
         let default_s = if self.quick { 1 } else { default_s };
         self.seconds.unwrap_or(default_s)

@@ -29,7 +29,6 @@ pub struct Distribution {
 
 impl Distribution {
     /// Of measured values; `None` if there are none, or if one is not finite.
-    #[must_use]
     pub fn of(values: &[f64]) -> Option<Self> {
         if values.is_empty() || !values.iter().all(|value| value.is_finite()) {
             return None;
@@ -53,7 +52,6 @@ impl Distribution {
     }
 
     /// Of a histogram, each value times `scale`; `None` if it is empty.
-    #[must_use]
     pub fn of_histogram(histogram: &Histogram<u64>, scale: f64) -> Option<Self> {
         let at = |quantile| histogram.value_at_quantile(quantile) as f64 * scale;
         (!histogram.is_empty()).then(|| Self {
@@ -69,13 +67,11 @@ impl Distribution {
     }
 
     /// Of one value, measured or counted once.
-    #[must_use]
     pub fn once(value: f64) -> Option<Self> {
         Self::of(&[value])
     }
 
     /// Whether the interquartile ranges are disjoint, so that the difference exceeds noise.
-    #[must_use]
     pub fn differs_from(&self, other: &Self) -> bool {
         self.p25 > other.p75 || other.p25 > self.p75
     }

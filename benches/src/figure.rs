@@ -32,13 +32,11 @@ pub struct Figure {
 
 impl Figure {
     /// A figure for which less is better, such as a time.
-    #[must_use]
     pub fn less(name: &str, case: &str, unit: &str, spread: Distribution) -> Self {
         Self::new(name, case, unit, Better::Less, spread)
     }
 
     /// A figure for which more is better, such as a throughput.
-    #[must_use]
     pub fn more(name: &str, case: &str, unit: &str, spread: Distribution) -> Self {
         Self::new(name, case, unit, Better::More, spread)
     }
@@ -55,7 +53,6 @@ impl Figure {
 }
 
 /// A count with thousands separators: `100,000`.
-#[must_use]
 pub(crate) fn grouped(count: u64) -> String {
     let digits = count.to_string();
     let mut text = String::new();
@@ -69,7 +66,6 @@ pub(crate) fn grouped(count: u64) -> String {
 }
 
 /// The case of a fleet or batch size.
-#[must_use]
 pub(crate) fn robots(count: usize) -> String {
     let plural = if count == 1 { "" } else { "s" };
     format!("{} robot{plural}", grouped(count as u64))

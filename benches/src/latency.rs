@@ -138,18 +138,7 @@ pub fn play(role: &Role) -> anyhow::Result<()> {
 struct Row {
     /// Robots per frame.
     robots: usize,
-    /// From the frame's intended time to the forecast being readable.
-    end_to_end_us: Spread,
-    /// From the frame's sending to the forecast being readable: the broker's share.
-    sent_to_readable_us: Spread,
-    /// From the frame's intended time to its sending: the source's share.
-    source_us: Spread,
-    /// From the frame's sending to the worker's reception.
-    one_way_us: Spread,
-    /// From the tick's start to the last forecast being written.
-    compute_us: Spread,
-    /// The whole tick, diagnostics and budgets included.
-    tick_us: Spread,
+    broker: broker::Figures,
     /// Two raw iceoryx2 hops of frames of the same sizes, from the intended time.
     raw_two_hops_us: Spread,
     /// The kernel alone after the same sleep.
@@ -158,10 +147,6 @@ struct Row {
     ratio_p50: f64,
     /// The same of the 99th percentiles.
     ratio_p99: f64,
-    /// Anonymous memory of the worker, bytes.
-    worker_bytes: u64,
-    /// Ticks whose forecasts the planner missed.
-    missed: u64,
     /// Grid times that the source skipped: included in the latencies, sent with the next.
     passed_over: u64,
 }
@@ -222,16 +207,9 @@ fn row(
         robots,
         ratio_p50: broker.end_to_end_us.p50_us / (raw.p50_us + kernel.p50_us),
         ratio_p99: broker.end_to_end_us.p99_us / (raw.p99_us + kernel.p99_us),
-        end_to_end_us: broker.end_to_end_us,
-        sent_to_readable_us: broker.sent_to_readable_us,
-        source_us: broker.source_us,
-        one_way_us: broker.one_way_us,
-        compute_us: broker.compute_us,
-        tick_us: broker.tick_us,
+        broker,
         raw_two_hops_us: raw,
         kernel_us: kernel,
-        worker_bytes: broker.worker_bytes,
-        missed: broker.missed,
         passed_over,
     })
 }

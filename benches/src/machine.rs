@@ -46,7 +46,6 @@ pub struct Build {
 
 impl Machine {
     /// This machine, as far as Linux reports it.
-    #[must_use]
     pub fn here() -> Self {
         let cpuinfo = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
         let field = |name: &str| {
@@ -71,7 +70,6 @@ impl Machine {
 
 impl Build {
     /// This program.
-    #[must_use]
     pub fn here() -> Self {
         let profile = if cfg!(debug_assertions) {
             "dev"
@@ -140,6 +138,16 @@ impl fmt::Display for Build {
              ({target_features})"
         )
     }
+}
+
+/// Anonymous memory of this process: neither files nor shared memory; `None` if unknown.
+pub(crate) fn anonymous_bytes() -> Option<u64> {
+    let status = fs::read_to_string("/proc/self/status").ok()?;
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("RssAnon:"))?;
+    let kilobytes: u64 = line.trim().trim_end_matches(" kB").parse().ok()?;
+    Some(kilobytes * 1024)
 }
 
 #[cfg(test)]

@@ -38,7 +38,6 @@ pub struct Report {
 
 impl Suite {
     /// Reports of this machine and this build.
-    #[must_use]
     pub fn here(reports: Vec<Report>) -> Self {
         Self {
             schema: SCHEMA.to_owned(),
@@ -51,7 +50,6 @@ impl Suite {
 
 impl Report {
     /// A report without figures.
-    #[must_use]
     pub fn new(benchmark: &str) -> Self {
         Self {
             benchmark: benchmark.to_owned(),
@@ -132,7 +130,6 @@ impl fmt::Display for Report {
 }
 
 /// Four significant digits.
-#[must_use]
 pub(crate) fn significant(value: f64) -> String {
     let whole_digits = if value == 0.0 {
         1

@@ -23,7 +23,6 @@ const ROLE: &str = "role";
 const COUNT: &str = "count";
 
 /// The program: measures, runs a role of the latency benchmark, or runs work to be counted.
-#[must_use]
 pub fn main() -> ExitCode {
     joulebus_bus::trace_iceoryx2();
     let arguments = || std::env::args_os().skip(1);

@@ -71,7 +71,6 @@ impl Target {
     ///
     /// # Panics
     /// The input violates an assertion of the target, or exceeds its memory limit.
-    #[must_use]
     pub fn run(&self, bytes: &[u8]) -> bool {
         let (accepted, peak_bytes) = counting::peak(|| (self.run)(bytes));
         let (name, most) = (self.name, self.max_bytes);
@@ -87,7 +86,6 @@ impl Target {
 ///
 /// # Panics
 /// There is none.
-#[must_use]
 pub fn target(name: &str) -> Target {
     let found = TARGETS.into_iter().find(|target| target.name == name);
     found.unwrap_or_else(|| panic!("no target {name:?}"))

@@ -44,8 +44,7 @@ fn rows() -> &'static Rows {
         for step in 0..40 {
             now_ns += PERIOD_NS;
             let samples = [1, 101, 201].map(|robot| healthy(robot, step, now_ns, PERIOD_NS));
-            source.send(&mut fleet, &samples, now_ns);
-            fleet.tick(now_ns, false);
+            source.tick(&mut fleet, &samples, now_ns);
         }
         let all = 0..fleet.len();
         Rows {

@@ -26,7 +26,6 @@ use super::frames::{encoded, setting};
 use super::keyframes::beginning;
 
 /// Directory, name and bytes of every seed.
-#[must_use]
 pub fn seeds() -> Vec<(&'static str, String, Vec<u8>)> {
     let mut all = Vec::new();
     let mut add = |directory, seeds: Vec<(String, Vec<u8>)>| {
@@ -245,8 +244,7 @@ fn keyframes() -> Vec<(String, Vec<u8>)> {
         for step in 0..12 {
             let now_ns = 60_000 * MS + step * PERIOD_NS;
             let samples = [1, 101, 201].map(|robot| healthy(robot, step, now_ns, PERIOD_NS));
-            source.send(&mut fleet, &samples, now_ns);
-            fleet.tick(now_ns, false);
+            source.tick(&mut fleet, &samples, now_ns);
         }
         [&[options | 4], &encoded(&fleet)[begins..]].concat()
     };

@@ -7,7 +7,7 @@ use std::process::Child;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::{Context, anyhow};
+use anyhow::{Context as _, anyhow};
 use hdrhistogram::Histogram;
 use joulebus_bus::{Bus, Scheduling, clock};
 use joulebus_config::{Config, Demo};
@@ -19,22 +19,27 @@ use serde::{Deserialize, Serialize};
 
 use super::{Launcher, WARM_UP, finish, record_places};
 use crate::histogram;
+use crate::machine::anonymous_bytes;
 
-/// Figures of the planner and the worker; names as in the rows of the report.
+/// Figures of the planner and the worker.
 #[derive(Debug, Serialize, Deserialize)]
-#[allow(
-    missing_docs,
-    reason = "the same names, with documentation, are in `Row`"
-)]
 pub struct Figures {
+    /// From the frame's intended time to the forecast being readable.
     pub end_to_end_us: Spread,
+    /// From the frame's sending to the forecast being readable: the broker's share.
     pub sent_to_readable_us: Spread,
+    /// From the frame's intended time to its sending: the source's share.
     pub source_us: Spread,
+    /// From the frame's sending to the worker's reception.
     pub one_way_us: Spread,
+    /// From the tick's start to the last forecast being written.
     pub compute_us: Spread,
+    /// Ticks whose forecasts the planner missed.
     pub missed: u64,
+    /// The whole tick, diagnostics and budgets included.
     #[serde(default)]
     pub tick_us: Spread,
+    /// Anonymous memory of the worker, bytes.
     #[serde(default)]
     pub worker_bytes: u64,
 }
@@ -180,7 +185,7 @@ pub fn worker(path: &Path) -> anyhow::Result<()> {
     let measuring = std::thread::spawn(move || {
         let mut line = String::new();
         let _ = BufReader::new(std::io::stdin()).read_line(&mut line);
-        let own_bytes = own_bytes();
+        let own_bytes = anonymous_bytes();
         told.store(true, Ordering::Relaxed);
         own_bytes
     });
@@ -189,26 +194,13 @@ pub fn worker(path: &Path) -> anyhow::Result<()> {
     let tick_us = report.tick;
     let own_bytes = measuring
         .join()
-        .map_err(|_| anyhow!("measuring panicked"))??;
+        .map_err(|_| anyhow!("measuring panicked"))?
+        .context("no RssAnon")?;
     println!(
         "{}",
         serde_json::to_string(&WorkerFigures { tick_us, own_bytes })?
     );
     Ok(())
-}
-
-/// Peak anonymous memory of this process: neither files nor shared memory.
-fn own_bytes() -> anyhow::Result<u64> {
-    let status = std::fs::read_to_string("/proc/self/status")?;
-    let line = status
-        .lines()
-        .find_map(|line| line.strip_prefix("RssAnon:"));
-    let kilobytes: u64 = line
-        .context("no RssAnon")?
-        .trim()
-        .trim_end_matches(" kB")
-        .parse()?;
-    Ok(kilobytes * 1024)
 }
 
 /// The planner's process: prints its figures.

@@ -28,12 +28,12 @@ type Time = (&'static str, fn(&Row) -> &Spread);
 type Once = (&'static str, &'static str, fn(&Row) -> f64);
 
 const TIMES: [Time; 8] = [
-    ("due_to_readable_us", |row| &row.end_to_end_us),
-    ("due_to_sent_us", |row| &row.source_us),
-    ("sent_to_readable_us", |row| &row.sent_to_readable_us),
-    ("sent_to_taken_us", |row| &row.one_way_us),
-    ("compute_us", |row| &row.compute_us),
-    ("whole_tick_us", |row| &row.tick_us),
+    ("due_to_readable_us", |row| &row.broker.end_to_end_us),
+    ("due_to_sent_us", |row| &row.broker.source_us),
+    ("sent_to_readable_us", |row| &row.broker.sent_to_readable_us),
+    ("sent_to_taken_us", |row| &row.broker.one_way_us),
+    ("compute_us", |row| &row.broker.compute_us),
+    ("whole_tick_us", |row| &row.broker.tick_us),
     ("two_raw_hops_us", |row| &row.raw_two_hops_us),
     ("kernel_after_sleep_us", |row| &row.kernel_us),
 ];
@@ -42,14 +42,13 @@ const ONCE: [Once; 5] = [
     ("over_hops_and_kernel_at_p50", "1", |row| row.ratio_p50),
     ("over_hops_and_kernel_at_p99", "1", |row| row.ratio_p99),
     ("worker_memory_bytes", "bytes", |row| {
-        row.worker_bytes as f64
+        row.broker.worker_bytes as f64
     }),
-    ("missed_frames", "frames", |row| row.missed as f64),
+    ("missed_frames", "frames", |row| row.broker.missed as f64),
     ("passed_over_frames", "frames", |row| row.passed_over as f64),
 ];
 
 /// The distribution, µs; `None` if nothing was measured.
-#[must_use]
 pub fn distribution(spread: &Spread) -> Option<Distribution> {
     (spread.count > 0).then_some(Distribution {
         count: spread.count,

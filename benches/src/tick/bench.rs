@@ -1,6 +1,5 @@
 //! A fleet with its input and output buffers.
 
-use std::fs;
 use std::hint::black_box;
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -16,6 +15,7 @@ use joulebus_publisher::Pace;
 use joulebus_settings::{FleetSettings, Platform};
 use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState};
 
+use crate::machine::anonymous_bytes;
 use crate::world::World;
 use crate::{input, threads};
 
@@ -82,7 +82,7 @@ pub(super) struct Bench {
     plan_states: Vec<PlanState>,
     /// Rounds so far.
     rounds: u64,
-    before_bytes: Option<f64>,
+    before_bytes: Option<u64>,
 }
 
 impl Bench {
@@ -126,7 +126,7 @@ impl Bench {
 
     /// Memory of the fleet, without its inputs and outputs.
     pub(super) fn own_bytes(&self) -> Option<f64> {
-        Some(anonymous_bytes()? - self.before_bytes?)
+        Some(anonymous_bytes()? as f64 - self.before_bytes? as f64)
     }
 
     /// The kernel and the variants of the tick, one after the other. Every other round, the tick
@@ -299,14 +299,4 @@ fn split(one: &Platform, robots: u32) -> Vec<Platform> {
         ..one.clone()
     };
     (0..PLATFORMS).map(third).collect()
-}
-
-/// Anonymous memory of this process; `None` if unknown.
-fn anonymous_bytes() -> Option<f64> {
-    let status = fs::read_to_string("/proc/self/status").ok()?;
-    let line = status
-        .lines()
-        .find_map(|line| line.strip_prefix("RssAnon:"))?;
-    let kilobytes: f64 = line.trim().trim_end_matches(" kB").trim().parse().ok()?;
-    Some(kilobytes * 1024.0)
 }

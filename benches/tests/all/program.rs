@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use joulebus_testkit::{Child, Ended, end_signals, run};
+use joulebus_testkit::{Child, Ended, end_signals, run, says};
 use serde_json::Value;
 
 fn output<'a>(arguments: impl IntoIterator<Item = &'a str>) -> Ended {
@@ -21,8 +21,7 @@ fn figures(suite: &Value) -> Vec<&Value> {
 
 #[test]
 fn a_quick_measurement_gives_finite_figures_with_machine_and_build() {
-    let measured = output(["kernel", "--quick", "--format", "json"]);
-    assert_eq!(measured.exit_code(), 0, "{}", measured.errors());
+    let measured = output(["kernel", "--quick", "--format", "json"]).exits(0);
     let suite = measured.json();
     for (part, name) in [
         ("machine", "processor"),
@@ -60,17 +59,9 @@ fn a_quick_measurement_gives_finite_figures_with_machine_and_build() {
 #[test]
 fn the_tick_and_rollouts_are_measured_too() {
     for (benchmark, name) in [("tick", "tick_over_kernel"), ("rollout", "ns_per_step")] {
-        let measured = output([
-            benchmark,
-            "--quick",
-            "--robots",
-            "10",
-            "--threads",
-            "1",
-            "--format",
-            "json",
-        ]);
-        assert_eq!(measured.exit_code(), 0, "{}", measured.errors());
+        let measured =
+            output(format!("{benchmark} --quick --robots 10 --threads 1 --format json").split(' '))
+                .exits(0);
         let suite = measured.json();
         let figures = figures(&suite);
         assert!(
@@ -115,23 +106,16 @@ fn a_comparison_fails_only_on_request() {
         "1",
     ];
     let with = |more: &[&str]| output(base.into_iter().chain(more.iter().copied()));
-    let first = with(&["--json", &old_name]);
-    assert_eq!(first.exit_code(), 0, "{}", first.errors());
+    with(&["--json", &old_name]).exits(0);
     flatter(&old, 1e6);
-    let compared = with(&["--compare", &old_name]);
-    assert_eq!(compared.exit_code(), 0, "{}", compared.errors());
+    let compared = with(&["--compare", &old_name]).exits(0);
     assert!(compared.text().contains("WORSE"), "{}", compared.text());
-    let failed = with(&["--compare", &old_name, "--fail-above", "100"]);
-    assert_eq!(failed.exit_code(), 3, "{}", failed.errors());
-    assert!(
-        failed
-            .text()
-            .contains("too slow: kernel scalar_ns_per_robot, 7 robots"),
-        "{}",
-        failed.text()
+    let failed = with(&["--compare", &old_name, "--fail-above", "100"]).exits(3);
+    says(
+        &failed.text(),
+        ["too slow: kernel scalar_ns_per_robot, 7 robots"],
     );
-    let allowed = with(&["--compare", &old_name, "--fail-above", "1e12"]);
-    assert_eq!(allowed.exit_code(), 0, "{}", allowed.errors());
+    with(&["--compare", &old_name, "--fail-above", "1e12"]).exits(0);
 }
 
 #[test]

@@ -125,6 +125,16 @@ impl Ended {
         self.code().unwrap_or_else(|| panic!("killed: {self:?}"))
     }
 
+    /// Checks the exit code.
+    ///
+    /// # Panics
+    /// It is another one.
+    #[track_caller]
+    pub fn exits(self, code: i32) -> Self {
+        assert_eq!(self.exit_code(), code, "{}", self.errors());
+        self
+    }
+
     /// The signal that killed it.
     #[must_use]
     pub fn signal(&self) -> Option<i32> {

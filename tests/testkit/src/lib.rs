@@ -11,6 +11,8 @@ mod on_drop;
 mod place;
 mod ports;
 pub mod recordings;
+mod says;
+mod table;
 #[cfg(feature = "trials")]
 pub mod trials;
 
@@ -22,3 +24,5 @@ pub use member::{Member, send_to_test};
 pub use on_drop::OnDrop;
 pub use place::{Place, run_member, told};
 pub use ports::free_port;
+pub use says::says;
+pub use table::cases;

@@ -7,6 +7,7 @@ use std::process::Command;
 
 use joulebus_capture_format::{Entry, Frame, Message, Reader};
 use joulebus_predictor::{FeatureSet, Network};
+use joulebus_testkit::says;
 use joulebus_testkit_networks::random;
 use joulebus_tests::{
     Arena, Child, Ended, ReaderLine, Setup, alone, eventually, program, script, spoilt,
@@ -160,10 +161,7 @@ fn a_recorded_run_is_verified_and_a_flipped_bit_is_reported() {
     assert_eq!(report["robots"], 12);
     assert_every_tick_verified(&report);
     let text = arena.run(&["replay", "--verify", name]).text();
-    assert!(
-        text.contains(" ticks, 12 robots, 0 differences\n"),
-        "{text}"
-    );
+    says(&text, [" ticks, 12 robots, 0 differences\n"]);
 
     let flipped = arena.files().join("forecast.mcap");
     let (mut tick, mut robot) = (0, 0);
@@ -428,11 +426,7 @@ fn planners_can_be_developed_without_a_worker_and_from_the_middle() {
     let mut worker = arena.worker();
     let ended = alone(&[&["replay", name][..], &outputs].concat());
     assert_eq!(ended.code(), Some(1), "{}", ended.text());
-    assert!(
-        ended.errors().contains("already has a worker"),
-        "{}",
-        ended.errors()
-    );
+    says(&ended.errors(), ["already has a worker"]);
     worker.stop();
 
     let second = arena.files().join("second.mcap");

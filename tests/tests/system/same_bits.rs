@@ -223,17 +223,7 @@ fn start_worker(config: &Path) -> Child {
 fn start_source(config: &Path, fleet: &[(u32, PathBuf)]) -> Child {
     let tested = program("joulebus-under-test").display().to_string();
     let mut command = Command::new(joulebus_testkit::lab_beside(&tested));
-    command.args([
-        "publish",
-        "trial",
-        "--rate",
-        "max",
-        "--window",
-        "1",
-        "--frame-rate",
-        "100",
-        "--config",
-    ]);
+    command.args("publish trial --rate max --window 1 --frame-rate 100 --config".split(' '));
     command.arg(config);
     command.args(
         fleet

@@ -6,7 +6,7 @@ use joulebus_tests::{
     Answers, Arena, Dice, ForecastFrame, Forge, FrameLine, Planner, ReaderLine, Setup, figure,
     sample, script,
 };
-use joulebus_wire::{DropReason, InvalidReason, Quality, Sample};
+use joulebus_wire::{DropReason, Quality, Sample};
 
 const ROBOTS: [u32; 6] = [0, 1, 2, 3, 4, 5];
 
@@ -42,140 +42,28 @@ fn assert_same(clean: &Answers, found: &Answers, of: usize) -> usize {
     compared
 }
 
-type Spoil = fn(Sample) -> Sample;
+type Spoil = fn(&mut Sample);
 
-/// Invalid values of a sample, the drop reason, and the resulting quality of the robot.
-const POISON: &[(&str, Spoil, DropReason, InvalidReason)] = {
-    use joulebus_wire::DropReason as D;
-    use joulebus_wire::InvalidReason as I;
-    &[
-        (
-            "NaN power",
-            |s| Sample {
-                power_w: f32::NAN,
-                ..s
-            },
-            D::NotFinite,
-            I::NotFinite,
-        ),
-        (
-            "infinite power",
-            |s| Sample {
-                power_w: f32::INFINITY,
-                ..s
-            },
-            D::NotFinite,
-            I::NotFinite,
-        ),
-        (
-            "minus infinite power",
-            |s| Sample {
-                power_w: f32::NEG_INFINITY,
-                ..s
-            },
-            D::NotFinite,
-            I::NotFinite,
-        ),
-        (
-            "NaN speed",
-            |s| Sample {
-                v_mps: f32::NAN,
-                ..s
-            },
-            D::NotFinite,
-            I::NotFinite,
-        ),
-        (
-            "NaN turn",
-            |s| Sample {
-                omega_radps: f32::NAN,
-                ..s
-            },
-            D::NotFinite,
-            I::NotFinite,
-        ),
-        (
-            "NaN voltage",
-            |s| s.battery(f32::NAN, 1.0),
-            D::NotFinite,
-            I::NotFinite,
-        ),
-        (
-            "infinite current",
-            |s| s.battery(3.7, f32::INFINITY),
-            D::NotFinite,
-            I::NotFinite,
-        ),
-        (
-            "negative power",
-            |s| Sample { power_w: -0.5, ..s },
-            D::PowerOutOfRange,
-            I::PowerOutOfRange,
-        ),
-        (
-            "huge power",
-            |s| Sample { power_w: 1e30, ..s },
-            D::PowerOutOfRange,
-            I::PowerOutOfRange,
-        ),
-        (
-            "huge speed",
-            |s| Sample { v_mps: 1e30, ..s },
-            D::CommandOutOfRange,
-            I::CommandOutOfRange,
-        ),
-        (
-            "huge turn",
-            |s| Sample {
-                omega_radps: -1e30,
-                ..s
-            },
-            D::CommandOutOfRange,
-            I::CommandOutOfRange,
-        ),
-        (
-            "unknown flag",
-            |s| Sample {
-                flags: s.flags | 1 << 31,
-                ..s
-            },
-            D::BadFlags,
-            I::BadFlags,
-        ),
-        (
-            "reserved field",
-            |s| Sample { reserved: 1, ..s },
-            D::BadFlags,
-            I::BadFlags,
-        ),
-        (
-            "measured after its stamp",
-            |s| Sample {
-                measured_ns: s.stamp_ns + 1,
-                ..s
-            },
-            D::BadTime,
-            I::BadTime,
-        ),
-        (
-            "stamp goes back",
-            |s| Sample {
-                stamp_ns: 5,
-                measured_ns: 5,
-                ..s
-            },
-            D::BadTime,
-            I::BadTime,
-        ),
-        (
-            "stamp jumps ahead",
-            |s| Sample {
-                stamp_ns: u64::MAX,
-                ..s
-            },
-            D::BadTime,
-            I::BadTime,
-        ),
+/// Invalid values of a sample, and the drop reason. The robot is invalid for the reason of that name.
+const POISON: [(DropReason, &str, Spoil); 16] = {
+    use DropReason::{BadFlags, BadTime, CommandOutOfRange, NotFinite, PowerOutOfRange};
+    [
+        (NotFinite, "NaN power", |s| s.power_w = f32::NAN),
+        (NotFinite, "infinite power", |s| s.power_w = f32::INFINITY),
+        (NotFinite, "minus infinite", |s| s.power_w = -f32::INFINITY),
+        (NotFinite, "NaN speed", |s| s.v_mps = f32::NAN),
+        (NotFinite, "NaN turn", |s| s.omega_radps = f32::NAN),
+        (NotFinite, "NaN voltage", |s| *s = s.battery(f32::NAN, 1.0)),
+        (NotFinite, "current", |s| *s = s.battery(3.7, f32::INFINITY)),
+        (PowerOutOfRange, "negative power", |s| s.power_w = -0.5),
+        (PowerOutOfRange, "huge power", |s| s.power_w = 1e30),
+        (CommandOutOfRange, "huge speed", |s| s.v_mps = 1e30),
+        (CommandOutOfRange, "huge turn", |s| s.omega_radps = -1e30),
+        (BadFlags, "unknown flag", |s| s.flags |= 1 << 31),
+        (BadFlags, "reserved field", |s| s.reserved = 1),
+        (BadTime, "of the future", |s| s.measured_ns = s.stamp_ns + 1),
+        (BadTime, "back", |s| (s.stamp_ns, s.measured_ns) = (5, 5)),
+        (BadTime, "stamp jumps ahead", |s| s.stamp_ns = u64::MAX),
     ]
 };
 
@@ -197,7 +85,7 @@ fn row_7_a_robot_with_invalid_samples_is_invalid_with_a_reason_and_others_keep_e
             .checked_sub(10)
             .filter(|at| at % 2 == 0)
             .map(|at| &POISON[at / 2 % POISON.len()]);
-        let Some((what, spoil, reason, invalid)) = poison else {
+        let Some((reason, what, spoil)) = poison else {
             source.send(frame);
             let answered = planner.answered(frame);
             let quality = answered.robot(VICTIM).unwrap().quality();
@@ -208,7 +96,7 @@ fn row_7_a_robot_with_invalid_samples_is_invalid_with_a_reason_and_others_keep_e
             continue;
         };
         let mut spoiled = frame.clone();
-        spoiled[VICTIM as usize] = spoil(spoiled[VICTIM as usize]);
+        spoil(&mut spoiled[VICTIM as usize]);
         source.send(&spoiled);
         let others: Vec<Sample> = frame
             .iter()
@@ -217,16 +105,12 @@ fn row_7_a_robot_with_invalid_samples_is_invalid_with_a_reason_and_others_keep_e
             .collect();
         let answered = planner.answered(&others);
         *expected.entry(reason.name()).or_default() += 1;
-        assert_eq!(
-            answered.robot(VICTIM).unwrap().quality(),
-            Quality::Invalid(*invalid),
-            "{what}"
-        );
-        assert_eq!(
-            answered.robot(VICTIM).unwrap().flags & 0b11,
-            0,
-            "{what}: no forecast"
-        );
+        let shown = answered.robot(VICTIM).unwrap();
+        match shown.quality() {
+            Quality::Invalid(invalid) => assert_eq!(invalid.name(), reason.name(), "{what}"),
+            other => panic!("{what}: {other:?}"),
+        }
+        assert_eq!(shown.flags & 0b11, 0, "{what}: no forecast");
         assert_eq!(answered.dropped(*reason), expected[reason.name()], "{what}");
         let alarmed = planner.until("diagnostics", |line| match line {
             ReaderLine::Diagnostics(frame) if frame.tick >= answered.tick => Some(frame.clone()),

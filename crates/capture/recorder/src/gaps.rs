@@ -271,16 +271,9 @@ mod tests {
     fn a_false_number_or_run_does_not_hide_the_gaps_that_follow() {
         let far = u64::MAX;
         let fleet = Arc::from("lab");
+        let sent = |epoch, number| frame(1, epoch, number);
         for (messages, missing) in [
-            (
-                vec![
-                    frame(1, 5, 7),
-                    frame(1, far, 7),
-                    frame(1, 5, 8),
-                    frame(1, 5, 10),
-                ],
-                1,
-            ),
+            (vec![sent(5, 7), sent(far, 7), sent(5, 8), sent(5, 10)], 1),
             (vec![tick(5, 7), tick(far, 1), tick(5, 9), tick(5, 10)], 1),
         ] {
             let mut gaps = Gaps::new(far);
@@ -315,22 +308,13 @@ mod tests {
 
     #[test]
     fn diagnostics_that_the_worker_left_out_are_not_lost_whenever_it_says_so() {
-        let left_out = without_diagnostics;
+        let (sent, none) = (diagnostics, without_diagnostics);
         for (messages, lost) in [
-            (vec![diagnostics(1), diagnostics(4)], 2),
-            (
-                vec![diagnostics(1), left_out(2), left_out(3), diagnostics(4)],
-                0,
-            ),
-            (
-                vec![diagnostics(1), left_out(2), diagnostics(4), left_out(3)],
-                0,
-            ),
-            (vec![diagnostics(1), left_out(3), diagnostics(4)], 1),
-            (
-                vec![diagnostics(1), left_out(2), diagnostics(3), diagnostics(5)],
-                1,
-            ),
+            (vec![sent(1), sent(4)], 2),
+            (vec![sent(1), none(2), none(3), sent(4)], 0),
+            (vec![sent(1), none(2), sent(4), none(3)], 0),
+            (vec![sent(1), none(3), sent(4)], 1),
+            (vec![sent(1), none(2), sent(3), sent(5)], 1),
         ] {
             let (fleet, mut gaps) = (Arc::from("lab"), Gaps::new(100));
             let mut sum = 0_i64;

@@ -8,7 +8,7 @@ use joulebus_testkit::eventually;
 use rustix::process::Signal;
 use serde_json::Value;
 
-use crate::fleet::{Fleet, Program, code, json, output, stderr, stdout};
+use crate::fleet::{Exits as _, Fleet, Program, code, json, output, stderr, stdout};
 
 const ROBOTS: usize = 3;
 
@@ -39,8 +39,7 @@ fn wait_for_silence(path: &Path) {
 }
 
 fn publish(fleet: &Fleet) {
-    let sent = fleet.output("publish sim --robots 3 --duration 1");
-    assert_eq!(code(&sent), 0, "{}", stderr(&sent));
+    fleet.output("publish sim --robots 3 --duration 1").exits(0);
 }
 
 #[test]
@@ -169,8 +168,7 @@ fn the_worker_logs_each_raise_and_each_end_and_its_report_counts_them() {
     worker.wait_for_stderr("\"alarm\":\"NoData\"");
     publish(&fleet);
     worker.wait_for_stderr("alarm ended");
-    let ended = worker.end(Signal::TERM);
-    assert_eq!(code(&ended), 0, "{}", stderr(&ended));
+    let ended = worker.end(Signal::TERM).exits(0);
 
     let lines: Vec<Value> = stderr(&ended)
         .lines()

@@ -6,16 +6,17 @@ use std::process::Output;
 
 use joulebus_config::Config;
 
-use crate::fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
+use crate::fleet::{Exits as _, Fleet, code, joulebus, json, output, stderr, stdout};
+use joulebus_testkit::says;
 
 /// Seven simulated robots of the platform gternal, 100 s each.
 fn recordings(fleet: &Fleet) -> Vec<PathBuf> {
     let directory = fleet.path("simulated");
-    let simulated = joulebus(["data", "simulate", "--steps", "3000"])
+    joulebus(["data", "simulate", "--steps", "3000"])
         .arg(&directory)
         .output()
-        .unwrap();
-    assert_eq!(code(&simulated), 0, "{}", stderr(&simulated));
+        .unwrap()
+        .exits(0);
     let robots = (1..=7).map(|robot| format!("energy_data_seven_robots_robot{robot}.npy"));
     robots.map(|name| directory.join(name)).collect()
 }
@@ -39,8 +40,7 @@ fn the_written_platform_has_the_limits_their_evidence_and_everything_else_as_bef
         "--false-alarms 500/hour --robots 5 --format json -o {}",
         file.display()
     );
-    let found = calibrate(&fleet, &recordings, &words);
-    assert_eq!(code(&found), 0, "{}", stderr(&found));
+    let found = calibrate(&fleet, &recordings, &words).exits(0);
     let found = json(&found);
     assert_eq!(found["wanted_per_robot_h"], 100.0);
     assert_eq!(found["robots"], 5);
@@ -96,10 +96,8 @@ fn a_capture_gives_what_its_recordings_give_and_the_number_of_robots() {
     let capture = fleet.path("fleet.mcap");
     let mut import = fleet.joulebus("import --format json");
     let imported = import.arg("-o").arg(&capture).args(&recordings).output();
-    let imported = imported.unwrap();
-    assert_eq!(code(&imported), 0, "{}", stderr(&imported));
-    let found = calibrate(&fleet, &[capture], "--false-alarms 700/hour --format json");
-    assert_eq!(code(&found), 0, "{}", stderr(&found));
+    imported.unwrap().exits(0);
+    let found = calibrate(&fleet, &[capture], "--false-alarms 700/hour --format json").exits(0);
     assert_eq!(json(&found)["robots"], 7);
     let trials = "--false-alarms 700/hour --robots 7 --format json";
     let same = calibrate(&fleet, &recordings, trials);
@@ -111,23 +109,19 @@ fn a_capture_gives_what_its_recordings_give_and_the_number_of_robots() {
 fn too_little_evidence_fails_with_what_would_be_needed() {
     let fleet = Fleet::new();
     let recordings = recordings(&fleet);
-    let refused = calibrate(&fleet, &recordings, "--false-alarms 1/day --robots 20");
-    assert_eq!(code(&refused), 1);
+    let refused = calibrate(&fleet, &recordings, "--false-alarms 1/day --robots 20").exits(1);
     assert!(stdout(&refused).is_empty());
     let said = stderr(&refused);
-    for part in ["2875.9 robot-hours", "a day of 20 robots", "--extrapolate"] {
-        assert!(said.contains(part), "{said}");
-    }
+    says(
+        &said,
+        "2875.9 robot-hours | a day of 20 robots | --extrapolate".split(" | "),
+    );
     let several = output(
         ["calibrate", "--false-alarms", "1/day", "--config"]
             .map(PathBuf::from)
             .iter()
             .chain([&fleet.config(), &recordings[0], &recordings[1]]),
-    );
-    assert_eq!(code(&several), 2, "{}", stderr(&several));
-    assert!(
-        stderr(&several).contains("--platform"),
-        "{}",
-        stderr(&several)
-    );
+    )
+    .exits(2);
+    says(&stderr(&several), ["--platform"]);
 }

@@ -8,10 +8,12 @@ use std::process::{Command, Output};
 use joulebus_capture_format::{Attachments, CaptureSettings, Writer};
 use joulebus_testkit::recordings::shared;
 
-use crate::fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
+use crate::fleet::{Exits as _, Fleet, code, joulebus, json, output, stderr, stdout};
+use joulebus_testkit::says;
 
-fn run(arguments: &[&str]) -> Output {
-    output(arguments)
+/// The program with the words of a line.
+fn run(line: impl AsRef<str>) -> Output {
+    output(line.as_ref().split_whitespace())
 }
 
 fn text(path: &Path) -> String {
@@ -24,8 +26,7 @@ pub(crate) fn capture(fleet: &Fleet, rows: u32) -> (PathBuf, u64) {
     let mut import = fleet.joulebus("import --format json");
     import.arg("-o").arg(&path);
     import.args(["a.csv", "b.csv"].map(|name| fleet.recording(name, rows)));
-    let imported = import.output().unwrap();
-    assert_eq!(code(&imported), 0, "{}", stderr(&imported));
+    let imported = import.output().unwrap().exits(0);
     let samples = json(&imported)["written"][0]["rows"].as_u64().unwrap();
     assert_eq!(samples, u64::from(2 * rows));
     (path, samples)
@@ -35,22 +36,15 @@ pub(crate) fn capture(fleet: &Fleet, rows: u32) -> (PathBuf, u64) {
 fn a_damaged_capture_is_diagnosed_and_recovered() {
     let fleet = Fleet::new();
     let (whole, samples) = capture(&fleet, 300);
-    let info = run(&["info", &text(&whole), "--format", "json"]);
-    assert_eq!(code(&info), 0, "{}", stdout(&info));
-    let info = json(&info)["files"][0].clone();
+    let shown = text(&whole);
+    let info = json(&run(format!("info {shown} --format json")).exits(0))["files"][0].clone();
     assert_eq!(info["statistics"]["state"], "agree");
     let messages = info["messages"].as_u64().unwrap();
     assert_eq!(info["channels"][0]["topic"], "joulebus/cli/samples");
-    assert!(
-        info["joulebus"]["imported"]
-            .as_str()
-            .unwrap()
-            .contains("0 a, 1 b"),
-        "{info}"
-    );
-    assert_eq!(code(&run(&["doctor", &text(&whole)])), 0);
+    says(&info["joulebus"]["imported"], ["0 a, 1 b"]);
+    run(format!("doctor {shown}")).exits(0);
 
-    let lines = stdout(&run(&["cat", &text(&whole), "--format", "ndjson"]));
+    let lines = stdout(&run(format!("cat {shown} --format ndjson")));
     assert_eq!(lines.lines().count() as u64, messages);
     let mut rows = 0;
     for line in lines.lines() {
@@ -59,64 +53,42 @@ fn a_damaged_capture_is_diagnosed_and_recovered() {
     }
     assert_eq!(rows, samples);
     // A topic that is not there, beside one that is; and an expression that matches none.
-    for asked in [
-        ["--topics", "joulebus/cli/samples", "joulebus/cli/sample"].as_slice(),
-        &["-e", "budget"],
+    for (asked, last) in [
+        (
+            "--topics joulebus/cli/samples joulebus/cli/sample",
+            "joulebus/cli/sample",
+        ),
+        ("-e budget", "budget"),
     ] {
-        let refused = run(&[&["cat", text(&whole).as_str()], asked].concat());
-        assert_eq!(code(&refused), 1, "{asked:?}");
-        let why = stderr(&refused);
-        let last = asked[asked.len() - 1];
-        assert!(
-            why.contains(last) && why.contains("there are joulebus/cli/samples"),
-            "{why}"
-        );
+        let refused = run(format!("cat {shown} {asked}")).exits(1);
+        says(&stderr(&refused), [last, "there are joulebus/cli/samples"]);
     }
-    let found = run(&["cat", &text(&whole), "-e", "sampl.s$"]);
-    assert_eq!(
-        (code(&found), stdout(&found).lines().count() as u64),
-        (0, messages)
-    );
-    let table = stdout(&run(&["cat", &text(&whole), "--format", "csv"]));
+    let found = run(format!("cat {shown} -e sampl.s$")).exits(0);
+    assert_eq!(stdout(&found).lines().count() as u64, messages);
+    let table = stdout(&run(format!("cat {shown} --format csv")));
     assert_eq!(table.lines().count() as u64, samples + 1);
-    assert!(
-        table.lines().next().unwrap().contains("samples.power_w"),
-        "{table}"
-    );
+    says(table.lines().next().unwrap(), ["samples.power_w"]);
 
     let cut = fleet.path("cut.mcap");
     let bytes = fs::read(&whole).unwrap();
     fs::write(&cut, &bytes[..bytes.len() * 2 / 3]).unwrap();
-    let doctor = run(&["doctor", &text(&cut)]);
-    assert_eq!(code(&doctor), 3, "{}", stdout(&doctor));
-    assert!(
-        stdout(&doctor).contains("the file ends within"),
-        "{}",
-        stdout(&doctor)
+    let doctor = run(format!("doctor {}", text(&cut))).exits(3);
+    says(
+        &stdout(&doctor),
+        ["the file ends within", "joulebus recover"],
     );
-    assert!(stdout(&doctor).contains("joulebus recover"));
-    let again = fleet.path("again.mcap");
-    let recover = run(&[
-        "recover",
-        &text(&cut),
-        "-o",
-        &text(&again),
-        "--format",
-        "json",
-    ]);
-    assert_eq!(code(&recover), 3, "{}", stderr(&recover));
-    let recovered = json(&recover);
+    let again = text(&fleet.path("again.mcap"));
+    let recover = format!("recover {} -o {again}", text(&cut));
+    let recovered = json(&run(format!("{recover} --format json")).exits(3));
     let kept = recovered["messages"]["recovered"].as_u64().unwrap();
     assert!(
         kept < messages && recovered["lost_unknown"] == true,
         "{recovered}"
     );
-    assert_eq!(code(&run(&["doctor", &text(&again)])), 0);
-    let shown = json(&run(&["info", &text(&again), "--format", "json"]));
+    run(format!("doctor {again}")).exits(0);
+    let shown = json(&run(format!("info {again} --format json")));
     assert_eq!(shown["files"][0]["messages"], kept);
-    let twice = run(&["recover", &text(&cut), "-o", &text(&again)]);
-    assert_eq!(code(&twice), 1, "{}", stderr(&twice));
-    assert!(stderr(&twice).contains("exists"));
+    says(&stderr(&run(recover).exits(1)), ["exists"]);
 }
 
 #[test]
@@ -126,20 +98,16 @@ fn a_recovery_that_cannot_be_written_names_file_and_cause_and_leaves_what_was_th
     let out = fleet.path("again.mcap");
     // A link that leads nowhere is somebody's, too.
     std::os::unix::fs::symlink(fleet.path("nowhere"), &out).unwrap();
-    let refused = run(&["recover", &text(&whole), "-o", &text(&out)]);
-    assert_eq!(code(&refused), 1, "{}", stderr(&refused));
-    assert!(stderr(&refused).contains("exists"), "{}", stderr(&refused));
+    let refused = run(format!("recover {} -o {}", text(&whole), text(&out))).exits(1);
+    says(&stderr(&refused), ["exists"]);
     fs::remove_file(&out).expect("the link is left as it was");
     // As on a full disk: four blocks of 1,024 bytes.
     let mut limited = Command::new("bash");
     limited.args(["-c", "ulimit -f 4; exec \"$@\"", "bash"]);
     limited.arg(joulebus::<&str>([]).get_program());
     limited.args(["recover", &text(&whole), "-o", &text(&out)]);
-    let failed = limited.output().unwrap();
-    assert_eq!(code(&failed), 1, "{}", stderr(&failed));
-    for named in [text(&out), "File too large".to_owned()] {
-        assert!(stderr(&failed).contains(&named), "{}", stderr(&failed));
-    }
+    let failed = limited.output().unwrap().exits(1);
+    says(&stderr(&failed), [text(&out).as_str(), "File too large"]);
     assert!(!out.exists(), "part of a file is left");
 }
 
@@ -152,38 +120,17 @@ fn a_capture_decides_neither_where_directories_are_made_nor_which_files_are_read
     let own = fleet.path("own.toml");
     fs::write(&own, joulebus_config::builtin_platform("rover").unwrap()).unwrap();
     let other = |file: &str| format!("[[platform]]\nfile = \"{file}\"\nrobots = [20]");
+    let (play, verify) = ("--no-wait", "--verify");
+    let (root, model) = (format!("root = \"{made}\""), format!("model = \"{model}\""));
+    let outside = "root = \"/dev/shm/../tmp/x\"";
+    let beside = "model = \"models/../config.toml\"";
     for (domain, platform, verb, named) in [
-        (
-            &*format!("root = \"{made}\""),
-            "",
-            "--no-wait",
-            "domain.root",
-        ),
-        (
-            "root = \"/dev/shm/../tmp/x\"",
-            "",
-            "--no-wait",
-            "domain.root",
-        ),
-        (
-            "",
-            &*format!("model = \"{model}\""),
-            "--verify",
-            "is not attached",
-        ),
-        (
-            "",
-            "model = \"models/../config.toml\"",
-            "--verify",
-            "is not attached",
-        ),
-        ("", &*other(&text(&own)), "--no-wait", "is not attached"),
-        (
-            "",
-            &*other("models/../own.toml"),
-            "--verify",
-            "is not attached",
-        ),
+        (&*root, "", play, "domain.root"),
+        (outside, "", play, "domain.root"),
+        ("", &*model, verify, "is not attached"),
+        ("", beside, verify, "is not attached"),
+        ("", &*other(&text(&own)), play, "is not attached"),
+        ("", &*other("models/../own.toml"), verify, "is not attached"),
     ] {
         let config = format!(
             "[fleet]\nname = \"cli\"\n[domain]\n{domain}\n[[platform]]\nfile = \"builtin:gternal\"\n\
@@ -194,16 +141,11 @@ fn a_capture_decides_neither_where_directories_are_made_nor_which_files_are_read
         attachments.add("cli/models/0-x".to_owned(), "", Vec::new());
         let path = fleet.path("foreign.mcap");
         let _ = fs::remove_file(&path);
-        let writer = Writer::new(
-            fs::File::create_new(&path).unwrap(),
-            CaptureSettings::default(),
-            &attachments,
-        )
-        .unwrap();
+        let file = fs::File::create_new(&path).unwrap();
+        let writer = Writer::new(file, CaptureSettings::default(), &attachments).unwrap();
         writer.finish().unwrap();
-        let refused = run(&["replay", &text(&path), verb]);
-        assert_eq!(code(&refused), 2, "{named}: {}", stderr(&refused));
-        assert!(stderr(&refused).contains(named), "{}", stderr(&refused));
+        let refused = run(format!("replay {} {verb}", text(&path))).exits(2);
+        says(&stderr(&refused), [named]);
         assert!(!Path::new(&made).exists());
     }
 }
@@ -213,10 +155,8 @@ fn a_replay_with_no_wait_plays_to_its_end_without_a_worker() {
     let fleet = Fleet::new();
     let (file, samples) = capture(&fleet, 300);
     for rate in ["50", "max", "1000"] {
-        let verb = format!(
-            "replay {} --rate {rate} --no-wait --format json",
-            file.display()
-        );
+        let file = text(&file);
+        let verb = format!("replay {file} --rate {rate} --no-wait --format json");
         let played = fleet.output(&verb);
         // Frames sent without a worker are lost, as documented for the option.
         assert!(matches!(code(&played), 0 | 3), "{}", stderr(&played));
@@ -232,13 +172,8 @@ fn an_existing_file_is_refused_with_a_remedy() {
     let file = fleet.path("run.mcap");
     fs::write(&file, "precious").unwrap();
     for verb in ["record -o", "run --record"] {
-        let refused = fleet.output(&format!("{verb} {}", file.display()));
-        assert_eq!(code(&refused), 1, "{verb}");
-        assert!(
-            stderr(&refused).contains("--resume"),
-            "{}",
-            stderr(&refused)
-        );
+        let refused = fleet.output(&format!("{verb} {}", file.display())).exits(1);
+        says(&stderr(&refused), ["--resume"]);
         assert_eq!(fs::read_to_string(&file).unwrap(), "precious");
         assert!(fleet.stale_files().is_empty());
     }
@@ -249,19 +184,12 @@ fn a_file_that_is_not_a_capture_is_refused() {
     let fleet = Fleet::new();
     let file = fleet.recording("a.csv", 10);
     for verb in ["info", "doctor", "cat"] {
-        let refused = run(&[verb, &text(&file)]);
-        assert_eq!(code(&refused), 1, "{verb}");
-        assert!(
-            stderr(&refused).contains("an MCAP file begins with"),
-            "{}",
-            stderr(&refused)
-        );
+        let refused = run(format!("{verb} {}", text(&file))).exits(1);
+        says(&stderr(&refused), ["an MCAP file begins with"]);
     }
-    let form = run(&["info", &text(&file), "--format", "csv"]);
-    assert_eq!(code(&form), 2);
+    run(format!("info {} --format csv", text(&file))).exits(2);
     let result = fleet.path("x.mcap");
-    let recover = run(&["recover", &text(&file), "-o", &text(&result)]);
-    assert_eq!(code(&recover), 1);
+    run(format!("recover {} -o {}", text(&file), text(&result))).exits(1);
     assert!(!result.exists());
 }
 
@@ -272,45 +200,28 @@ fn a_real_recording_is_imported_and_played() {
     };
     let fleet = Fleet::new();
     let trials = fleet.path("trials");
-    let sign = ["--current", "discharge-positive"];
-    let arguments = [
-        "import",
-        &text(&file),
-        "-o",
-        &text(&trials),
-        sign[0],
-        sign[1],
-    ];
-    let imported = run(&arguments);
+    let (file, out) = (text(&file), text(&trials));
+    let imported = run(format!(
+        "import {file} -o {out} --current discharge-positive"
+    ));
     // Positions that are not numbers are reported and set the exit code.
-    assert_eq!(code(&imported), 3, "{}", stderr(&imported));
-    assert!(
-        stdout(&imported).contains("its position is not a number"),
-        "{}",
-        stdout(&imported)
-    );
+    let imported = imported.exits(3);
+    says(&stdout(&imported), ["its position is not a number"]);
     let dataset = trials.join("coug2.csv.gz");
-    let info = json(&run(&["data", "info", &text(&dataset), "--format", "json"]));
+    let info = json(&run(format!("data info {} --format json", text(&dataset))));
     let trial = &info["trials"][0];
     let rows = trial["rows"].as_u64().unwrap();
     assert!((1190..=1200).contains(&rows), "{trial}");
     let rate_hz = trial["rate_hz"].as_f64().unwrap();
     assert!((9.5..10.5).contains(&rate_hz), "{trial}");
     let missing = trial["missing_columns"].to_string();
-    for column in ["v_cmd_mps", "omega_cmd_radps", "x_m", "y_m"] {
-        assert!(missing.contains(column), "{missing}");
-    }
+    says(&missing, ["v_cmd_mps", "omega_cmd_radps", "x_m", "y_m"]);
     assert!(!missing.contains("voltage_mV"), "{missing}");
     assert!(trial["least_power_w"].as_f64().unwrap() > 0.0, "{trial}");
-    let mut play =
-        fleet.joulebus("publish trial --no-wait --rate 10000 --first-robot 100 --format json");
-    let played = play.arg(&dataset).output().unwrap();
-    assert_eq!(
-        json(&played)["trials"][0]["samples"],
-        rows,
-        "{}",
-        stderr(&played)
-    );
+    let play = "publish trial --no-wait --rate 10000 --first-robot 100 --format json";
+    let played = fleet.joulebus(play).arg(&dataset).output().unwrap();
+    let played_rows = &json(&played)["trials"][0]["samples"];
+    assert_eq!(*played_rows, rows, "{}", stderr(&played));
 }
 
 #[test]
@@ -322,11 +233,8 @@ fn a_recording_without_a_battery_exits_with_1_and_lists_its_topics() {
     for file in fs::read_dir(folder).unwrap() {
         let file = file.unwrap().path();
         let out = fleet.path("out");
-        let refused = run(&["import", &text(&file), "-o", &text(&out)]);
-        assert_eq!(code(&refused), 1, "{}", stderr(&refused));
-        for said in ["no robot", "other types"] {
-            assert!(stderr(&refused).contains(said), "{}", stderr(&refused));
-        }
+        let refused = run(format!("import {} -o {}", text(&file), text(&out))).exits(1);
+        says(&stderr(&refused), ["no robot", "other types"]);
         assert!(stdout(&refused).is_empty(), "{}", stdout(&refused));
         assert!(!out.exists());
     }

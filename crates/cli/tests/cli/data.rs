@@ -1,6 +1,7 @@
 //! `joulebus data` and `joulebus analyze`.
 
-use super::fleet::{Fleet, code, json, output, stderr, stdout};
+use super::fleet::{Exits as _, Fleet, code, done, json, output, stderr, stdout};
+use joulebus_testkit::says;
 
 #[test]
 fn faults_of_recordings_are_reported_with_file_and_row_and_exit_code_3() {
@@ -20,13 +21,9 @@ fn faults_of_recordings_are_reported_with_file_and_row_and_exit_code_3() {
     assert_eq!(code(&good), 0, "{}{}", stdout(&good), stderr(&good));
     assert!(stdout(&good).contains("no fault"), "{}", stdout(&good));
 
-    let bad = output(["data", "check", folder]);
-    assert_eq!(code(&bad), 3, "{}", stderr(&bad));
+    let bad = output(["data", "check", folder]).exits(3);
     let said = stdout(&bad);
-    assert!(
-        said.contains("gaps: 1 in 1 files") && said.contains("spoiled.csv: row 50"),
-        "{said}"
-    );
+    says(&said, ["gaps: 1 in 1 files", "spoiled.csv: row 50"]);
     assert!(
         stderr(&bad).contains("are ignored"),
         "the config beside them: {}",
@@ -38,8 +35,7 @@ fn faults_of_recordings_are_reported_with_file_and_row_and_exit_code_3() {
     assert_eq!(told["findings"][0]["kind"], "gap");
     assert_eq!(told["findings"][0]["places"][0]["row"], 50);
 
-    let nothing = output(["data", "check", &format!("{folder}/*.npy")]);
-    assert_eq!(code(&nothing), 2, "{}", stderr(&nothing));
+    output(["data", "check", &format!("{folder}/*.npy")]).exits(2);
 }
 
 #[test]
@@ -54,8 +50,7 @@ fn recordings_are_converted_and_resampled_only_on_request() {
     };
     let from = from.to_str().unwrap();
     let array = path("a.npy");
-    let made = convert(from, &["--out", &array]);
-    assert_eq!(code(&made), 0, "{}", stderr(&made));
+    convert(from, &["--out", &array]).exits(0);
     let again = convert(from, &["--out", &array]);
     assert_eq!(code(&again), 1, "a file was overwritten");
     let back = path("b.csv");
@@ -105,18 +100,11 @@ fn an_analysis_reports_its_split_and_held_readings() {
     }
     let pattern = fleet.path("run_*.csv");
     let pattern = pattern.to_str().unwrap();
-    let text = output(["analyze", pattern, "--rate", "60"]);
-    assert_eq!(code(&text), 0, "{}", stderr(&text));
+    let text = done(["analyze", pattern, "--rate", "60"]);
     let said = stdout(&text);
-    for words in [
-        "native: 1020 rows",
-        "held at 60 Hz",
-        "split by trial",
-        "persistence",
-        "% of these readings repeat",
-    ] {
-        assert!(said.contains(words), "{words}: {said}");
-    }
+    let parts = "native: 1020 rows | held at 60 Hz | split by trial | persistence | \
+        % of these readings repeat";
+    says(&said, parts.split(" | "));
     let told = json(&output([
         "analyze", pattern, "--rate", "60", "--format", "json",
     ]));
@@ -125,6 +113,5 @@ fn an_analysis_reports_its_split_and_held_readings() {
     let held = series[1]["held_share"].as_f64().unwrap();
     assert!((held - 0.5).abs() < 0.01, "{held}");
     assert_eq!(series[1]["grid"]["method"], "hold");
-    let refused = output(["analyze", pattern, "--split", "group"]);
-    assert_eq!(code(&refused), 2, "{}", stderr(&refused));
+    output(["analyze", pattern, "--split", "group"]).exits(2);
 }

@@ -5,7 +5,8 @@ use std::os::unix::process::ExitStatusExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use crate::fleet::{code, output, stderr, stdout};
+use crate::fleet::{Exits as _, code, output, stderr, stdout};
+use joulebus_testkit::says;
 
 /// The program in an otherwise empty directory.
 struct Installed(tempfile::TempDir);
@@ -54,8 +55,9 @@ fn an_executable_beside_this_one_gets_the_arguments_and_passes_its_exit_code_and
     write_program(&in_path, "serve", "exit 9");
     write_program(installed.0.path(), "serve", "exit 3");
     let path = format!("{}:/usr/bin:/bin", in_path.display());
-    let ended = installed.joulebus(&path, "-v --format json serve --foxglove --port 0");
-    assert_eq!(code(&ended), 3, "{}", stderr(&ended));
+    let ended = installed
+        .joulebus(&path, "-v --format json serve --foxglove --port 0")
+        .exits(3);
     let beside = installed.0.path().join("joulebus-serve");
     let told = format!(
         "{} -v --format json --foxglove --port 0\n",
@@ -76,17 +78,13 @@ fn without_one_the_executable_is_looked_up_in_path_but_not_in_the_current_direct
         let refused = installed.joulebus(path, "bench kernel");
         assert_eq!(code(&refused), 1, "{path:?}: {}", stdout(&refused));
         let said = stderr(&refused);
-        assert!(
-            said.contains("cargo build --release -p joulebus-bench"),
-            "{said}"
-        );
+        says(&said, ["cargo build --release -p joulebus-bench"]);
         assert_eq!(stdout(&refused), "", "{path:?}");
     }
     let in_path = installed.directory("path");
     write_program(&in_path, "bench", "exit 0");
     let path = format!(".:{}:/usr/bin:/bin", in_path.display());
-    let found = installed.joulebus(&path, "bench kernel");
-    assert_eq!(code(&found), 0, "{}", stderr(&found));
+    let found = installed.joulebus(&path, "bench kernel").exits(0);
     assert!(stdout(&found).starts_with(in_path.to_str().unwrap()));
 }
 
@@ -101,10 +99,7 @@ fn the_verbs_on_recordings_are_one_executable_which_gets_all_arguments() {
         let missing = installed.joulebus("", words);
         assert_eq!(code(&missing), 1, "{words}: {}", stdout(&missing));
         let said = stderr(&missing);
-        assert!(
-            said.contains("cargo build --release -p joulebus-lab`"),
-            "{said}"
-        );
+        says(&said, ["cargo build --release -p joulebus-lab`"]);
         write_program(installed.0.path(), "lab", "exit 3");
         let lab = installed.0.path().join("joulebus-lab");
         let ended = installed.joulebus("", words);
@@ -135,12 +130,6 @@ fn help_and_usage_errors_need_no_executable() {
         assert!(said.contains(says), "{words}: {said}");
     }
     let script = output(["completions", "bash"]);
-    for option in [
-        "--per-robot",
-        "--fail-above",
-        "--worker-cpus",
-        "--false-alarms",
-    ] {
-        assert!(stdout(&script).contains(option), "{option}");
-    }
+    let parts = "--per-robot | --fail-above | --worker-cpus | --false-alarms";
+    says(&stdout(&script), parts.split(" | "));
 }

@@ -24,6 +24,25 @@ pub(crate) fn output<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) ->
     joulebus(arguments).output().unwrap()
 }
 
+/// The output of a command that succeeds.
+#[track_caller]
+pub(crate) fn done<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Output {
+    output(arguments).exits(0)
+}
+
+pub(crate) trait Exits {
+    /// The same, if this is its exit code.
+    fn exits(self, code: i32) -> Self;
+}
+
+impl Exits for Output {
+    #[track_caller]
+    fn exits(self, wanted: i32) -> Self {
+        assert_eq!(code(&self), wanted, "{}{}", stdout(&self), stderr(&self));
+        self
+    }
+}
+
 pub(crate) fn stdout(output: &Output) -> String {
     String::from_utf8(output.stdout.clone()).unwrap()
 }

@@ -4,7 +4,8 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::fleet::{Fleet, code, json, output, stderr, stdout};
+use super::fleet::{Exits as _, Fleet, code, done, json, output, stderr, stdout};
+use joulebus_testkit::says;
 
 fn text(path: &Path) -> &str {
     path.to_str().unwrap()
@@ -35,6 +36,10 @@ fn recording(path: &Path, header: &str, units: [f64; 4], rows: u32, seed: u32) {
     fs::write(path, table).unwrap();
 }
 
+const GTERNAL: &str = concat!(
+    env!("CARGO_MANIFEST_DIR"),
+    "/../../configs/models/gternal-sim.safetensors"
+);
 const LAYOUT: (&str, [f64; 4]) = (
     "timestamp_s,power_mW,v_cmd_mps,omega_cmd_radps",
     [1.0, 1e-3, 1.0, 1.0],
@@ -43,29 +48,15 @@ const LAYOUT: (&str, [f64; 4]) = (
 /// The rows for training, as bytes: one short epoch.
 fn rows(folder: &Path, recordings: &[&str], columns: &[&str]) -> Vec<Vec<u8>> {
     let recipe = folder.join("recipe.toml");
-    fs::write(
-        &recipe,
-        "[training]\nmax_epochs = 1\n[split]\nby = \"time\"\n",
-    )
-    .unwrap();
+    let contents = "[training]\nmax_epochs = 1\n[split]\nby = \"time\"\n";
+    fs::write(&recipe, contents).unwrap();
     let (arrays, out) = (folder.join("rows"), folder.join("m.safetensors"));
-    let mut command = vec!["train", "trials"];
-    command.extend(recordings);
-    command.extend(columns);
-    command.extend([
-        "--recipe",
-        text(&recipe),
-        "--rows",
-        text(&arrays),
-        "--out",
-        text(&out),
-    ]);
-    let trained = output(&command);
-    assert_eq!(code(&trained), 0, "{command:?}: {}", stderr(&trained));
+    let files = ["--rows", text(&arrays), "--out", text(&out)];
+    let begin = ["train", "trials", "--recipe", text(&recipe)];
+    done([&begin, recordings, columns, &files].concat());
     let parts = ["training.npy", "validation.npy", "held_out.npy"];
-    parts
-        .map(|part| fs::read(arrays.join(part)).unwrap())
-        .to_vec()
+    let read = parts.map(|part| fs::read(arrays.join(part)).unwrap());
+    read.to_vec()
 }
 
 #[test]
@@ -75,20 +66,12 @@ fn usual_column_names_and_units_give_the_rows_of_the_published_layout() {
     let layout = at("layout.csv");
     recording(&layout, LAYOUT.0, LAYOUT.1, 600, 1);
     let expected = rows(folder.path(), &[text(&layout)], &[]);
+    let ms = [1e-3, 1e-3, 1.0, 1.0];
+    let map = "time=stamp,power_W=load,v=speed,omega=turn";
     for (name, header, units, map) in [
         ("si.csv", "time,power_W,v,omega", [1.0; 4], None),
-        (
-            "ms.csv",
-            "Time (ms),P [mW],linear.x,yaw_rate",
-            [1e-3, 1e-3, 1.0, 1.0],
-            None,
-        ),
-        (
-            "own.csv",
-            "stamp,load,speed,turn",
-            [1.0, 1.0, 1.0, 1.0],
-            Some("time=stamp,power_W=load,v=speed,omega=turn"),
-        ),
+        ("ms.csv", "Time (ms),P [mW],linear.x,yaw_rate", ms, None),
+        ("own.csv", "stamp,load,speed,turn", [1.0; 4], Some(map)),
     ] {
         let path = at(name);
         recording(&path, header, units, 600, 1);
@@ -118,52 +101,17 @@ fn all_missing_columns_are_named_at_once_with_the_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.csv");
     fs::write(&path, "stamp_of_log,load,power\n0,1,2\n1,2,3\n").unwrap();
-    let refused = output(["data", "info", text(&path)]);
-    assert_eq!(code(&refused), 1);
-    for said in [
-        "timestamp_s",
-        "power_mW",
-        "stamp_of_log, load, power",
-        "--map",
-    ] {
-        assert!(
-            stderr(&refused).contains(said),
-            "{said}: {}",
-            stderr(&refused)
-        );
-    }
-    let refused = output([
-        "data",
-        "info",
-        text(&path),
-        "--map",
-        "time=stamp_of_log,power_W=lod",
-    ]);
-    assert!(
-        stderr(&refused).contains("power=lod"),
-        "{}",
-        stderr(&refused)
-    );
-    let refused = output(["data", "info", text(&path), "--map", "speed=load"]);
-    assert_eq!(code(&refused), 2);
-    let fine = output([
-        "data",
-        "info",
-        text(&path),
-        "--map",
-        "time=stamp_of_log,power_W=load",
-    ]);
-    assert_eq!(code(&fine), 0, "{}", stderr(&fine));
+    let refused = output(["data", "info", text(&path)]).exits(1);
+    let parts = "timestamp_s | power_mW | stamp_of_log, load, power | --map";
+    says(&stderr(&refused), parts.split(" | "));
+    let mapped = |map: &str| output(["data", "info", text(&path), "--map", map]);
+    let refused = mapped("time=stamp_of_log,power_W=lod");
+    says(&stderr(&refused), ["power=lod"]);
+    assert_eq!(code(&mapped("speed=load")), 2);
+    mapped("time=stamp_of_log,power_W=load").exits(0);
     let help = stdout(&output(["data", "check", "--help"]));
-    for name in [
-        "power_mW",
-        "timestamp_s",
-        "omega_cmd_radps",
-        "yaw_rate",
-        "battery_voltage",
-    ] {
-        assert!(help.contains(name), "{name}");
-    }
+    let parts = "power_mW | timestamp_s | omega_cmd_radps | yaw_rate | battery_voltage";
+    says(&help, parts.split(" | "));
 }
 
 #[test]
@@ -176,31 +124,18 @@ fn a_capture_gives_the_rows_of_the_trials_that_it_was_made_of() {
     recording(&b, LAYOUT.0, LAYOUT.1, 500, 2);
     let capture = at("both.mcap");
     let config = fleet.config().display().to_string();
-    let import = [
-        "import",
-        text(&a),
-        text(&b),
-        "-o",
-        text(&capture),
-        "--config",
-        &config,
-    ];
-    let imported = output(import);
-    assert_eq!(code(&imported), 0, "{}", stderr(&imported));
-    let expected = rows(folder.path(), &[text(&a), text(&b)], &[]);
-    assert!(
-        rows(folder.path(), &[text(&capture)], &[]) == expected,
-        "rows differ"
-    );
+    let files = [text(&a), text(&b)];
+    let to = ["-o", text(&capture), "--config", &config];
+    done([&["import"], &files[..], &to].concat());
+    let expected = rows(folder.path(), &files, &[]);
+    let found = rows(folder.path(), &[text(&capture)], &[]);
+    assert!(found == expected, "rows differ");
 
     // And as datasets again.
     let again = at("again");
-    let imported = output(["import", text(&capture), "-o", text(&again)]);
-    assert_eq!(code(&imported), 0, "{}", stderr(&imported));
-    let mut files: Vec<PathBuf> = fs::read_dir(&again)
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
-        .collect();
+    done(["import", text(&capture), "-o", text(&again)]);
+    let entries = fs::read_dir(&again).unwrap();
+    let mut files: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
     files.sort();
     assert_eq!(files.len(), 2, "{files:?}");
     let paths: Vec<&str> = files.iter().map(|path| text(path)).collect();
@@ -218,11 +153,7 @@ fn a_capture_gives_the_rows_of_the_trials_that_it_was_made_of() {
         vec!["eval", text(&captures), "--model", &model],
     ] {
         let done = output(&command);
-        assert!(
-            matches!(code(&done), 0 | 3),
-            "{command:?}: {}",
-            stderr(&done)
-        );
+        assert!([0, 3].contains(&code(&done)), "{}", stderr(&done));
         assert!(!stdout(&done).is_empty(), "{command:?}");
     }
 }
@@ -237,65 +168,30 @@ fn config_init_writes_a_fleet_that_passes_config_check_and_says_what_is_next() {
         recording(&path, LAYOUT.0, LAYOUT.1, 400, seed);
     }
     let out = folder.path().join("lab");
-    let init = [
-        "config",
-        "init",
-        "--from",
-        text(&recordings),
-        "--out",
-        text(&out),
-    ];
-    let made = output(
-        init.iter()
-            .chain(&["--battery-wh", "480", "--format", "json"]),
-    );
-    assert_eq!(code(&made), 0, "{}", stderr(&made));
-    let report = json(&made);
+    let (from, out_name) = (text(&recordings), text(&out));
+    let init = ["config", "init", "--from", from, "--out", out_name];
+    let battery = ["--battery-wh", "480", "--format", "json"];
+    let report = json(&done(init.iter().chain(&battery)));
     let recorded = &report["recorded"];
-    assert!(
-        (recorded["rate_hz"].as_f64().unwrap() - 20.0).abs() < 1e-6,
-        "{recorded}"
-    );
-    assert!(
-        (recorded["resolution_w"].as_f64().unwrap() - 0.01).abs() < 1e-6,
-        "{recorded}"
-    );
+    for (name, expected) in [("rate_hz", 20.0), ("resolution_w", 0.01)] {
+        let off = (recorded[name].as_f64().unwrap() - expected).abs();
+        assert!(off < 1e-6, "{recorded}");
+    }
     let next = report["next"].to_string();
-    assert!(
-        next.contains("joulebus run --config") && next.contains("train trials"),
-        "{next}"
-    );
+    says(&next, ["joulebus run --config", "train trials"]);
 
     let fleet = out.join("fleet.toml");
-    let checked = output(["config", "check", text(&fleet)]);
-    assert_eq!(code(&checked), 0, "{}", stderr(&checked));
-    assert!(
-        !stderr(&checked).contains("warning"),
-        "{}",
-        stderr(&checked)
-    );
+    let checked = done(["config", "check", text(&fleet)]);
+    let errors = stderr(&checked);
+    assert!(!errors.contains("warning"), "{errors}");
     let platform = fs::read_to_string(out.join("platforms/husky-like.toml")).unwrap();
-    for said in [
-        "rate_hz = 20.0",
-        "power_resolution_w = 0.01",
-        "capacity_wh = 480.0",
-    ] {
-        assert!(platform.contains(said), "{said}: {platform}");
-    }
+    let parts = "rate_hz = 20.0 | power_resolution_w = 0.01 | capacity_wh = 480.0";
+    says(&platform, parts.split(" | "));
     // The recordings are accepted by the platform made of them.
-    let eval = output([
-        "eval",
-        text(&recordings),
-        "--config",
-        text(&fleet),
-        "--format",
-        "json",
-    ]);
-    assert_eq!(code(&eval), 0, "{}", stderr(&eval));
+    done(["eval", from, "--config", text(&fleet), "--format", "json"]);
 
     // Nothing is overwritten.
-    let again = output(init);
-    assert_eq!(code(&again), 2, "{}", stderr(&again));
+    output(init).exits(2);
 }
 
 #[test]
@@ -308,19 +204,13 @@ fn config_init_with_wrong_options_writes_nothing_and_works_once_they_are_right()
         let init = ["config", "init", "--from", text(&path), "--out", text(&out)];
         output(init.iter().chain(&[option]))
     };
-    for option in [
-        "--battery-wh=0",
-        "--battery-wh=nan",
-        "--battery-wh=1e9",
-        "--robots=5-1",
-        "--robots=1,1",
-    ] {
+    let wrong = "--battery-wh=0 --battery-wh=nan --battery-wh=1e9 --robots=5-1 --robots=1,1";
+    for option in wrong.split(' ') {
         let refused = init(option);
         assert_eq!(code(&refused), 2, "{option}: {}", stderr(&refused));
         assert!(!out.exists(), "{option}");
     }
-    let made = init("--battery-wh=5");
-    assert_eq!(code(&made), 0, "{}", stderr(&made));
+    init("--battery-wh=5").exits(0);
 }
 
 #[test]
@@ -332,23 +222,13 @@ fn recordings_of_one_name_are_refused_before_any_is_imported() {
         recording(path, LAYOUT.0, LAYOUT.1, 100, seed);
     }
     let out = folder.path().join("trials");
-    let both = output(["import", text(&one), text(&two), "-o", text(&out)]);
-    assert_eq!(code(&both), 2, "{}", stderr(&both));
-    assert!(
-        stderr(&both).contains("two recordings"),
-        "{}",
-        stderr(&both)
-    );
+    let both = output(["import", text(&one), text(&two), "-o", text(&out)]).exits(2);
+    says(&stderr(&both), ["two recordings"]);
     assert!(!out.exists());
     let import = || output(["import", text(&one), "-o", text(&out)]);
     assert_eq!(code(&import()), 0);
-    let again = import();
-    assert_eq!(code(&again), 1, "{}", stderr(&again));
-    assert!(
-        stderr(&again).contains("not overwritten"),
-        "{}",
-        stderr(&again)
-    );
+    let again = import().exits(1);
+    says(&stderr(&again), ["not overwritten"]);
 }
 
 #[test]
@@ -358,37 +238,20 @@ fn a_file_that_no_run_has_written_stays_where_a_result_would_be_put() {
     recording(&path, LAYOUT.0, LAYOUT.1, 200, 1);
     let out = folder.path().join("somebodys");
     fs::write(&out, "precious").unwrap();
-    let model = concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../../configs/models/gternal-sim.safetensors"
-    );
+    let model = GTERNAL;
     for command in [
         &["train", "trials", text(&path), "--split", "time", "--out"][..],
         &["model", "export", model, "--to", "npz", "--out"],
         &["model", "export", model, "--python"],
     ] {
-        let refused = output(command.iter().chain(&[text(&out)]));
-        assert_eq!(code(&refused), 1, "{}", stderr(&refused));
-        assert!(
-            stderr(&refused).contains("\"precious\""),
-            "{}",
-            stderr(&refused)
-        );
+        let refused = output(command.iter().chain(&[text(&out)])).exits(1);
+        says(&stderr(&refused), ["\"precious\""]);
         assert_eq!(fs::read_to_string(&out).unwrap(), "precious");
     }
     // Files of an earlier run are replaced.
     let exported = folder.path().join("model.npz");
     for _ in 0..2 {
-        let made = output([
-            "model",
-            "export",
-            model,
-            "--to",
-            "npz",
-            "--out",
-            text(&exported),
-        ]);
-        assert_eq!(code(&made), 0, "{}", stderr(&made));
+        done(format!("model export {model} --to npz --out {}", text(&exported)).split(' '));
     }
 }
 
@@ -399,31 +262,11 @@ fn a_model_of_another_range_of_power_is_warned_about() {
     fs::create_dir(&recordings).unwrap();
     recording(&recordings.join("a.csv"), LAYOUT.0, LAYOUT.1, 400, 1);
     let out = folder.path().join("lab");
-    let gternal = concat!(
-        env!("CARGO_MANIFEST_DIR"),
-        "/../../configs/models/gternal-sim.safetensors"
-    );
-    let init = [
-        "config",
-        "init",
-        "--from",
-        text(&recordings),
-        "--out",
-        text(&out),
-        "--model",
-        gternal,
-    ];
-    let made = output(init);
-    assert_eq!(code(&made), 0, "{}", stderr(&made));
-    let checked = output(["config", "check", text(&out.join("fleet.toml"))]);
-    assert_eq!(code(&checked), 0, "{}", stderr(&checked));
-    for said in ["warning", "was trained on readings of", "power_max_w"] {
-        assert!(
-            stderr(&checked).contains(said),
-            "{said}: {}",
-            stderr(&checked)
-        );
-    }
+    let (from, to) = (text(&recordings), text(&out));
+    done(format!("config init --from {from} --out {to} --model {GTERNAL}").split(' '));
+    let checked = done(["config", "check", text(&out.join("fleet.toml"))]);
+    let parts = ["warning", "was trained on readings of", "power_max_w"];
+    says(&stderr(&checked), parts);
     // The model's own platform has no such warning.
     let own = output(["config", "check"]);
     assert!(!stderr(&own).contains("was trained on"), "{}", stderr(&own));
@@ -435,44 +278,24 @@ fn config_init_trains_when_asked_and_the_worker_starts_with_the_result() {
     let recordings = folder.path().join("runs");
     fs::create_dir(&recordings).unwrap();
     for seed in 0..2 {
-        recording(
-            &recordings.join(format!("{seed}.csv")),
-            LAYOUT.0,
-            LAYOUT.1,
-            300,
-            seed,
-        );
+        let path = recordings.join(format!("{seed}.csv"));
+        recording(&path, LAYOUT.0, LAYOUT.1, 300, seed);
     }
     let out = folder.path().join("lab");
-    let init = [
-        "config",
-        "init",
-        "--from",
-        text(&recordings),
-        "--out",
-        text(&out),
-        "--train",
-        "--name",
-        "mine",
-    ];
-    let made = output(init);
-    assert_eq!(code(&made), 0, "{}", stderr(&made));
+    let (from, to) = (text(&recordings), text(&out));
+    let init = format!("config init --from {from} --out {to} --train --name mine");
+    done(init.split(' '));
     assert!(out.join("models/mine.safetensors").is_file());
     let fleet = out.join("fleet.toml");
-    let checked = output(["config", "check", text(&fleet)]);
-    assert_eq!(code(&checked), 0, "{}", stderr(&checked));
-    assert!(
-        !stderr(&checked).contains("warning"),
-        "{}",
-        stderr(&checked)
-    );
+    let checked = done(["config", "check", text(&fleet)]);
+    let errors = stderr(&checked);
+    assert!(!errors.contains("warning"), "{errors}");
 
     // Nor is a model overwritten.
     fs::remove_file(&fleet).unwrap();
     fs::remove_file(out.join("platforms/mine.toml")).unwrap();
     fs::write(out.join("models/mine.safetensors"), b"of somebody").unwrap();
-    let again = output(init);
-    assert_eq!(code(&again), 2, "{}", stderr(&again));
+    let again = output(init.split(' ')).exits(2);
     assert!(stderr(&again).contains("mine.safetensors exists"));
     let kept = fs::read(out.join("models/mine.safetensors")).unwrap();
     assert_eq!(kept, b"of somebody");

@@ -2,10 +2,10 @@
 
 use std::fs;
 
-use joulebus_testkit::eventually;
+use joulebus_testkit::{eventually, says};
 use rustix::process::Signal;
 
-use crate::fleet::{Fleet, Program, code, json, stderr, stdout};
+use crate::fleet::{Exits as _, Fleet, Program, code, json, stderr, stdout};
 
 #[test]
 fn every_sample_played_as_fast_as_possible_is_accepted() {
@@ -17,8 +17,7 @@ fn every_sample_played_as_fast_as_possible_is_accepted() {
     let worker = fleet.worker();
     let mut play =
         fleet.joulebus("publish trial --rate max --loop=2 --first-robot 3 --format json");
-    let played = play.args(&files).output().unwrap();
-    assert_eq!(code(&played), 0, "{}", stderr(&played));
+    let played = play.args(&files).output().unwrap().exits(0);
     let played = json(&played);
     let sent = u64::from(rows * robots * passes);
     assert_eq!(played["samples_sent"], sent);
@@ -31,8 +30,7 @@ fn every_sample_played_as_fast_as_possible_is_accepted() {
     assert!(speed.is_finite() && speed > 0.0, "{speed}");
     println!("figure: {sent} samples played at {speed:.1} times their speed");
 
-    let worker = worker.end(Signal::TERM);
-    assert_eq!(code(&worker), 0, "{}", stderr(&worker));
+    let worker = worker.end(Signal::TERM).exits(0);
     let report = json(&worker);
     assert_eq!(report["samples_accepted"], sent, "{report}");
     assert_eq!(report["samples_dropped"], serde_json::json!({}), "{report}");
@@ -52,13 +50,8 @@ fn a_file_gets_the_robot_or_platform_after_its_at_sign() {
     let mut play = fleet.joulebus("publish trial --no-wait --rate 1000 --format json");
     play.arg(format!("{}@7", one.display()));
     play.arg(format!("{}@rover", fleet.path("rovers").display()));
-    let played = play.output().unwrap();
-    assert_eq!(code(&played), 0, "{}", stderr(&played));
-    assert!(
-        stderr(&played).contains("no worker runs"),
-        "{}",
-        stderr(&played)
-    );
+    let played = play.output().unwrap().exits(0);
+    says(&stderr(&played), ["no worker runs"]);
     let played = json(&played);
     let trial = |robot: u32, file: &std::path::Path| (robot, file.display().to_string());
     let found: Vec<_> = played["trials"]
@@ -89,8 +82,7 @@ fn a_trial_waits_for_the_worker_and_loses_nothing() {
     let mut play = Program::start(play);
     play.wait_for_stderr("waiting for one");
     let worker = fleet.worker();
-    let played = play.wait();
-    assert_eq!(code(&played), 0, "{}", stderr(&played));
+    let played = play.wait().exits(0);
     assert_eq!(json(&played)["samples_sent"], 60);
     let report = json(&worker.end(Signal::INT));
     assert_eq!(report["samples_accepted"], 60, "{report}");
@@ -157,20 +149,12 @@ fn assert_lost_at_most_the_window(is_paused: bool) {
 fn a_second_worker_exits_and_reports_the_pid_of_the_first() {
     let fleet = Fleet::new();
     let worker = fleet.worker();
-    let second = fleet.output("run");
-    assert_eq!(code(&second), 1);
-    assert!(
-        stderr(&second).contains(&format!("pid {}", worker.pid())),
-        "{}",
-        stderr(&second)
-    );
+    let second = fleet.output("run").exits(1);
+    says(&stderr(&second), [&*format!("pid {}", worker.pid())]);
     assert_eq!(stdout(&second), "");
     let doctor = json(&fleet.output("doctor --format json"));
     let found = doctor["checks"].to_string();
-    assert!(
-        found.contains(&format!("runs, pid {}", worker.pid())),
-        "{found}"
-    );
+    says(&found, [&*format!("runs, pid {}", worker.pid())]);
     assert_eq!(code(&worker.end(Signal::TERM)), 0);
     assert!(fleet.stale_files().is_empty());
 }

@@ -28,13 +28,13 @@ use std::process::Stdio;
 use std::time::Duration;
 
 use exits::{below, subcommands};
-use fleet::{Fleet, code, joulebus, json, output, stderr, stdout};
+use fleet::{Exits as _, Fleet, code, done, joulebus, json, output, stderr, stdout};
 use joulebus_config::Config;
+use joulebus_testkit::{cases, says};
 
 #[test]
 fn every_verb_has_help_with_examples() {
-    let help = output(["--help"]);
-    assert_eq!(code(&help), 0);
+    let help = output(["--help"]).exits(0);
     assert!(stdout(&help).contains("Exit codes"));
     for words in subcommands() {
         let help = output(words.iter().map(String::as_str).chain(["--help"]));
@@ -50,61 +50,42 @@ fn a_usage_error_exits_with_2_and_without_a_result() {
     let fleet = Fleet::new();
     let recording = fleet.recording("a.csv", 10).display().to_string();
     let config = fleet.config().display().to_string();
-    for (arguments, says) in [
-        (vec!["frobnicate"], "frobnicate"),
-        (vec!["--format", "xml", "doctor"], "xml"),
-        (vec!["publish"], "Usage"),
-        (vec!["publish", "trial"], "PATH"),
-        (vec!["publish", "sim", "--robots", "0"], "--robots"),
-        (
-            vec!["publish", "sim", "--rate", "0.01"],
-            "allowed are 0.1 to 1000 Hz",
-        ),
-        (vec!["publish", "sim", "--fault", "3=melted"], "stuck"),
-        (
-            vec!["publish", "sim", "--config", &config, "--robots", "11"],
-            "ids for 10",
-        ),
-        (
-            vec!["publish", "sim", "--config", &config, "--platform", "huksy"],
-            "gternal, rover",
-        ),
-        (
-            vec![
-                "publish", "sim", "--config", &config, "--robots", "2", "--fault", "9=stuck",
-            ],
-            "0 to 1",
-        ),
-        (
-            vec!["publish", "trial", &recording, "--rate", "fast"],
-            "is not a number",
-        ),
-        (
-            vec!["publish", "trial", &recording, "--rate", "NaN"],
-            "allowed are",
-        ),
-        (vec!["publish", "trial", &recording, "--loop=0"], "from 1"),
-        // Two platforms: the robot's platform is ambiguous.
-        (
-            vec!["publish", "trial", &recording, "--config", &config],
-            "--platform NAME",
-        ),
-        (
-            vec!["eval", &recording, "--config", &config],
-            "gternal, rover",
-        ),
-        (vec!["config", "explain", "tick.rate_hx"], "tick.rate_hz"),
-        (vec!["completions", "cmd"], "bash"),
-        (vec!["run", "--config", "/nowhere/fleet.toml"], "--config"),
-    ] {
-        let refused = output(&arguments);
-        assert_eq!(code(&refused), 2, "{arguments:?}: {}", stderr(&refused));
-        assert_eq!(stdout(&refused), "", "{arguments:?}");
-        assert!(
-            stderr(&refused).contains(says),
-            "{arguments:?}: {}",
-            stderr(&refused)
-        );
+    // The last two: of two platforms, which is the robot's?
+    for case in cases(
+        "
+        frobnicate | frobnicate
+        --format xml doctor | xml
+        publish | Usage
+        publish trial | PATH
+        publish sim --robots 0 | --robots
+        publish sim --rate 0.01 | allowed are 0.1 to 1000 Hz
+        publish sim --fault 3=melted | stuck
+        publish sim --config CONFIG --robots 11 | ids for 10
+        publish sim --config CONFIG --platform huksy | gternal, rover
+        publish sim --config CONFIG --robots 2 --fault 9=stuck | 0 to 1
+        publish trial TRIAL --rate fast | is not a number
+        publish trial TRIAL --rate NaN | allowed are
+        publish trial TRIAL --loop=0 | from 1
+        config explain tick.rate_hx | tick.rate_hz
+        completions cmd | bash
+        run --config /nowhere/fleet.toml | --config
+        publish trial TRIAL --config CONFIG | --platform NAME
+        eval TRIAL --config CONFIG | gternal, rover
+        ",
+    ) {
+        let [arguments, says] = case.as_slice() else {
+            panic!("{case:?}");
+        };
+        let words = arguments.split(' ').map(|word| match word {
+            "CONFIG" => &config,
+            "TRIAL" => &recording,
+            word => word,
+        });
+        let refused = output(words);
+        let errors = stderr(&refused);
+        assert_eq!(code(&refused), 2, "{arguments}: {errors}");
+        assert_eq!(stdout(&refused), "", "{arguments}");
+        assert!(errors.contains(says), "{arguments}: {errors}");
     }
     assert_eq!(fleet.stale_files(), Vec::<std::path::PathBuf>::new());
 }
@@ -127,14 +108,10 @@ fn a_typo_in_a_config_is_refused_with_its_line_and_the_nearest_key() {
         assert_eq!(code(&refused), 2, "{arguments:?}");
         let said = stderr(&refused);
         assert!(said.contains("typo.toml:3:"), "{arguments:?}: {said}");
-        assert!(
-            said.contains("capcity") && said.contains("`fleet.capacity`"),
-            "{said}"
-        );
+        says(&said, ["capcity", "`fleet.capacity`"]);
     }
     let good = fleet.config().display().to_string();
-    let checked = output(["config", "check", &good, &path, "--format", "json"]);
-    assert_eq!(code(&checked), 2);
+    let checked = output(["config", "check", &good, &path, "--format", "json"]).exits(2);
     let files = &json(&checked)["files"];
     assert_eq!(
         (&files[0]["accepted"], &files[1]["accepted"]),
@@ -156,10 +133,8 @@ fn config_check_refuses_a_config_whose_model_the_worker_would_refuse() {
     let path = path.display().to_string();
     for bytes in ["", "no model", "{}"] {
         fs::write(&model, bytes).unwrap();
-        let ran = output(["run", "--config", &path]);
-        assert_eq!(code(&ran), 1, "{}", stderr(&ran));
-        let checked = output(["config", "check", &path, "--format", "json"]);
-        assert_eq!(code(&checked), 2, "{}", stderr(&checked));
+        let ran = output(["run", "--config", &path]).exits(1);
+        let checked = output(["config", "check", &path, "--format", "json"]).exits(2);
         // The same error text.
         let why = stderr(&ran);
         let why = why.trim().strip_prefix("error: ").unwrap();
@@ -185,8 +160,7 @@ fn config_check_refuses_a_config_whose_model_the_worker_would_refuse() {
 fn config_show_prints_an_equivalent_config() {
     let fleet = Fleet::new();
     let config = fleet.config().display().to_string();
-    let shown = output(["config", "show", &config]);
-    assert_eq!(code(&shown), 0, "{}", stderr(&shown));
+    let shown = done(["config", "show", &config]);
     let again = Config::parse(&stdout(&shown), fleet.path("").as_path()).unwrap();
     let first = Config::load(fleet.config()).unwrap();
     assert_eq!(again.settings(), first.settings());
@@ -198,8 +172,8 @@ fn config_show_prints_an_equivalent_config() {
     let shipped = joulebus(["config", "show"])
         .current_dir("/")
         .output()
-        .unwrap();
-    assert_eq!(code(&shipped), 0, "{}", stderr(&shipped));
+        .unwrap()
+        .exits(0);
     Config::parse(&stdout(&shipped), std::path::Path::new("/")).unwrap();
 }
 
@@ -222,9 +196,7 @@ fn completions_contain_the_verbs() {
     for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
         let script = output(["completions", shell]);
         assert_eq!(code(&script), 0, "{shell}");
-        for verb in ["publish", "doctor", "completions"] {
-            assert!(stdout(&script).contains(verb), "{shell}: {verb}");
-        }
+        says(&stdout(&script), ["publish", "doctor", "completions"]);
     }
 }
 
@@ -250,8 +222,7 @@ fn a_closed_stdout_is_no_error_and_no_panic() {
 #[test]
 fn doctor_passes_on_a_fresh_fleet_and_leaves_no_files() {
     let fleet = Fleet::new();
-    let healthy = fleet.output("doctor --format json");
-    assert_eq!(code(&healthy), 0, "{}", stdout(&healthy));
+    let healthy = fleet.output("doctor --format json").exits(0);
     let report = json(&healthy);
     let checks = report["checks"].as_array().unwrap();
     let about = |name: &str| {
@@ -283,8 +254,7 @@ fn doctor_finds_and_removes_stale_files() {
     // Younger ones may be under construction.
     std::thread::sleep(Duration::from_millis(400));
 
-    let ill = fleet.output("doctor --format json");
-    assert_eq!(code(&ill), 1, "{}", stdout(&ill));
+    let ill = fleet.output("doctor --format json").exits(1);
     let report = json(&ill);
     assert_eq!(report["status"], "fail");
     let failed: Vec<&str> = report["checks"]
@@ -298,31 +268,14 @@ fn doctor_finds_and_removes_stale_files() {
     let mode = |path| fs::metadata(path).unwrap().mode() & 0o777;
     assert_eq!(mode(fleet.root()), 0o755, "doctor changed the mode");
 
-    let mended = fleet.output("doctor --fix");
-    assert_eq!(code(&mended), 0, "{}", stdout(&mended));
-    assert!(
-        stdout(&mended).contains("0755 changed to 0700"),
-        "{}",
-        stdout(&mended)
-    );
+    let mended = fleet.output("doctor --fix").exits(0);
+    says(&stdout(&mended), ["0755 changed to 0700"]);
     assert!(!fs::exists(&unfinished).unwrap());
     assert!(fleet.stale_files().is_empty());
 }
 
 #[test]
 fn training_does_not_start_if_its_result_cannot_be_written() {
-    let refused = output([
-        "train",
-        "sim",
-        "--seed",
-        "7",
-        "--out",
-        "/nowhere/model.safetensors",
-    ]);
-    assert_eq!(code(&refused), 1);
-    assert!(
-        stderr(&refused).contains("/nowhere"),
-        "{}",
-        stderr(&refused)
-    );
+    let refused = output("train sim --seed 7 --out /nowhere/model.safetensors".split(' ')).exits(1);
+    says(&stderr(&refused), ["/nowhere"]);
 }

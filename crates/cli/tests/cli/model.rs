@@ -3,7 +3,8 @@
 use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
-use super::fleet::{Fleet, code, json, output, stderr, stdout};
+use super::fleet::{Exits as _, Fleet, code, done, json, output, stderr, stdout};
+use joulebus_testkit::says;
 
 const SHIPPED: &str = concat!(
     env!("CARGO_MANIFEST_DIR"),
@@ -30,24 +31,14 @@ fn text(path: &Path) -> &str {
 
 #[test]
 fn info_describes_a_native_model() {
-    let info = output(["model", "info", SHIPPED]);
-    assert_eq!(code(&info), 0, "{}", stderr(&info));
-    for said in [
-        "11→64→64→32→1",
-        "7041 parameters",
-        "gelu_erf",
-        "power_lag5_w",
-        "simulation",
-        "R²",
-    ] {
-        assert!(stdout(&info).contains(said), "{said}: {}", stdout(&info));
-    }
+    let info = done(["model", "info", SHIPPED]);
+    let parts = "11→64→64→32→1 | 7041 parameters | gelu_erf | power_lag5_w | simulation | R²";
+    says(&stdout(&info), parts.split(" | "));
     let info = json(&output(["--format", "json", "model", "info", SHIPPED]));
     assert_eq!(info["parameters"], 7041);
     assert_eq!(info["features"].as_array().unwrap().len(), 11);
-    assert!(
-        stdout(&output(["model", "info", SHIPPED])).contains(info["model_hash"].as_str().unwrap())
-    );
+    let shown = output(["model", "info", SHIPPED]);
+    says(&stdout(&shown), [info["model_hash"].as_str().unwrap()]);
 }
 
 #[test]
@@ -63,40 +54,23 @@ fn a_foreign_file_is_shown_imported_exported_and_read_back() {
 
         let out = at("imported.safetensors");
         let import = ["model", "import", text(&file), "--out", text(&out)];
-        let without_data = output(import);
-        assert_eq!(code(&without_data), 2, "{}", stderr(&without_data));
+        let without_data = output(import).exits(2);
         assert!(stderr(&without_data).contains("--data"));
-        let data = [
-            "--data",
-            text(&data),
-            "--convention",
-            CONVENTION,
-            "--format",
-            "json",
-        ];
-        let imported = json(&output(import.iter().chain(&data)));
+        let data = ["--data", text(&data), "--convention", CONVENTION];
+        let data = data.iter().chain(&["--format", "json"]);
+        let imported = json(&output(import.iter().chain(data)));
         assert_eq!(imported["convention"], CONVENTION);
 
         for exported in ["model.npz", "model.onnx", "model.safetensors"] {
             let exported = at(exported);
-            let done = output(["model", "export", text(&out), "--out", text(&exported)]);
-            assert_eq!(code(&done), 0, "{}", stderr(&done));
+            done(["model", "export", text(&out), "--out", text(&exported)]);
         }
         let arrays = at(&format!("{name}-arrays"));
-        let done = output([
-            "model",
-            "export",
-            text(&out),
-            "--to",
-            "npy",
-            "--out",
-            text(&arrays),
-        ]);
-        assert_eq!(code(&done), 0, "{}", stderr(&done));
+        let (from, to) = (text(&out), text(&arrays));
+        done(["model", "export", from, "--to", "npy", "--out", to]);
         for exported in [at("model.npz"), at("model.safetensors"), arrays] {
             let again = at("again.safetensors");
-            let done = output(["model", "import", text(&exported), "--out", text(&again)]);
-            assert_eq!(code(&done), 0, "{}", stderr(&done));
+            done(["model", "import", text(&exported), "--out", text(&again)]);
             assert_eq!(std::fs::read(&again).unwrap(), std::fs::read(&out).unwrap());
         }
     }
@@ -113,65 +87,29 @@ fn an_unreadable_or_unwritable_file_sets_exit_code_and_reason() {
     std::fs::write(at("evil.pt"), evil).unwrap();
     let npy = foreign(folder.path(), "flat.npy");
     let out = at("out.bin");
+    let names = [&at("evil.pt"), &at("nothing.pt"), &npy, &out].map(|path| text(path).to_owned());
+    let [evil, nothing, npy, bin] = names;
+    let full = text(folder.path());
     for (arguments, expected, said) in [
-        (vec!["model", "info", text(&at("evil.pt"))], 1, "os.system"),
+        (format!("info {evil}"), 1, "os.system"),
+        (format!("info {nothing}"), 1, "nothing.pt"),
+        (format!("export {SHIPPED} --out {bin}"), 2, "--to"),
+        (format!("export {npy} --to npz --out {bin}"), 2, "import it"),
         (
-            vec!["model", "info", text(&at("nothing.pt"))],
-            1,
-            "nothing.pt",
-        ),
-        (
-            vec!["model", "export", SHIPPED, "--out", text(&out)],
-            2,
-            "--to",
-        ),
-        (
-            vec![
-                "model",
-                "export",
-                text(&npy),
-                "--to",
-                "npz",
-                "--out",
-                text(&out),
-            ],
-            2,
-            "import it",
-        ),
-        (
-            vec![
-                "model",
-                "import",
-                text(&npy),
-                "--out",
-                text(&out),
-                "--convention",
-                "x",
-            ],
+            format!("import {npy} --out {bin} --convention x"),
             2,
             "is not a convention",
         ),
         (
-            vec![
-                "model",
-                "export",
-                SHIPPED,
-                "--to",
-                "npy",
-                "--out",
-                text(folder.path()),
-            ],
+            format!("export {SHIPPED} --to npy --out {full}"),
             2,
             "not empty",
         ),
     ] {
-        let done = output(&arguments);
-        assert_eq!(code(&done), expected, "{arguments:?}: {}", stderr(&done));
-        assert!(
-            stderr(&done).contains(said),
-            "{arguments:?}: {}",
-            stderr(&done)
-        );
+        let done = output(["model"].into_iter().chain(arguments.split(' ')));
+        let errors = stderr(&done);
+        assert_eq!(code(&done), expected, "{arguments}: {errors}");
+        assert!(errors.contains(said), "{arguments}: {errors}");
     }
     assert!(!canary.exists());
     assert!(!out.exists());

@@ -4,9 +4,10 @@
 use std::fs;
 use std::path::PathBuf;
 
+use joulebus_testkit::says;
 use serde_json::Value;
 
-use super::fleet::{Fleet, code, json, output, stderr, stdout};
+use super::fleet::{Exits as _, Fleet, code, done, json, output, stderr, stdout};
 
 /// Doors, with what stands for the recording; each loads its other inputs first.
 const DOORS: [&str; 8] = [
@@ -72,8 +73,7 @@ fn every_door_names_what_is_implausible_with_its_option_and_stops() {
         ),
     ] {
         let path = path.display().to_string();
-        let checked = output(["data", "check", &path]);
-        assert_eq!(code(&checked), 3, "{}", stdout(&checked));
+        let checked = output(["data", "check", &path]).exits(3);
         assert!(stdout(&checked).contains(says), "{}", stdout(&checked));
         for (number, door) in DOORS.iter().enumerate() {
             let plain = words(&fleet, door, &path, number);
@@ -109,29 +109,19 @@ fn what_is_accepted_is_said_and_goes_on_in_text_and_json() {
     let analyze = [
         "analyze", &path, "--native", "--split", "time", "--format", "json",
     ];
-    let accepted = output(analyze.into_iter().chain(["--accept", "sign"]));
-    assert_eq!(code(&accepted), 0, "{}", stderr(&accepted));
-    assert!(
-        stderr(&accepted).contains("accepted: sign"),
-        "{}",
-        stderr(&accepted)
-    );
+    let accepted = done(analyze.into_iter().chain(["--accept", "sign"]));
+    says(&stderr(&accepted), ["accepted: sign"]);
     let found = &json(&accepted)["implausible"][0];
     assert_eq!(
         (&found["kind"], &found["accepted"]),
         (&Value::from("sign"), &Value::from(true))
     );
-    let checked = output([
+    output([
         "data", "check", &path, "--accept", "sign", "--format", "json",
-    ]);
-    assert_eq!(code(&checked), 0, "{}", stdout(&checked));
-    let refused = output(["data", "check", &path, "--accept", "smell"]);
-    assert_eq!(code(&refused), 2, "{}", stderr(&refused));
-    assert!(
-        stderr(&refused).contains("saturation"),
-        "{}",
-        stderr(&refused)
-    );
+    ])
+    .exits(0);
+    let refused = output(["data", "check", &path, "--accept", "smell"]).exits(2);
+    says(&stderr(&refused), ["saturation"]);
 }
 
 #[test]
@@ -156,13 +146,8 @@ fn warnings_are_shown_and_go_on() {
         "--split",
         "time",
     ];
-    let found = output(analyze.into_iter().chain(["--format", "json"]));
-    assert_eq!(code(&found), 0, "{}", stderr(&found));
-    assert!(
-        stderr(&found).contains("warning: constant"),
-        "{}",
-        stderr(&found)
-    );
+    let found = done(analyze.into_iter().chain(["--format", "json"]));
+    says(&stderr(&found), ["warning: constant"]);
     let kind = &json(&found)["implausible"][0]["kind"];
     assert_eq!(kind, &Value::from("constant"));
 }
@@ -184,16 +169,11 @@ fn a_platform_of_turned_readings_has_the_limits_of_a_robot() {
         "-o",
         out.to_str().unwrap(),
     ];
-    let made = output(init.into_iter().chain(["--current", "discharge-negative"]));
-    assert_eq!(code(&made), 0, "{}", stderr(&made));
+    let made = done(init.into_iter().chain(["--current", "discharge-negative"]));
     let platform = fs::read_to_string(out.join("platforms/r.toml")).unwrap();
     assert!(platform.contains("\npower_min_w = 0.0\n"), "{platform}");
     // The next commands read the recording in the same way.
-    assert!(
-        stdout(&made).contains("--current discharge-negative"),
-        "{}",
-        stdout(&made)
-    );
+    says(&stdout(&made), ["--current discharge-negative"]);
 }
 
 /// A zero in front of noise is no step of the monitor.
@@ -215,14 +195,6 @@ fn noise_has_no_resolution() {
     }
     fs::write(&path, text).unwrap();
     let (path, out) = (path.display().to_string(), fleet.path("lab"));
-    let made = output([
-        "config",
-        "init",
-        "--from",
-        &path,
-        "-o",
-        out.to_str().unwrap(),
-    ]);
-    assert_eq!(code(&made), 0, "{}", stderr(&made));
+    let made = done(format!("config init --from {path} -o {}", out.to_str().unwrap()).split(' '));
     assert!(!stdout(&made).contains("resolution"), "{}", stdout(&made));
 }

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use rustix::process::Signal;
 
-use crate::fleet::{Fleet, Program, code, stderr, stdout};
+use crate::fleet::{Exits as _, Fleet, Program, code, stdout};
 
 const TIMEOUT: Duration = Duration::from_secs(60);
 
@@ -64,8 +64,7 @@ fn a_service_manager_learns_when_the_worker_is_ready_works_and_ends() {
     socket.set_read_timeout(Some(TIMEOUT)).unwrap();
     worker.signal(Signal::CONT);
     assert!(ping(&socket), "it works again");
-    let ended = worker.end(Signal::TERM);
-    assert_eq!(code(&ended), 0, "{}", stderr(&ended));
+    worker.end(Signal::TERM).exits(0);
     assert_eq!(next(&socket).0.trim(), "STOPPING=1");
 }
 

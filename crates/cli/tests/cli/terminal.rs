@@ -273,14 +273,7 @@ fn a_view_whose_terminal_goes_away_ends() {
 #[test]
 fn a_demo_of_80_columns_is_readable_and_ends_with_its_report() {
     // Longer than any machine takes for the keys.
-    let demo = joulebus([
-        "demo",
-        "--robots",
-        "8",
-        "--no-capture",
-        "--duration",
-        "3600",
-    ]);
+    let demo = joulebus("demo --robots 8 --no-capture --duration 3600".split(' '));
     let mut terminal = Terminal::start(demo, 80, 24);
     terminal.shows_text("fleet demo  8 robots");
     terminal.shows("robots are listed", |lines| {
@@ -299,14 +292,7 @@ fn a_demo_of_80_columns_is_readable_and_ends_with_its_report() {
 
 #[test]
 fn a_demo_whose_terminal_goes_away_ends_its_processes() {
-    let demo = joulebus([
-        "demo",
-        "--robots",
-        "4",
-        "--no-capture",
-        "--duration",
-        "3600",
-    ]);
+    let demo = joulebus("demo --robots 4 --no-capture --duration 3600".split(' '));
     let mut terminal = Terminal::start(demo, 80, 24);
     terminal.shows_text("fleet demo  4 robots");
     let demo = terminal.child.id();

@@ -1,6 +1,6 @@
 //! `joulebus train trials`: from recordings to a model that the worker loads.
 
-use super::fleet::{Fleet, code, json, output, stderr, stdout};
+use super::fleet::{Fleet, code, done, json, output, stderr, stdout};
 
 #[test]
 fn a_model_is_trained_and_its_split_is_reported() {
@@ -21,8 +21,7 @@ fn a_model_is_trained_and_its_split_is_reported() {
     let mut wanted = vec!["--format", "json", "train", "trials"];
     wanted.extend(data.iter().map(String::as_str));
     wanted.extend(["--recipe", recipe, "--seed", "5", "--out", out]);
-    let trained = output(wanted.clone());
-    assert_eq!(code(&trained), 0, "{}", stderr(&trained));
+    let trained = done(wanted.clone());
     let report = json(&trained);
     assert_eq!(report["epochs"], 3);
     assert_eq!(report["model"], "model");
@@ -33,8 +32,7 @@ fn a_model_is_trained_and_its_split_is_reported() {
             "{report}"
         );
     }
-    let info = output(["model", "info", out]);
-    assert_eq!(code(&info), 0, "{}", stderr(&info));
+    let info = done(["model", "info", out]);
     let hash = report["model_hash"].as_str().unwrap();
     assert!(stdout(&info).contains(hash), "{}", stdout(&info));
 

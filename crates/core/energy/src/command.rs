@@ -72,7 +72,6 @@ impl Motion {
 
 impl CommandModel {
     /// The same power under every command.
-    #[must_use]
     pub fn constant(power_w: f32) -> Self {
         let mut weights = [0.0; TERMS];
         weights[0] = power_w;
@@ -85,14 +84,12 @@ impl CommandModel {
     }
 
     /// Whether the command makes a difference.
-    #[must_use]
     pub fn reads_commands(&self) -> bool {
         self.weights[1..].iter().any(|weight| *weight != 0.0)
     }
 
     /// The terms of a command: velocities in m/s and rad/s, their derivatives in m/s² and rad/s².
     #[inline(always)]
-    #[must_use]
     pub fn terms(&self, motion: [f32; 4]) -> [f32; TERMS] {
         let (v, omega) = (motion[0].abs(), motion[1].abs());
         let [turning, faster_v, faster_omega, dv, domega] = Self::combined_terms(motion);
@@ -115,7 +112,6 @@ impl CommandModel {
     /// The last of these terms, without any weight or constant: |vω|; v dv/dt and ω dω/dt where
     /// positive; |dv/dt|; |dω/dt|.
     #[inline(always)]
-    #[must_use]
     pub fn combined_terms(motion: [f32; 4]) -> [f32; COMBINED_TERMS] {
         let [v_mps, omega_radps, dv_mps2, domega_radps2] = motion;
         [

@@ -20,13 +20,11 @@ pub struct Commands<'a> {
 
 impl Commands<'_> {
     /// Number of steps.
-    #[must_use]
     pub fn steps(&self) -> usize {
         self.v_mps.len().min(self.omega_radps.len())
     }
 
     /// Time from the first step to the end of the last, s.
-    #[must_use]
     pub fn duration_s(&self) -> f32 {
         self.steps() as f32 * self.period_s
     }
@@ -63,14 +61,12 @@ pub struct CommandSum {
 
 impl CommandSum {
     /// Before the first command of a plan that begins now; each command is in force for `period_s`.
-    #[must_use]
     pub fn new(state: &EnergyState, period_s: f32) -> Self {
         Self::after(state.command(), period_s)
     }
 
     /// The empty sum before the next command while `command` (m/s, rad/s) is in force: a part of a
     /// plan for any robot.
-    #[must_use]
     pub const fn after(command: (f32, f32), period_s: f32) -> Self {
         Self {
             period_s,
@@ -111,25 +107,21 @@ impl CommandSum {
     }
 
     /// Time that each command is in force, s.
-    #[must_use]
     pub const fn period_s(&self) -> f32 {
         self.period_s
     }
 
     /// Number of commands.
-    #[must_use]
     pub const fn steps(&self) -> usize {
         self.steps
     }
 
     /// Time from the first command to the end of the last, s.
-    #[must_use]
     pub fn duration_s(&self) -> f32 {
         self.steps as f32 * self.period_s
     }
 
     /// Number of commands that lie outside the training data.
-    #[must_use]
     pub const fn steps_outside(&self) -> usize {
         self.steps_outside
     }
@@ -155,7 +147,6 @@ impl EnergyForecast {
     /// `None` unless 0 < p < 1, and if errors are unknown: for a model without an energy model, for
     /// a plan that the model does not [cover](EnergyModel::covers), and for commands that are not
     /// finite. For an interval of coverage c use (1 − c)/2 and (1 + c)/2.
-    #[must_use]
     pub fn quantile_j(&self, p: f32) -> Option<f32> {
         let error_j = quantiles::quantile(self.errors_j.as_ref()?, p)?;
         Some(self.energy_j + error_j)
@@ -163,7 +154,6 @@ impl EnergyForecast {
 
     /// Probability that the energy is below `energy_j`, 0 to 1. `None` if
     /// [`EnergyForecast::quantile_j`] is, and for a NaN.
-    #[must_use]
     pub fn probability_below(&self, energy_j: f32) -> Option<f32> {
         let probability = quantiles::probability(self.errors_j.as_ref()?, energy_j - self.energy_j);
         (!probability.is_nan()).then_some(probability)
@@ -172,7 +162,6 @@ impl EnergyForecast {
 
 impl EnergyModel {
     /// The energy of a plan that begins now. Reads `plan` once and allocates nothing.
-    #[must_use]
     pub fn forecast(&self, state: &EnergyState, plan: Commands<'_>) -> EnergyForecast {
         let mut sum = CommandSum::new(state, plan.period_s);
         sum.add(self, plan);
@@ -180,7 +169,6 @@ impl EnergyModel {
     }
 
     /// The energy of the plan that a sum is of; `state`: that which the sum began with.
-    #[must_use]
     pub fn forecast_of(&self, state: &EnergyState, sum: &CommandSum) -> EnergyForecast {
         let duration_s = sum.duration_s();
         let level = state.level(self, duration_s);

@@ -73,7 +73,6 @@ pub enum EnergyModelError {
 impl EnergyModel {
     /// The model for a file without an energy model: the mean of the last seconds, independent of
     /// the commands, starting at `mean_w` (W, above 0). Its forecasts have no intervals.
-    #[must_use]
     pub fn untrained(mean_w: f32) -> Self {
         // Neighbouring means; the longer, the longer the horizon.
         let weights = [
@@ -112,7 +111,6 @@ impl EnergyModel {
     }
 
     /// The model as one line of text, for a model file: reading it gives the same bits.
-    #[must_use]
     pub fn to_text(&self) -> String {
         // Plain numbers and names always serialise.
         serde_json::to_string(self).unwrap_or_default()
@@ -221,7 +219,6 @@ impl EnergyModel {
     }
 
     /// The longest horizon with an interval, s; 0 without any.
-    #[must_use]
     pub fn longest_s(&self) -> f32 {
         match self.calibrated.min(HORIZONS) {
             0 => 0.0,
@@ -232,7 +229,6 @@ impl EnergyModel {
     /// Whether the errors of a plan of this duration are known. A plan may be a hundredth longer
     /// than
     /// [`EnergyModel::longest_s`]: its steps seldom add up to exactly that.
-    #[must_use]
     pub fn covers(&self, duration_s: f32) -> bool {
         duration_s <= 1.01 * self.longest_s()
     }

@@ -150,7 +150,6 @@ impl Metered {
 
     /// Whether a shadow forecast has ended, or the first is due.
     #[inline(always)]
-    #[must_use]
     pub fn has_ended(&self) -> bool {
         let mut ended = false;
         for shadow in 0..SHADOWS {
@@ -168,7 +167,6 @@ impl Metered {
 
     /// All numbers, in the order of the fields.
     #[inline(always)]
-    #[must_use]
     pub fn to_array(&self) -> [f32; Self::FLOATS] {
         let mut numbers = [0.0; Self::FLOATS];
         let mut at = 0;
@@ -190,7 +188,6 @@ impl Metered {
 
     /// Creates it from [`Metered::to_array`].
     #[inline(always)]
-    #[must_use]
     pub fn from_array(numbers: &[f32; Self::FLOATS]) -> Self {
         let levels = |at: usize| std::array::from_fn(|level| numbers[at + level]);
         let shadows = |group: usize| {
@@ -215,7 +212,6 @@ impl Learned {
     pub const FLOATS: usize = 4 * SHADOWS + 3;
 
     /// Before the first shadow forecast has ended.
-    #[must_use]
     pub const fn new() -> Self {
         Self {
             shadow_factor: [0.0; SHADOWS],
@@ -269,7 +265,6 @@ impl Learned {
 
     /// All numbers, in the order of the fields.
     #[inline(always)]
-    #[must_use]
     pub fn to_array(&self) -> [f32; Self::FLOATS] {
         let mut numbers = [0.0; Self::FLOATS];
         let groups = [
@@ -287,7 +282,6 @@ impl Learned {
 
     /// Creates it from [`Learned::to_array`].
     #[inline(always)]
-    #[must_use]
     pub fn from_array(numbers: &[f32; Self::FLOATS]) -> Self {
         let group = |group: usize| std::array::from_fn(|place| numbers[group * SHADOWS + place]);
         Self {
@@ -311,7 +305,6 @@ impl Default for Learned {
 impl EnergyState {
     /// Before the first sample. `phase` spreads the shadow forecasts of robots that start together
     /// over time, for instance the robot's place.
-    #[must_use]
     pub fn new(phase: u32) -> Self {
         let waits_s = SETTLE_S + (phase % 32) as f32 / 32.0;
         Self {
@@ -331,7 +324,6 @@ impl EnergyState {
     }
 
     /// The command in force: m/s and rad/s, NaN if unknown.
-    #[must_use]
     pub fn command(&self) -> (f32, f32) {
         (self.metered.v_mps, self.metered.omega_radps)
     }

@@ -46,7 +46,25 @@ struct Reference<'a> {
     samples: Vec<EnergySample>,
 }
 
+fn command(sample: &EnergySample) -> (f64, f64) {
+    (sample.v_mps.into(), sample.omega_radps.into())
+}
+
 impl Reference<'_> {
+    /// A value of each horizon, interpolated at a duration and constant beyond the ends.
+    fn at(duration_s: f64, of: impl Fn(usize) -> f64) -> f64 {
+        let horizons_s = HORIZONS_S.map(f64::from);
+        match horizons_s.iter().position(|known| *known > duration_s) {
+            Some(0) => of(0),
+            None => of(HORIZONS_S.len() - 1),
+            Some(after) => {
+                let (from, to) = (horizons_s[after - 1], horizons_s[after]);
+                let share = (duration_s - from) / (to - from);
+                of(after - 1) * (1.0 - share) + of(after) * share
+            }
+        }
+    }
+
     fn command_w(&self, command: (f64, f64), before: Option<(f64, f64)>, dt_s: f64) -> f64 {
         let (v, omega) = command;
         let (dv, domega) = match before {
@@ -70,32 +88,22 @@ impl Reference<'_> {
             omega.powi(2),
             omega.abs() / (omega.abs() + f64::from(*half_omega_radps)),
             (v * omega).abs(),
-            if v * dv > 0.0 { v * dv } else { 0.0 },
-            if omega * domega > 0.0 {
-                omega * domega
-            } else {
-                0.0
-            },
+            (v * dv).max(0.0),
+            (omega * domega).max(0.0),
             dv.abs(),
             domega.abs(),
         ];
-        let weighted = weights.iter().zip(terms);
-        weighted
-            .map(|(weight, term)| f64::from(*weight) * term)
-            .sum()
+        let pairs = weights.iter().zip(terms);
+        pairs.map(|(weight, of)| f64::from(*weight) * of).sum()
     }
 
     /// Power of the command of sample `place`, W.
     fn in_force_w(&self, place: usize) -> f64 {
-        let command =
-            |sample: &EnergySample| (f64::from(sample.v_mps), f64::from(sample.omega_radps));
         let sample = &self.samples[place];
         if !(sample.v_mps.is_finite() && sample.omega_radps.is_finite()) {
             return self.model.command.mean_w.into();
         }
-        let before = place
-            .checked_sub(1)
-            .map(|before| command(&self.samples[before]));
+        let before = place.checked_sub(1).map(|at| command(&self.samples[at]));
         self.command_w(command(sample), before, sample.elapsed_s.into())
     }
 
@@ -110,12 +118,8 @@ impl Reference<'_> {
                 continue;
             }
             let later = &self.samples[place..];
-            let counted = later
-                .iter()
-                .map(|sample| f64::from(sample.elapsed_s).max(0.0));
-            let kept: f64 = counted
-                .map(|elapsed_s| level_s / (level_s + elapsed_s))
-                .product();
+            let counted = later.iter().map(|it| f64::from(it.elapsed_s).max(0.0));
+            let kept: f64 = counted.map(|s| level_s / (level_s + s)).product();
             let elapsed_s = f64::from(elapsed_s);
             sums[0] += kept * f64::from(power_w) * elapsed_s;
             sums[1] += kept * self.in_force_w(place - 1) * elapsed_s;
@@ -139,12 +143,10 @@ impl Reference<'_> {
             let dv = (f64::from(*v) - f64::from(from.0)) / period_s;
             let domega = (f64::from(*omega) - f64::from(from.1)) / period_s;
             before = Some((*v, *omega));
-            let ([v_lo, v_hi], [omega_lo, omega_hi]) = (self.model.v_mps, self.model.omega_radps);
             let (v, omega) = (f64::from(*v), f64::from(*omega));
-            let inside = v >= v_lo.into()
-                && v <= v_hi.into()
-                && omega >= omega_lo.into()
-                && omega <= omega_hi.into()
+            let within = |x: f64, [lo, hi]: [f32; 2]| f64::from(lo) <= x && x <= f64::from(hi);
+            let inside = within(v, self.model.v_mps)
+                && within(omega, self.model.omega_radps)
                 && v * dv <= faster_v
                 && omega * domega <= faster_omega
                 && dv.abs() <= dv_limit
@@ -156,56 +158,28 @@ impl Reference<'_> {
 
     fn energy_j(&self, plan: &[(f32, f32)], period_s: f64, trust: f32) -> f64 {
         let duration_s = plan.len() as f64 * period_s;
-        let newest = self.samples.last();
-        let mut before =
-            newest.map(|sample| (f64::from(sample.v_mps), f64::from(sample.omega_radps)));
+        let mut before = self.samples.last().map(command);
         let mut command_j = 0.0;
         for (v, omega) in plan {
             let command = (f64::from(*v), f64::from(*omega));
             command_j += self.command_w(command, before, period_s) * period_s;
             before = Some(command);
         }
-        let after = HORIZONS_S
-            .iter()
-            .position(|known| f64::from(*known) > duration_s);
         let weight = |index: usize| -> f64 {
-            let at = |place: usize| f64::from(self.model.weights[place][index]);
-            match after {
-                Some(0) => at(0),
-                None => at(HORIZONS_S.len() - 1),
-                Some(after) => {
-                    let (from, to): (f64, f64) =
-                        (HORIZONS_S[after - 1].into(), HORIZONS_S[after].into());
-                    let share: f64 = (duration_s - from) / (to - from);
-                    at(after - 1) * (1.0 - share) + at(after) * share
-                }
-            }
+            Self::at(duration_s, |place| self.model.weights[place][index].into())
         };
-        let spread = |place: usize| {
+        let spread = Self::at(duration_s, |place| {
             let errors = self.model.errors[place];
             f64::from(errors[7] - errors[1]) / 3.29
-        };
-        let spread = match after {
-            Some(0) => spread(0),
-            None => spread(HORIZONS_S.len() - 1),
-            Some(after) => {
-                let (from, to): (f64, f64) =
-                    (HORIZONS_S[after - 1].into(), HORIZONS_S[after].into());
-                let share = (duration_s - from) / (to - from);
-                spread(after - 1) * (1.0 - share) + spread(after) * share
-            }
-        };
+        });
         let mut energy_j = 0.0;
         let (added, trust) = (f64::from(self.model.added_shares[0]), f64::from(trust));
         let mean_w = f64::from(self.model.command.mean_w);
         for (index, level_s) in LEVELS_S.into_iter().enumerate() {
             let [read_j, expected_j, time_s] = self.sums(level_s.into());
+            let above_j = read_j - expected_j;
             let (ratio, above_w, read_w) = match time_s > 0.0 {
-                true => (
-                    read_j / expected_j,
-                    (read_j - expected_j) / time_s,
-                    read_j / time_s,
-                ),
+                true => (read_j / expected_j, above_j / time_s, read_j / time_s),
                 false => (1.0, 0.0, mean_w),
             };
             let prior_s = f64::from(self.model.prior_s[index]);
@@ -224,15 +198,10 @@ impl Reference<'_> {
 }
 
 fn samples() -> impl Strategy<Value = Vec<EnergySample>> {
-    let sample = (
-        0.0f32..30.0,
-        0.01f32..0.3,
-        -0.5f32..0.5,
-        -2.0f32..2.0,
-        0u8..40,
-    );
+    let speeds = (-0.5f32..0.5, -2.0f32..2.0);
+    let sample = (0.0f32..30.0, 0.01f32..0.3, speeds, 0u8..40);
     let sample = sample.prop_map(
-        |(power_w, elapsed_s, v_mps, omega_radps, kind)| EnergySample {
+        |(power_w, elapsed_s, (v_mps, omega_radps), kind)| EnergySample {
             power_w: if kind == 0 { f32::NAN } else { power_w },
             elapsed_s: if kind == 1 { 0.0 } else { elapsed_s },
             v_mps: if kind == 2 { f32::NAN } else { v_mps },
@@ -244,6 +213,14 @@ fn samples() -> impl Strategy<Value = Vec<EnergySample>> {
 
 fn plan() -> impl Strategy<Value = Vec<(f32, f32)>> {
     prop::collection::vec((-0.5f32..0.5, -2.0f32..2.0), 1..60)
+}
+
+fn commands<'a>(period_s: f32, v_mps: &'a [f32], omega_radps: &'a [f32]) -> Commands<'a> {
+    Commands {
+        period_s,
+        v_mps,
+        omega_radps,
+    }
 }
 
 fn split(plan: &[(f32, f32)]) -> (Vec<f32>, Vec<f32>) {
@@ -410,22 +387,15 @@ proptest! {
 #[test]
 fn a_state_is_small_and_has_no_padding() {
     let floats = Metered::FLOATS + Learned::FLOATS;
-    assert_eq!(size_of::<EnergyState>(), 4 * floats);
-    assert!(
-        size_of::<EnergyState>() <= 200,
-        "{}",
-        size_of::<EnergyState>()
-    );
+    let size = size_of::<EnergyState>();
+    assert_eq!(size, 4 * floats);
+    assert!(size <= 200, "{size}");
 }
 
 #[test]
 fn a_new_robot_draws_what_its_platform_does() {
     let model = model(&[0.5; TERMS], 0.0);
-    let plan = Commands {
-        period_s: 0.5,
-        v_mps: &[0.0; 4],
-        omega_radps: &[0.0; 4],
-    };
+    let plan = commands(0.5, &[0.0; 4], &[0.0; 4]);
     let forecast = model.forecast(&EnergyState::new(0), plan);
     assert!((forecast.energy_j - 2.0 * model.command.weights[0]).abs() < 1e-4);
     assert!(forecast.quantile_j(0.95) > forecast.quantile_j(0.05));
@@ -435,45 +405,19 @@ fn a_new_robot_draws_what_its_platform_does() {
 fn what_is_not_known_has_no_interval() {
     let trained = model(&[0.5; TERMS], 0.0);
     let state = observed(&trained, &[]);
-    let plan = |period_s: f32| Commands {
-        period_s,
-        v_mps: &[0.0; 4],
-        omega_radps: &[0.0; 4],
-    };
-    assert!(
-        trained
-            .forecast(&state, plan(1.0))
-            .quantile_j(0.5)
-            .is_some()
-    );
+    let plan = |period_s: f32| commands(period_s, &[0.0; 4], &[0.0; 4]);
+    let median_j = |model: &EnergyModel, s| model.forecast(&state, plan(s)).quantile_j(0.5);
+    assert!(median_j(&trained, 1.0).is_some());
     // Beyond the longest horizon.
-    assert!(
-        trained
-            .forecast(&state, plan(80.0))
-            .quantile_j(0.5)
-            .is_none()
-    );
+    assert!(median_j(&trained, 80.0).is_none());
     // Without training.
     let untrained = EnergyModel::untrained(4.0);
     assert_eq!(untrained.check(), Ok(()));
-    assert!(
-        untrained
-            .forecast(&state, plan(1.0))
-            .quantile_j(0.5)
-            .is_none()
-    );
-    assert!(
-        untrained
-            .forecast(&state, plan(1.0))
-            .probability_below(9.0)
-            .is_none()
-    );
+    assert!(median_j(&untrained, 1.0).is_none());
+    let forecast = untrained.forecast(&state, plan(1.0));
+    assert!(forecast.probability_below(9.0).is_none());
     // A command that is not a number.
-    let unknown = Commands {
-        period_s: 1.0,
-        v_mps: &[0.0, f32::NAN],
-        omega_radps: &[0.0; 2],
-    };
+    let unknown = commands(1.0, &[0.0, f32::NAN], &[0.0; 2]);
     let forecast = trained.forecast(&state, unknown);
     assert!(forecast.energy_j.is_nan() && forecast.quantile_j(0.5).is_none());
     // Values that are no probabilities.
@@ -489,11 +433,7 @@ fn a_sum_of_parts_gives_the_bits_of_the_whole_plan_and_of_its_beginnings() {
     let numbers = |most: usize| (0..200).map(move |step| (step * step % most) as f32);
     let v: Vec<f32> = numbers(23).map(|number| 0.1 * number - 1.1).collect();
     let omega: Vec<f32> = numbers(17).map(|number| 0.1 * number).collect();
-    let part = |from: usize, to: usize| Commands {
-        period_s: 0.07,
-        v_mps: &v[from..to],
-        omega_radps: &omega[from..to],
-    };
+    let part = |from: usize, to: usize| commands(0.07, &v[from..to], &omega[from..to]);
     let mut sum = CommandSum::new(&state, 0.07);
     let mut done = 0;
     for end in [0, 1, 2, 50, 50, 123, 200] {
@@ -513,11 +453,8 @@ fn commands_outside_the_training_data_are_named() {
     let model = model(&[0.5; TERMS], 0.0);
     let state = EnergyState::new(0);
     for (v_mps, outside) in [(0.9, 0), (1.1, 1), (-1.1, 1)] {
-        let plan = Commands {
-            period_s: 0.1,
-            v_mps: &[0.0, v_mps],
-            omega_radps: &[0.0; 2],
-        };
+        let v_mps = [0.0, v_mps];
+        let plan = commands(0.1, &v_mps, &[0.0; 2]);
         assert_eq!(model.forecast(&state, plan).steps_outside, outside);
     }
 }
@@ -529,11 +466,7 @@ fn commands_that_change_faster_than_any_in_training_are_named() {
         ..model(&[0.5; TERMS], 0.0)
     };
     let outside = |model: &EnergyModel, v_mps: &[f32], omega_radps: &[f32]| {
-        let plan = Commands {
-            period_s: 0.1,
-            v_mps,
-            omega_radps,
-        };
+        let plan = commands(0.1, v_mps, omega_radps);
         model.forecast(&EnergyState::new(0), plan).steps_outside
     };
     // Nothing changes.
@@ -570,49 +503,34 @@ fn commands_that_change_faster_than_any_in_training_are_named() {
 #[test]
 fn intervals_widen_and_narrow_with_the_robots_own_errors() {
     let model = model(&[0.0; TERMS], 0.0);
-    let plan = Commands {
-        period_s: 0.1,
-        v_mps: &[0.0; 10],
-        omega_radps: &[0.0; 10],
-    };
+    let plan = commands(0.1, &[0.0; 10], &[0.0; 10]);
     let width = |state: &EnergyState| {
         let forecast = model.forecast(state, plan);
-        (forecast.quantile_j(0.95).unwrap() - forecast.quantile_j(0.05).unwrap())
-            / forecast.energy_j
+        let [hi_j, lo_j] = [0.95, 0.05].map(|p| forecast.quantile_j(p).unwrap());
+        (hi_j - lo_j) / forecast.energy_j
     };
     let drive = |power_w: fn(usize) -> f32| {
         let mut state = EnergyState::new(0);
         for second in 0..300 {
             for _ in 0..10 {
-                let power_w = power_w(second);
-                state.observe(
-                    &model,
-                    &EnergySample {
-                        power_w,
-                        elapsed_s: 0.1,
-                        v_mps: 0.0,
-                        omega_radps: 0.0,
-                    },
-                );
+                let sample = EnergySample {
+                    power_w: power_w(second),
+                    elapsed_s: 0.1,
+                    v_mps: 0.0,
+                    omega_radps: 0.0,
+                };
+                state.observe(&model, &sample);
             }
         }
         state
     };
     let steady = drive(|_| 5.0);
     let erratic = drive(|second| if second * 7 % 5 < 2 { 2.0 } else { 12.0 });
-    assert!(
-        width(&erratic) > 1.3 * width(&steady),
-        "{} {}",
-        width(&erratic),
-        width(&steady)
-    );
+    let (wide, narrow) = (width(&erratic), width(&steady));
+    assert!(wide > 1.3 * narrow, "{wide} {narrow}");
     for state in [steady, erratic] {
-        let times = state.metered.shadow_s.iter().zip(SHADOWS_S);
-        assert!(
-            times
-                .into_iter()
-                .all(|(since_s, horizon_s)| *since_s < horizon_s)
-        );
+        let mut times = state.metered.shadow_s.iter().zip(SHADOWS_S);
+        assert!(times.all(|(since_s, horizon_s)| *since_s < horizon_s));
     }
 }
 
@@ -669,11 +587,7 @@ fn driving_model() -> EnergyModel {
 }
 
 fn at_rest_j(model: &EnergyModel, state: &EnergyState) -> f32 {
-    let plan = Commands {
-        period_s: 0.5,
-        v_mps: &[0.0; 20],
-        omega_radps: &[0.0; 20],
-    };
+    let plan = commands(0.5, &[0.0; 20], &[0.0; 20]);
     model.forecast(state, plan).energy_j
 }
 
@@ -722,11 +636,7 @@ fn a_level_far_from_the_platforms_is_believed_sooner() {
     let error_after_s = |times: f32| {
         let drawn_w = times * model.command.weights[0];
         let state = driven(&model, 8.0, |_| drawn_w);
-        let plan = Commands {
-            period_s: 0.5,
-            v_mps: &[0.0; 20],
-            omega_radps: &[0.0; 20],
-        };
+        let plan = commands(0.5, &[0.0; 20], &[0.0; 20]);
         let drawn_j = 10.0 * drawn_w;
         let held_j = 10.0 * model.command.weights[0];
         (model.forecast(&state, plan).energy_j - drawn_j) / (held_j - drawn_j)

@@ -58,7 +58,6 @@ pub struct Estimate {
 
 impl Estimate {
     /// A score without an interval.
-    #[must_use]
     pub const fn alone(value: f64) -> Self {
         Self {
             value,
@@ -68,13 +67,11 @@ impl Estimate {
     }
 
     /// Whether the whole interval is above `bound`.
-    #[must_use]
     pub fn is_above(&self, bound: f64) -> bool {
         self.lo > bound
     }
 
     /// Whether the whole interval is below `bound`.
-    #[must_use]
     pub fn is_below(&self, bound: f64) -> bool {
         self.hi < bound
     }

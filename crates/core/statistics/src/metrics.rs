@@ -135,26 +135,22 @@ impl Tally {
     }
 
     /// Sum of the squared differences of the readings from a value, W².
-    #[must_use]
     pub fn squares_about_w2(&self, centre_w: f64) -> f64 {
         let apart_w = self.reading_mean_w - centre_w;
         self.reading_scatter_w2 + self.count as f64 * apart_w * apart_w
     }
 
     /// Sum of the squared residuals, W².
-    #[must_use]
     pub const fn squared_residuals_w2(&self) -> f64 {
         self.sum_sq_w2
     }
 
     /// Pairs that were scored.
-    #[must_use]
     pub const fn count(&self) -> u64 {
         self.count
     }
 
     /// Pairs not scored because the reading or the forecast was not finite.
-    #[must_use]
     pub const fn unscored(&self) -> u64 {
         self.unscored
     }
@@ -162,13 +158,11 @@ impl Tally {
     /// Coefficient of determination: 1 − Σ residual² / Σ (reading − mean reading)². At most 1, and
     /// negative if the mean of the readings would have been the better forecast. NaN without a pair
     /// or if all readings are equal.
-    #[must_use]
     pub fn r2(&self) -> f64 {
         one_minus(self.sum_sq_w2, self.reading_scatter_w2)
     }
 
     /// Root of the mean squared residual, W; NaN without a pair.
-    #[must_use]
     pub fn rmse_w(&self) -> f64 {
         libm::sqrt(self.mse_w2())
     }
@@ -178,27 +172,23 @@ impl Tally {
     }
 
     /// Mean absolute residual, W; NaN without a pair.
-    #[must_use]
     pub fn mae_w(&self) -> f64 {
         self.sum_abs_w / self.count as f64
     }
 
     /// Mean of |residual / reading|, as a share, over the pairs whose reading is not exactly 0. NaN
     /// without such a pair. Readings close to 0 make it large and meaningless.
-    #[must_use]
     pub fn mape(&self) -> f64 {
         self.sum_relative / self.relative_count as f64
     }
 
     /// Mean residual, W, positive if the forecasts are too low. NaN without a pair.
-    #[must_use]
     pub fn bias_w(&self) -> f64 {
         self.sum_w / self.count as f64
     }
 
     /// Standard deviation of the residuals about their mean (divided by their number), W; NaN
     /// without a pair.
-    #[must_use]
     pub fn residual_std_w(&self) -> f64 {
         let variance = self.mse_w2() - self.bias_w() * self.bias_w();
         // Rounding alone can make it negative.
@@ -206,7 +196,6 @@ impl Tally {
     }
 
     /// Mean of the readings, W; NaN without a pair.
-    #[must_use]
     pub fn reading_mean_w(&self) -> f64 {
         if self.count == 0 {
             f64::NAN
@@ -216,7 +205,6 @@ impl Tally {
     }
 
     /// Standard deviation of the readings (divided by their number), W; NaN without a pair.
-    #[must_use]
     pub fn reading_std_w(&self) -> f64 {
         libm::sqrt(self.reading_scatter_w2 / self.count as f64)
     }
@@ -224,7 +212,6 @@ impl Tally {
     /// Cumulative energy error as a share of the measured energy: (forecast − measured) /
     /// |measured|, each Σ power · step over the scored pairs. Positive if the forecasts are too
     /// high. NaN without a pair, with a step that is NaN, and if no energy was measured.
-    #[must_use]
     pub fn energy_error(&self) -> f64 {
         let measured_j = self.reading_j.abs();
         if measured_j > 0.0 {
@@ -237,7 +224,6 @@ impl Tally {
     /// Skill against a baseline: 1 − ratio of the mean squared errors. Positive is better than the
     /// baseline, 1 is perfect. NaN if the baseline has no error, or if the two were scored on
     /// different numbers of pairs and are not comparable.
-    #[must_use]
     pub fn skill(&self, baseline: &Self) -> f64 {
         if self.count == baseline.count {
             one_minus(self.sum_sq_w2, baseline.sum_sq_w2)
@@ -245,52 +231,15 @@ impl Tally {
             f64::NAN
         }
     }
-
-    /// The scores as plain numbers.
-    #[must_use]
-    pub fn accuracy(&self) -> Accuracy {
-        Accuracy {
-            count: self.count,
-            unscored: self.unscored,
-            r2: self.r2(),
-            rmse_w: self.rmse_w(),
-            mae_w: self.mae_w(),
-            mape: self.mape(),
-            bias_w: self.bias_w(),
-            energy_error: self.energy_error(),
-        }
-    }
 }
 
 /// The tally of two slices of the same length, W, with one step for all pairs, s.
-#[must_use]
 pub fn tally(readings_w: &[f64], forecasts_w: &[f64], step_s: f64) -> Tally {
     let mut tally = Tally::default();
     for (reading_w, forecast_w) in readings_w.iter().zip(forecasts_w) {
         tally.add(*reading_w, *forecast_w, step_s);
     }
     tally
-}
-
-/// The scores of a [`Tally`], defined there. Undefined scores are NaN, null in JSON.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Accuracy {
-    /// Pairs scored.
-    pub count: u64,
-    /// Pairs not scored, because reading or forecast was not finite.
-    pub unscored: u64,
-    /// Coefficient of determination.
-    pub r2: f64,
-    /// Root of the mean squared residual, W.
-    pub rmse_w: f64,
-    /// Mean absolute residual, W.
-    pub mae_w: f64,
-    /// Mean absolute relative residual, share; readings of exactly 0 excluded.
-    pub mape: f64,
-    /// Mean residual, W, positive if forecasts are too low.
-    pub bias_w: f64,
-    /// (Forecast energy − measured energy) / measured energy, share.
-    pub energy_error: f64,
 }
 
 /// Sums over intervals and the readings they were made for.
@@ -362,19 +311,16 @@ impl CoverageTally {
     }
 
     /// Intervals that were scored.
-    #[must_use]
     pub const fn count(&self) -> u64 {
         self.count
     }
 
     /// Share of readings inside their interval; NaN without one.
-    #[must_use]
     pub fn coverage(&self) -> f64 {
         (self.count - self.below - self.above) as f64 / self.count as f64
     }
 
     /// Mean width, W; NaN without an interval.
-    #[must_use]
     pub fn width_w(&self) -> f64 {
         self.sum_width_w / self.count as f64
     }
@@ -383,13 +329,11 @@ impl CoverageTally {
     /// times the distance of the reading from the interval (Gneiting and Raftery, "Strictly proper
     /// scoring rules", 2007, section 6.2). Smaller is better; it rewards narrow intervals and
     /// penalises misses.
-    #[must_use]
     pub fn score_w(&self, coverage: f64) -> f64 {
         (self.sum_width_w + 2.0 / (1.0 - coverage) * self.sum_outside_w) / self.count as f64
     }
 
     /// The scores as plain numbers for a nominal coverage of `nominal`.
-    #[must_use]
     pub fn coverage_of(&self, nominal: f64) -> Coverage {
         let share = |count: u64| count as f64 / self.count as f64;
         Coverage {
@@ -430,7 +374,6 @@ pub struct Coverage {
 /// nearest at position `share · (n − 1)`. NaN for an empty slice or a share outside 0 to 1.
 ///
 /// The numbers must be finite and in the order of [`f64::total_cmp`], as [`sorted`] returns them.
-#[must_use]
 pub fn quantile(ascending: &[f64], share: f64) -> f64 {
     let Some(last) = ascending.len().checked_sub(1) else {
         return f64::NAN;
@@ -446,7 +389,6 @@ pub fn quantile(ascending: &[f64], share: f64) -> f64 {
 }
 
 /// The finite numbers, ascending.
-#[must_use]
 pub fn sorted(values: impl IntoIterator<Item = f64>) -> Vec<f64> {
     let mut ascending: Vec<f64> = values
         .into_iter()
@@ -477,13 +419,11 @@ pub struct ResidualQuantiles {
 
 impl ResidualQuantiles {
     /// Quantiles of residuals in any order, W. Those that are not finite are ignored.
-    #[must_use]
     pub fn of(residuals_w: impl IntoIterator<Item = f64>) -> Self {
         Self::of_sorted(&sorted(residuals_w))
     }
 
     /// Quantiles of ascending, finite residuals, W.
-    #[must_use]
     pub fn of_sorted(ascending: &[f64]) -> Self {
         Self::at_shares(Self::SHARES.map(|share| quantile(ascending, share)))
     }

@@ -9,7 +9,6 @@ pub struct Noise(Pcg64);
 
 impl Noise {
     /// Stream number `stream` of `seed`.
-    #[must_use]
     pub fn new(seed: u64, stream: u64) -> Noise {
         Noise(Pcg64::new(u128::from(seed), u128::from(stream)))
     }

@@ -2,7 +2,6 @@
 
 /// Upper bound of a Poisson distribution's mean, given a count of at most `count`, at `confidence`
 /// (0 to 1, exclusive): the exact one-sided bound (Garwood 1936). For no event at 95 % it is 3.0.
-#[must_use]
 pub fn upper_mean(count: u64, confidence: f64) -> f64 {
     let rarest = 1.0 - confidence;
     let above = 10.0 + 4.0 * count as f64 - 2.0 * libm::log(rarest);
@@ -11,7 +10,6 @@ pub fn upper_mean(count: u64, confidence: f64) -> f64 {
 }
 
 /// Probability of at most `count` events if `mean` are expected.
-#[must_use]
 pub fn at_most(count: u64, mean: f64) -> f64 {
     // In logarithms, so that large means do not underflow term by term.
     let (mut log_term, mut sum) = (-mean, libm::exp(-mean));
@@ -25,7 +23,6 @@ pub fn at_most(count: u64, mean: f64) -> f64 {
 /// Variance of counts over their mean, at least 1, for exposures of different lengths: 1 if events
 /// are independent and equally frequent everywhere, more if they come in groups or some of the
 /// exposed have more than others. 1 without events, and for fewer than two counts.
-#[must_use]
 pub fn dispersion(counts: &[u64], exposures: &[f64]) -> f64 {
     let total = counts.iter().sum::<u64>() as f64;
     let exposed: f64 = exposures.iter().sum();
@@ -43,7 +40,6 @@ pub fn dispersion(counts: &[u64], exposures: &[f64]) -> f64 {
 /// Upper bound of a rate from the counts of several exposures. Where they scatter more than
 /// independent events do, as many fewer independent ones are taken to have been seen, each worth
 /// as many more. Infinite without exposure.
-#[must_use]
 pub fn upper_rate(counts: &[u64], exposures: &[f64], confidence: f64) -> f64 {
     let exposed: f64 = exposures.iter().sum();
     if exposed.is_nan() || exposed <= 0.0 {
@@ -57,7 +53,6 @@ pub fn upper_rate(counts: &[u64], exposures: &[f64], confidence: f64) -> f64 {
 /// Upper bound of the probability to continue after each step. `steps` is the total number of steps
 /// in `runs` runs up to their first stop. It is the exact upper bound at `confidence` of a
 /// geometric distribution's parameter. 1 without runs.
-#[must_use]
 pub fn upper_decay(steps: u64, runs: u64, confidence: f64) -> f64 {
     if runs == 0 {
         return 1.0;

@@ -225,3 +225,17 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         found_within: "at a jump, at once; otherwise when the energy drawn shows it",
     },
 ];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_alarm_has_its_own_card() {
+        for alarm in Alarm::ALL {
+            assert_eq!(alarm.card().map(|card| card.name), Some(alarm.name()));
+            assert_eq!(AlarmCard::named(alarm.name()), alarm.card());
+        }
+        assert_eq!(Alarm::None.card(), Alarm::Unknown.card());
+    }
+}

@@ -2,7 +2,7 @@
 
 use crate::alarm_card::{AlarmCard, OF_ROBOTS};
 use crate::declare::ZeroCopySend;
-use crate::layout::bits;
+use crate::layout::{bits, names};
 use crate::rows;
 
 bits! {
@@ -227,28 +227,18 @@ pub enum Alarm {
     Unknown,
 }
 
-impl Alarm {
+names! {
     /// All alarms that can be raised, in the order of their codes. Of one level, the most important
     /// first.
-    pub const ALL: [Self; 16] = [
-        Self::NoData,
-        Self::OutOfRange,
-        Self::StuckSensor,
-        Self::HeldTooLong,
-        Self::BiasHigh,
-        Self::BiasLow,
-        Self::NoiseHigh,
-        Self::ModelMismatch,
-        Self::OutOfTraining,
-        Self::OfflineCharging,
-        Self::DeadlineMissed,
-        Self::WatchdogStop,
-        Self::CannotReturn,
-        Self::BatteryCritical,
-        Self::BatteryLow,
-        Self::SocImplausible,
-    ];
+    pub Alarm:
+        NoData OutOfRange StuckSensor HeldTooLong BiasHigh BiasLow NoiseHigh ModelMismatch
+        OutOfTraining OfflineCharging DeadlineMissed WatchdogStop CannotReturn BatteryCritical
+        BatteryLow SocImplausible
+        ;
+        None Unknown
+}
 
+impl Alarm {
     /// The code in shared memory: 0 is [`Alarm::None`].
     #[must_use]
     pub const fn code(self) -> u16 {
@@ -277,16 +267,6 @@ impl Alarm {
         match self {
             Self::None | Self::Unknown => None,
             raised => Some(&OF_ROBOTS[raised as usize]),
-        }
-    }
-
-    /// The name, as in the documentation and in JSON.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self.card() {
-            Some(card) => card.name,
-            None if matches!(self, Self::None) => "None",
-            None => "Unknown",
         }
     }
 

@@ -271,3 +271,24 @@ macro_rules! bits {
 }
 
 pub(crate) use bits;
+
+/// Lists the variants of an enum once: `ALL`, and after a semicolon those that are not among them.
+/// Each has the name that it has here.
+macro_rules! names {
+    ($(#[$doc:meta])* $vis:vis $type:ident: $($variant:ident)+ $(; $($other:ident)+)?) => {
+        impl $type {
+            $(#[$doc])*
+            $vis const ALL: [Self; [$(stringify!($variant)),+].len()] = [$(Self::$variant),+];
+
+            /// The name, as in the documentation and in JSON.
+            #[must_use]
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$variant => stringify!($variant),)+
+                    $($(Self::$other => stringify!($other),)+)?
+                }
+            }
+        }
+    };
+}
+pub(crate) use names;

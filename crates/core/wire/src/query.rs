@@ -11,7 +11,7 @@
 //! | [`QueryKind::Follow`] | ids of the robots; then x in m, y in m, speed to it in m/s per point |
 
 use crate::declare::ZeroCopySend;
-use crate::layout::bits;
+use crate::layout::{bits, names};
 use crate::rows;
 
 /// Maximum number of values of a question.
@@ -265,24 +265,14 @@ pub enum QueryRefusal {
     Unsent,
 }
 
-impl QueryRefusal {
+names! {
     /// All reasons; the position is the index into [`QueryCounts::refused`].
-    pub const ALL: [Self; 13] = [
-        Self::Schema,
-        Self::Fleet,
-        Self::Kind,
-        Self::TooLarge,
-        Self::Length,
-        Self::UnknownRobot,
-        Self::Question,
-        Self::Deadline,
-        Self::NoFrame,
-        Self::Busy,
-        Self::Ending,
-        Self::ClientGone,
-        Self::Unsent,
-    ];
+    pub QueryRefusal:
+        Schema Fleet Kind TooLarge Length UnknownRobot Question Deadline NoFrame Busy Ending
+        ClientGone Unsent
+}
 
+impl QueryRefusal {
     /// The code in shared memory.
     #[must_use]
     pub const fn code(self) -> u32 {
@@ -294,26 +284,6 @@ impl QueryRefusal {
     pub fn decode(code: u32) -> Option<Self> {
         let position = usize::try_from(code).ok()?.checked_sub(1)?;
         Self::ALL.get(position).copied()
-    }
-
-    /// The name, as in the documentation and in JSON.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Schema => "Schema",
-            Self::Fleet => "Fleet",
-            Self::Kind => "Kind",
-            Self::TooLarge => "TooLarge",
-            Self::Length => "Length",
-            Self::UnknownRobot => "UnknownRobot",
-            Self::Question => "Question",
-            Self::Deadline => "Deadline",
-            Self::NoFrame => "NoFrame",
-            Self::Busy => "Busy",
-            Self::Ending => "Ending",
-            Self::ClientGone => "ClientGone",
-            Self::Unsent => "Unsent",
-        }
     }
 }
 

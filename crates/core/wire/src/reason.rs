@@ -1,6 +1,7 @@
 //! Why a sample was not accepted, and why a robot has no forecast.
 
 use crate::declare::ZeroCopySend;
+use crate::layout::names;
 use crate::rows;
 
 /// Why a sample was dropped. Sent = accepted + dropped, summed over all reasons.
@@ -43,51 +44,12 @@ pub enum DropReason {
     BatteryOutOfRange,
 }
 
-impl DropReason {
+names! {
     /// All reasons; the position is the index into [`DropCounts`].
-    pub const ALL: [Self; 17] = [
-        Self::UnknownRobot,
-        Self::OverCapacity,
-        Self::ForeignSource,
-        Self::OldEpoch,
-        Self::Duplicate,
-        Self::OutOfOrder,
-        Self::BadTime,
-        Self::NotFinite,
-        Self::PowerOutOfRange,
-        Self::CommandOutOfRange,
-        Self::BadFlags,
-        Self::Backlog,
-        Self::Overflow,
-        Self::Schema,
-        Self::BeforeJoin,
-        Self::TooManySources,
-        Self::BatteryOutOfRange,
-    ];
-
-    /// The name, as in the documentation and in JSON.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::UnknownRobot => "UnknownRobot",
-            Self::OverCapacity => "OverCapacity",
-            Self::ForeignSource => "ForeignSource",
-            Self::OldEpoch => "OldEpoch",
-            Self::Duplicate => "Duplicate",
-            Self::OutOfOrder => "OutOfOrder",
-            Self::BadTime => "BadTime",
-            Self::NotFinite => "NotFinite",
-            Self::PowerOutOfRange => "PowerOutOfRange",
-            Self::CommandOutOfRange => "CommandOutOfRange",
-            Self::BadFlags => "BadFlags",
-            Self::Backlog => "Backlog",
-            Self::Overflow => "Overflow",
-            Self::Schema => "Schema",
-            Self::BeforeJoin => "BeforeJoin",
-            Self::TooManySources => "TooManySources",
-            Self::BatteryOutOfRange => "BatteryOutOfRange",
-        }
-    }
+    pub DropReason:
+        UnknownRobot OverCapacity ForeignSource OldEpoch Duplicate OutOfOrder BadTime NotFinite
+        PowerOutOfRange CommandOutOfRange BadFlags Backlog Overflow Schema BeforeJoin
+        TooManySources BatteryOutOfRange
 }
 
 rows! {
@@ -197,21 +159,15 @@ pub enum InvalidReason {
     Unknown,
 }
 
-impl InvalidReason {
-    const ALL: [Self; 11] = [
-        Self::Stale,
-        Self::NotFinite,
-        Self::PowerOutOfRange,
-        Self::CommandOutOfRange,
-        Self::BadFlags,
-        Self::BadTime,
-        Self::NoCommand,
-        Self::NoReading,
-        Self::ModelOutput,
-        Self::NoFreshness,
-        Self::BatteryOutOfRange,
-    ];
+names! {
+    InvalidReason:
+        Stale NotFinite PowerOutOfRange CommandOutOfRange BadFlags BadTime NoCommand NoReading
+        ModelOutput NoFreshness BatteryOutOfRange
+        ;
+        Unknown
+}
 
+impl InvalidReason {
     /// The code in shared memory.
     #[must_use]
     pub const fn code(self) -> u16 {
@@ -228,25 +184,6 @@ impl InvalidReason {
             Self::ALL[code as usize - 1]
         } else {
             Self::Unknown
-        }
-    }
-
-    /// The name, as in the documentation and in JSON.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Stale => "Stale",
-            Self::NotFinite => "NotFinite",
-            Self::PowerOutOfRange => "PowerOutOfRange",
-            Self::CommandOutOfRange => "CommandOutOfRange",
-            Self::BadFlags => "BadFlags",
-            Self::BadTime => "BadTime",
-            Self::NoCommand => "NoCommand",
-            Self::NoReading => "NoReading",
-            Self::ModelOutput => "ModelOutput",
-            Self::NoFreshness => "NoFreshness",
-            Self::BatteryOutOfRange => "BatteryOutOfRange",
-            Self::Unknown => "Unknown",
         }
     }
 }

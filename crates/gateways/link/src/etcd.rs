@@ -479,37 +479,29 @@ mod tests {
                 );
             }
         }
+        let long = format!("{{\"responses\":[{}]}}", " ".repeat(70_000));
         for (call, body) in [
-            (Call::Grant, r#"{"TTL":"3"}"#.to_owned()),
-            (Call::Grant, r#"{"ID":"7"}"#.to_owned()),
-            (Call::Grant, r#"{"ID":"-7","TTL":"3"}"#.to_owned()),
-            (
-                Call::Grant,
-                r#"{"ID":"7","TTL":"18446744073709551616"}"#.to_owned(),
-            ),
-            (Call::Grant, r#"{"ID":7.5,"TTL":3}"#.to_owned()),
-            (RENEW, r#"{"result":{"TTL":"-1"}}"#.to_owned()),
-            (
-                RENEW,
-                r#"{"result":{"TTL":"2"}}{"result":{"TTL":"2"}}"#.to_owned(),
-            ),
+            (Call::Grant, r#"{"TTL":"3"}"#),
+            (Call::Grant, r#"{"ID":"7"}"#),
+            (Call::Grant, r#"{"ID":"-7","TTL":"3"}"#),
+            (Call::Grant, r#"{"ID":"7","TTL":"18446744073709551616"}"#),
+            (Call::Grant, r#"{"ID":7.5,"TTL":3}"#),
+            (RENEW, r#"{"result":{"TTL":"-1"}}"#),
+            (RENEW, r#"{"result":{"TTL":"2"}}{"result":{"TTL":"2"}}"#),
             (
                 Call::Look,
-                r#"{"responses":[{"responseRange":{}},{"responseRange":{}}]}"#.to_owned(),
+                r#"{"responses":[{"responseRange":{}},{"responseRange":{}}]}"#,
             ),
-            (Call::Look, r#"{"responses":[{},{},{}]}"#.to_owned()),
-            (Call::Look, holder("not JSON")),
-            (Call::Look, holder(r#"{"name":"base"}"#)),
-            (Call::Look, holder(r#"{"name":"base","term":-1}"#)),
-            (Call::Look, term("seven")),
-            (Call::Look, term("18446744073709551615")),
-            (
-                Call::Look,
-                format!("{{\"responses\":[{}]}}", " ".repeat(70_000)),
-            ),
+            (Call::Look, r#"{"responses":[{},{},{}]}"#),
+            (Call::Look, &*holder("not JSON")),
+            (Call::Look, &*holder(r#"{"name":"base"}"#)),
+            (Call::Look, &*holder(r#"{"name":"base","term":-1}"#)),
+            (Call::Look, &*term("seven")),
+            (Call::Look, &*term("18446744073709551615")),
+            (Call::Look, &*long),
         ] {
             assert_eq!(
-                answer(&call, &ok(&body), b"").0,
+                answer(&call, &ok(body), b"").0,
                 Reply::Failed,
                 "{body:.200}"
             );

@@ -57,7 +57,6 @@ pub enum HeaderError {
 
 impl HeaderError {
     /// Offset of the error in the file.
-    #[must_use]
     pub fn at(&self) -> usize {
         match self {
             Self::Truncated { found, .. } => *found,
@@ -119,7 +118,6 @@ impl Header {
     }
 
     /// Length of the header in bytes, which is the position of the elements.
-    #[must_use]
     pub fn length(&self) -> usize {
         self.length
     }
@@ -155,7 +153,6 @@ impl Header {
 
 /// The header that NumPy writes for an array in C order; `element` is the type in its notation. The
 /// elements begin at a multiple of 64 bytes.
-#[must_use]
 pub fn header(element: &str, shape: &[usize]) -> Vec<u8> {
     const ALIGNMENT: usize = 64;
     let sizes: Vec<String> = shape.iter().map(usize::to_string).collect();
@@ -274,6 +271,8 @@ fn size_of(text: &str) -> Option<usize> {
 
 #[cfg(test)]
 mod tests {
+    use joulebus_testkit::cases;
+
     use super::*;
 
     fn read(text: &str) -> Result<Header, HeaderError> {
@@ -286,43 +285,29 @@ mod tests {
 
     #[test]
     fn one_form_of_python_is_read_its_keys_in_any_order() {
-        for (text, element, fortran_order, shape) in [
-            (
-                "{'descr': '<f8', 'fortran_order': False, 'shape': (5, 11), }",
-                "<f8",
-                false,
-                &[5, 11][..],
-            ),
-            (
-                "{\"shape\":(7,),\"descr\":\">f4\",\"fortran_order\":True}  ",
-                ">f4",
-                true,
-                &[7],
-            ),
-            (
-                "{'shape': ( 2,3 , 4, ), 'fortran_order': False, 'descr': '|O'}",
-                "|O",
-                false,
-                &[2, 3, 4],
-            ),
-            (
-                "{'descr': '|S0', 'fortran_order': False, 'shape': ()}",
-                "|S0",
-                false,
-                &[],
-            ),
-            (
-                "{'descr': '<f8', 'fortran_order': False, 'shape': (0, 0)}",
-                "<f8",
-                false,
-                &[0, 0],
-            ),
-        ] {
-            let header = read(text).expect(text);
-            assert_eq!(header.element, element, "{text}");
-            assert_eq!(header.fortran_order, fortran_order, "{text}");
-            assert_eq!(header.shape, shape, "{text}");
-            assert_eq!(header.length(), 10 + text.len() + 1, "{text}");
+        for case in cases(
+            r#"
+            {'descr': '<f8', 'fortran_order': False, 'shape': (5, 11), } | <f8 false [5, 11]
+            {"shape":(7,),"descr":">f4","fortran_order":True} | >f4 true [7]
+            {'shape': ( 2,3 , 4, ), 'fortran_order': False, 'descr': '|O'} | |O false [2, 3, 4]
+            {'descr': '|S0', 'fortran_order': False, 'shape': ()} | |S0 false []
+            {'descr': '<f8', 'fortran_order': False, 'shape': (0, 0)} | <f8 false [0, 0]
+            "#,
+        ) {
+            let [text, expected] = case.as_slice() else {
+                panic!("{case:?}");
+            };
+            for text in [text.clone(), format!("{text}  ")] {
+                let header = read(&text).expect(&text);
+                let Header {
+                    element,
+                    fortran_order,
+                    shape,
+                    ..
+                } = &header;
+                assert_eq!(&format!("{element} {fortran_order} {shape:?}"), expected);
+                assert_eq!(header.length(), 10 + text.len() + 1, "{text}");
+            }
         }
         let good = "{'descr': '<f8', 'fortran_order': False, 'shape': (5, 11), }";
         for (from, to) in [

@@ -87,14 +87,12 @@ pub struct TrialRows {
 /// A gap of more than one and a half median periods empties the window, and so does a missing
 /// reading: a model learns from readings, never from its own forecasts. Velocities that were not
 /// recorded are NaN, and so is the reading age until two measurements have been seen.
-#[must_use]
 pub fn trial_rows(trial: &Trial) -> TrialRows {
     // Only differences of time matter, but 0 means "never measured".
     sample_rows(&trial.to_samples(0, 1_000_000_000), trial.period_ns())
 }
 
 /// The rows of one robot's samples with period `period_ns`.
-#[must_use]
 pub fn sample_rows(samples: &[Sample], period_ns: u64) -> TrialRows {
     let longest_ns = period_ns + period_ns / 2;
     let follows = |before: &Sample, after: &Sample| {

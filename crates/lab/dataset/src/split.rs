@@ -119,7 +119,6 @@ impl fmt::Display for Split {
 
 impl Split {
     /// The spelling in a model's file: `split by trial, seed 0`.
-    #[must_use]
     pub fn origin(&self) -> String {
         match self.by {
             By::Time => format!("split by {}", self.by),
@@ -405,7 +404,6 @@ impl Assignment {
     /// All rows, or, if there are more than `max_rows`, about as many of each part as its share of
     /// them. They are stretches of at most [`STRETCH_ROWS`] consecutive rows, evenly spread over
     /// the part, at least one of each part.
-    #[must_use]
     pub fn thin(&self, max_rows: usize) -> Thinned {
         let found: usize = self.summary.rows.iter().sum();
         let stretch = match found > max_rows {
@@ -436,7 +434,6 @@ impl Assignment {
     }
 
     /// The rows themselves.
-    #[must_use]
     pub fn dataset(&self, sources: &[Source], description: String) -> Dataset {
         let rows = |part: usize| {
             let sources = sources.iter().zip(&self.ranges);
@@ -581,7 +578,6 @@ fn in_time<E>(
 /// The first rows after two cuts that share no reading with the rows before them: a pause of
 /// [`PAUSE_ROWS`] has passed, and no window holds the reading at the cut, which a sensor that is
 /// read once a second repeats for thirty rows.
-#[must_use]
 pub fn resume(rows: &TrialRows, cuts: [usize; 2]) -> [usize; 2] {
     cuts.map(|cut| resume_after(rows, cut))
 }

@@ -32,7 +32,6 @@ const NEWEST: usize = FeatureSet::PowerOnly.first();
 
 /// Hashes of the rows for fitting and for early stopping. `None` if there are too many short runs
 /// to state them.
-#[must_use]
 pub fn trained_rows(dataset: &Dataset) -> Option<TrainedRows> {
     let parts = [&dataset.training, &dataset.validation];
     let mut stretches: Vec<Vec<u64>> = Vec::new();
@@ -74,7 +73,6 @@ pub fn trained_rows(dataset: &Dataset) -> Option<TrainedRows> {
 
 /// For each row of a recording, in order, whether it was trained on. Rows that share a reading's
 /// window with one that was (within [`PAUSE_ROWS`]) count as such.
-#[must_use]
 pub fn is_trained_on(rows: &[Row], trained: &TrainedRows) -> Vec<bool> {
     let sums = Sums::new(rows.iter().map(element));
     // +1 at the start of a recognised block, −1 after its end.

@@ -120,70 +120,59 @@ impl Trial {
     }
 
     /// The file that the trial was read from.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
     /// The robot's name as recorded, if any: text in a CSV, a number in an array.
-    #[must_use]
     pub fn robot_name(&self) -> Option<&str> {
         self.robot_name.as_deref()
     }
 
     /// The file's row (from 1, without a CSV's header) of row `row` (from 0). It differs from
     /// `row + 1` if several robots share a file.
-    #[must_use]
     pub fn file_row(&self, row: usize) -> usize {
         self.file_row.get(row).map_or(row + 1, |row| *row as usize)
     }
 
     /// Rows; at least two.
-    #[must_use]
     pub fn rows(&self) -> usize {
         self.timestamp_s.len()
     }
 
     /// Time of each row as recorded, s; finite, not always increasing (see [`TrialNotes`]).
-    #[must_use]
     pub fn timestamp_s(&self) -> &[f64] {
         &self.timestamp_s
     }
 
     /// Time of each row after the first one, rounded to whole ns.
-    #[must_use]
     pub fn offset_ns(&self) -> &[i64] {
         &self.offset_ns
     }
 
     /// One value per row in the SI unit of the [`Column`], NaN if it was not recorded. `None` if
     /// the column is missing or all NaN.
-    #[must_use]
     pub fn column(&self, column: Column) -> Option<&[f64]> {
         self.columns[column as usize].as_deref()
     }
 
     /// Whether the reading of `row` (from 0) equals the previous row's: power, voltage and current,
     /// to the bit.
-    #[must_use]
     pub fn is_held(&self, row: usize) -> bool {
         table::is_held(&self.columns, row)
     }
 
     /// Median step between rows whose time advances, ns; at least 1.
-    #[must_use]
     pub fn period_ns(&self) -> u64 {
         self.period_ns
     }
 
     /// The columns of a CSV that were read; empty for other formats, which state their units.
-    #[must_use]
     pub fn sources(&self) -> &[SourceColumn] {
         &self.sources
     }
 
     /// Quality notes on the trial.
-    #[must_use]
     pub fn notes(&self) -> &TrialNotes {
         &self.notes
     }

@@ -104,23 +104,11 @@ fn run(files: &[(u32, PathBuf)], model: &Model, threads: usize) -> String {
         .expect("many trials")
     };
     let design: [(&str, &Options, &dyn Fn() -> Design); 4] = [
+        ("corrected, all rows, no intervals", &plain, &folds),
+        ("corrected, all rows, intervals", &corrected, &folds),
+        ("open loop too, all rows, intervals", &everything, &folds),
         (
-            "corrected, all rows, no confidence intervals",
-            &plain,
-            &folds,
-        ),
-        (
-            "corrected, all rows, with confidence intervals",
-            &corrected,
-            &folds,
-        ),
-        (
-            "corrected and open loop, all rows, with confidence intervals",
-            &everything,
-            &folds,
-        ),
-        (
-            "corrected and open loop, held-out 15 %, with confidence intervals",
+            "open loop too, held-out 15 %, intervals",
             &everything,
             &split,
         ),

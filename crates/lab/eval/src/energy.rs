@@ -119,7 +119,6 @@ impl EnergyScores {
     }
 
     /// Errors at each horizon with a forecast.
-    #[must_use]
     pub fn errors(&self) -> EnergyErrors {
         let horizons = self.scored.iter().zip(HORIZONS_S);
         let horizons = horizons.filter(|(scored, _)| !scored.is_empty());

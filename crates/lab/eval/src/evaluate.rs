@@ -71,7 +71,6 @@ pub enum Forecast {
 impl Forecast {
     /// The published forecast of a model's platform. `online` states that it learns online
     /// ([`Platform::online`]).
-    #[must_use]
     pub const fn of(model: &Model, online: bool) -> Self {
         match (model, online) {
             (Model::Persistence(_), _) => Self::Persistence,

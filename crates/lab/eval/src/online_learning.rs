@@ -50,7 +50,6 @@ pub struct Variant {
 
 impl Variant {
     /// Share of the trials whose coverage is within [`TOLERANCE`] of `wanted`; NaN without a trial.
-    #[must_use]
     pub fn held(&self, wanted: f64) -> f64 {
         // The quotient of two counts differs from the tolerance by rounding at most.
         let holds = |coverage: &&f64| (**coverage - wanted).abs() <= TOLERANCE + 1e-9;
@@ -60,7 +59,6 @@ impl Variant {
 
 impl Judged {
     /// The best R² of persistence, the linear baseline and the network alone.
-    #[must_use]
     pub fn best_member_r2(&self) -> f64 {
         let linear = self.linear.as_ref().map_or(f64::NEG_INFINITY, Tally::r2);
         let [network, ..] = &self.variants;

@@ -132,7 +132,6 @@ pub struct Merged {
 
 impl EvalPart {
     /// Part `number` of `of`, from 1; one portion for each platform.
-    #[must_use]
     pub fn new(number: u32, of: u32, portions: Vec<Portion>) -> Self {
         Self {
             release: RELEASE.to_owned(),
@@ -143,7 +142,6 @@ impl EvalPart {
     }
 
     /// The contents of a file.
-    #[must_use]
     pub fn to_bytes(&self) -> Vec<u8> {
         // Serialisation into a growing vector of known lengths cannot fail.
         let body = postcard::to_allocvec(self).unwrap_or_default();

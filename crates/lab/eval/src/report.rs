@@ -21,7 +21,6 @@ pub struct EvalReport {
 
 impl EvalReport {
     /// Creates the report from the live path of all trials and the scores of each platform.
-    #[must_use]
     pub fn new(live: &Evaluation, evaluations: Vec<ScoreReport>) -> Self {
         Self {
             live: live.report(),
@@ -30,7 +29,6 @@ impl EvalReport {
     }
 
     /// The same of each platform's evaluation.
-    #[must_use]
     pub fn of_reported(reported: Vec<Reported>) -> Self {
         let (mut live, mut evaluations) = (LivePool::default(), Vec::new());
         for one in reported {

@@ -32,7 +32,6 @@ pub enum Scale {
 
 impl Axis {
     /// A linear axis over the range of the data.
-    #[must_use]
     pub fn new(label: impl Into<String>) -> Self {
         Self {
             label: label.into(),
@@ -43,7 +42,6 @@ impl Axis {
     }
 
     /// A logarithmic axis.
-    #[must_use]
     pub fn log(label: impl Into<String>) -> Self {
         Self {
             scale: Scale::Log,
@@ -52,7 +50,6 @@ impl Axis {
     }
 
     /// A categorical axis.
-    #[must_use]
     pub fn names(label: impl Into<String>, names: Vec<String>) -> Self {
         Self {
             scale: Scale::Names(names),

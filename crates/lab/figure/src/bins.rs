@@ -25,7 +25,6 @@ pub struct Tiles {
 }
 
 /// Counts numbers in `count` equal bins from `from` to `to`; NaN is ignored.
-#[must_use]
 pub fn bins(values: impl Iterator<Item = f64>, [from, to]: [f64; 2], count: usize) -> Bins {
     let count = count.max(1);
     let mut found = Bins {
@@ -43,7 +42,6 @@ pub fn bins(values: impl Iterator<Item = f64>, [from, to]: [f64; 2], count: usiz
 }
 
 /// Counts pairs in `count` by `count` equal tiles; pairs outside are ignored.
-#[must_use]
 pub fn tiles(
     pairs: impl Iterator<Item = [f64; 2]>,
     x: [f64; 2],

@@ -48,7 +48,6 @@ impl Colour {
     ];
 
     /// Red, green and blue on a light background.
-    #[must_use]
     pub const fn light(self) -> [u8; 3] {
         match self {
             Self::Ink => [0x1B, 0x1F, 0x24],
@@ -64,7 +63,6 @@ impl Colour {
     }
 
     /// Red, green and blue on a dark background.
-    #[must_use]
     pub const fn dark(self) -> [u8; 3] {
         match self {
             Self::Ink => [0xE6, 0xE9, 0xED],
@@ -80,7 +78,6 @@ impl Colour {
     }
 
     /// As `#RRGGBB`, the notation in the drawings.
-    #[must_use]
     pub fn hex([red, green, blue]: [u8; 3]) -> String {
         format!("#{red:02X}{green:02X}{blue:02X}")
     }

@@ -108,7 +108,6 @@ pub enum FigureError {
 
 impl Layer {
     /// A layer with a legend entry.
-    #[must_use]
     pub fn named(label: impl Into<String>, colour: Colour, mark: Mark) -> Self {
         Self {
             label: Some(label.into()),
@@ -118,7 +117,6 @@ impl Layer {
     }
 
     /// A layer without a legend entry.
-    #[must_use]
     pub fn plain(colour: Colour, mark: Mark) -> Self {
         Self {
             label: None,
@@ -130,7 +128,6 @@ impl Layer {
 
 impl Figure {
     /// A figure of panels side by side, 260 px high.
-    #[must_use]
     pub fn new(
         name: impl Into<String>,
         title: impl Into<String>,

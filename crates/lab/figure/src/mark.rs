@@ -82,7 +82,6 @@ pub enum Mark {
 
 impl Interval {
     /// A number without an interval.
-    #[must_use]
     pub const fn exact(value: f64) -> Self {
         Self {
             value,
@@ -94,7 +93,6 @@ impl Interval {
 
 impl Mark {
     /// Columns of a histogram, with the share of numbers per unit of x as height.
-    #[must_use]
     pub fn density(bins: &Bins) -> Self {
         let total = (bins.counts.iter().sum::<u64>() + bins.outside) as f64;
         let widths = bins.edges.windows(2).map(|pair| pair[1] - pair[0]);

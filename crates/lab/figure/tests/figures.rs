@@ -27,98 +27,65 @@ fn line(points: &[[f64; 2]], dashed: bool) -> Mark {
     }
 }
 
+fn rule(at: f64, direction: Direction) -> Mark {
+    Mark::Rule { at, direction }
+}
+
 /// One panel for every kind of mark.
 fn everything() -> Figure {
+    use Colour::{Blue, Green, Grey, Ink, Orange, Sky, Vermilion};
     let wave: Vec<[f64; 2]> = (0..500)
         .map(|i| [f64::from(i) / 30.0, (f64::from(i) / 20.0).sin()])
         .collect();
     let names = || {
-        vec![
-            "network".to_owned(),
-            "AR(5)".to_owned(),
-            "persistence".to_owned(),
-        ]
-    };
-    let values = |shift: f64| -> Vec<Interval> {
-        [0.9, 0.8, f64::NAN]
-            .map(|value| Interval {
-                value: value + shift,
-                low: value + shift - 0.05,
-                high: value + shift + 0.02,
-            })
+        ["network", "AR(5)", "persistence"]
+            .map(str::to_owned)
             .to_vec()
     };
-    let heights = wave.iter().map(|[_, y]| *y);
+    let values = |shift: f64| -> Vec<Interval> {
+        let values = [0.9, 0.8, f64::NAN].map(|value| value + shift);
+        let interval = |value| Interval {
+            value,
+            low: value - 0.05,
+            high: value + 0.02,
+        };
+        values.map(interval).to_vec()
+    };
+    let dots = |shift, slot| Mark::Dots {
+        values: values(shift),
+        slot: [slot, 2],
+        direction: Direction::Across,
+    };
+    let bars = Mark::Bars {
+        values: values(0.0),
+        slot: [0, 1],
+        direction: Direction::Up,
+    };
+    let band = wave.iter().map(|[x, y]| [*x, y - 0.2, y + 0.2]).collect();
+    let heights = bins(wave.iter().map(|[_, y]| *y), [-1.0, 1.0], 20);
+    let pairs = tiles(wave.iter().copied(), [0.0, 17.0], [-1.0, 1.0], 20);
     let mut panels = vec![
         panel(vec![
-            Layer::plain(Colour::Sky, Mark::Stripe([2.0, 4.0])),
-            Layer::named(
-                "interval",
-                Colour::Blue,
-                Mark::Band(wave.iter().map(|[x, y]| [*x, y - 0.2, y + 0.2]).collect()),
-            ),
-            Layer::named("reading", Colour::Ink, line(&wave, false)),
-            Layer::named("forecast", Colour::Orange, line(&wave[..40], true)),
-            Layer::plain(
-                Colour::Grey,
-                Mark::Rule {
-                    at: 0.5,
-                    direction: Direction::Across,
-                },
-            ),
+            Layer::plain(Sky, Mark::Stripe([2.0, 4.0])),
+            Layer::named("interval", Blue, Mark::Band(band)),
+            Layer::named("reading", Ink, line(&wave, false)),
+            Layer::named("forecast", Orange, line(&wave[..40], true)),
+            Layer::plain(Grey, rule(0.5, Direction::Across)),
         ]),
         panel(vec![
-            Layer::named(
-                "density",
-                Colour::Blue,
-                Mark::density(&bins(heights, [-1.0, 1.0], 20)),
-            ),
-            Layer::plain(
-                Colour::Vermilion,
-                Mark::Rule {
-                    at: 0.0,
-                    direction: Direction::Up,
-                },
-            ),
+            Layer::named("density", Blue, Mark::density(&heights)),
+            Layer::plain(Vermilion, rule(0.0, Direction::Up)),
         ]),
         panel(vec![
-            Layer::named(
-                "pairs",
-                Colour::Blue,
-                Mark::Tiles(tiles(wave.iter().copied(), [0.0, 17.0], [-1.0, 1.0], 20)),
-            ),
-            Layer::named("same", Colour::Grey, Mark::Diagonal),
-            Layer::named("some", Colour::Green, Mark::Points(wave[..20].to_vec())),
+            Layer::named("pairs", Blue, Mark::Tiles(pairs)),
+            Layer::named("same", Grey, Mark::Diagonal),
+            Layer::named("some", Green, Mark::Points(wave[..20].to_vec())),
         ]),
         panel(vec![
-            Layer::named(
-                "here",
-                Colour::Blue,
-                Mark::Dots {
-                    values: values(0.0),
-                    slot: [0, 2],
-                    direction: Direction::Across,
-                },
-            ),
-            Layer::named(
-                "paper",
-                Colour::Vermilion,
-                Mark::Dots {
-                    values: values(0.05),
-                    slot: [1, 2],
-                    direction: Direction::Across,
-                },
-            ),
+            Layer::named("here", Blue, dots(0.0, 0)),
+            Layer::named("paper", Vermilion, dots(0.05, 1)),
         ]),
-        panel(vec![Layer::named(
-            "energy",
-            Colour::Green,
-            Mark::Bars {
-                values: values(0.0),
-                slot: [0, 1],
-                direction: Direction::Up,
-            },
-        )]),
+        panel(vec![Layer::named("energy", Green, bars)]),
     ];
     panels[3].y = Axis::names("model", names());
     panels[4].x = Axis::names("model", names());
@@ -130,57 +97,34 @@ fn everything() -> Figure {
 }
 
 fn words<'a>(document: &'a Document<'_>) -> Vec<&'a str> {
-    let texts = document
-        .descendants()
-        .filter(|node| node.has_tag_name("text"));
-    texts
-        .filter_map(|node| node.text())
-        .map(str::trim)
-        .collect()
+    let nodes = document.descendants();
+    let texts = nodes.filter(|node| node.has_tag_name("text"));
+    let words = texts.filter_map(|node| node.text());
+    words.map(str::trim).collect()
 }
 
 /// Every x and y of the drawing.
 fn places(node: Node<'_, '_>) -> Vec<[f64; 2]> {
-    let number = |name: &str| {
-        node.attribute(name)
-            .and_then(|text| text.parse::<f64>().ok())
-    };
+    let number = |name: &str| node.attribute(name)?.parse::<f64>().ok();
     let pair = |x: &str, y: &str| Some([number(x)?, number(y)?]);
     let listed = node.attribute("points").unwrap_or_default();
     let listed = listed.split_whitespace().map(|pair| {
         let (x, y) = pair.split_once(',').unwrap();
         [x.parse().unwrap(), y.parse().unwrap()]
     });
-    let single = [
-        pair("x", "y"),
-        pair("x1", "y1"),
-        pair("x2", "y2"),
-        pair("cx", "cy"),
-    ];
+    let single = [("x", "y"), ("x1", "y1"), ("x2", "y2"), ("cx", "cy")];
+    let single = single.map(|(x, y)| pair(x, y));
     listed.chain(single.into_iter().flatten()).collect()
 }
 
 fn check(svg: &str) {
     let document = Document::parse(svg).unwrap();
-    let root = document.root_element();
-    let size: Vec<f64> = root
-        .attribute("viewBox")
-        .unwrap()
-        .split(' ')
-        .map(|number| number.parse().unwrap())
-        .collect();
+    let size = document.root_element().attribute("viewBox").unwrap();
+    let size: Vec<f64> = size.split(' ').map(|it| it.parse().unwrap()).collect();
     for node in document.descendants() {
         for [x, y] in places(node) {
-            assert!(
-                (0.0..=size[2]).contains(&x),
-                "{x} of {} in {node:?}",
-                size[2]
-            );
-            assert!(
-                (0.0..=size[3]).contains(&y),
-                "{y} of {} in {node:?}",
-                size[3]
-            );
+            let inside = (0.0..=size[2]).contains(&x) && (0.0..=size[3]).contains(&y);
+            assert!(inside, "{x}, {y} of {size:?} in {node:?}");
         }
     }
 }
@@ -191,30 +135,17 @@ fn every_kind_of_mark_is_drawn_within_the_picture() {
     check(&svg);
     let document = Document::parse(&svg).unwrap();
     for tag in ["polyline", "polygon", "rect", "circle", "text"] {
-        assert!(
-            document.descendants().any(|node| node.has_tag_name(tag)),
-            "{tag}"
-        );
+        let mut nodes = document.descendants();
+        assert!(nodes.any(|node| node.has_tag_name(tag)), "{tag}");
     }
-    for colour in [
-        Colour::Blue,
-        Colour::Orange,
-        Colour::Green,
-        Colour::Vermilion,
-        Colour::Sky,
-    ] {
+    use Colour::{Blue, Green, Orange, Sky, Vermilion};
+    for colour in [Blue, Orange, Green, Vermilion, Sky] {
         let hex = Colour::hex(colour.light());
         assert!(svg.contains(&hex), "{colour:?}");
     }
     let words = words(&document);
-    for text in [
-        "(a) a panel",
-        "time (s)",
-        "power (W)",
-        "reading",
-        "persistence",
-        "simulated",
-    ] {
+    let texts = "(a) a panel | time (s) | power (W) | reading | persistence | simulated";
+    for text in texts.split(" | ") {
         assert!(words.contains(&text), "{text}: {words:?}");
     }
 }
@@ -241,44 +172,19 @@ fn figures_have_a_text_alternative() {
 
 #[test]
 fn panels_without_data_say_so() {
-    let nothing = [
-        Vec::new(),
-        vec![Layer::named("a", Colour::Blue, line(&[], false))],
-        vec![Layer::named(
-            "a",
-            Colour::Blue,
-            line(&[[f64::NAN, 1.0]], true),
-        )],
-        vec![Layer::named(
-            "a",
-            Colour::Blue,
-            Mark::Band(vec![[0.0, f64::NAN, 1.0]]),
-        )],
-        vec![Layer::named(
-            "a",
-            Colour::Blue,
-            Mark::Points(vec![[f64::INFINITY, 1.0]]),
-        )],
-        vec![Layer::named(
-            "a",
-            Colour::Blue,
-            Mark::density(&bins([].into_iter(), [0.0, 1.0], 9)),
-        )],
-        vec![Layer::named(
-            "a",
-            Colour::Blue,
-            Mark::Tiles(tiles([].into_iter(), [0.0, 1.0], [0.0, 1.0], 9)),
-        )],
-        vec![Layer::plain(
-            Colour::Grey,
-            Mark::Rule {
-                at: 1.0,
-                direction: Direction::Up,
-            },
-        )],
-        vec![Layer::plain(Colour::Grey, Mark::Diagonal)],
+    let empty = bins([].into_iter(), [0.0, 1.0], 9);
+    let marks = [
+        line(&[], false),
+        line(&[[f64::NAN, 1.0]], true),
+        Mark::Band(vec![[0.0, f64::NAN, 1.0]]),
+        Mark::Points(vec![[f64::INFINITY, 1.0]]),
+        Mark::density(&empty),
+        Mark::Tiles(tiles([].into_iter(), [0.0, 1.0], [0.0, 1.0], 9)),
+        rule(1.0, Direction::Up),
+        Mark::Diagonal,
     ];
-    for layers in nothing {
+    let layers = marks.map(|mark| vec![Layer::named("a", Colour::Blue, mark)]);
+    for layers in layers.into_iter().chain([Vec::new()]) {
         let svg = figure(vec![panel(layers.clone())]).svg().unwrap();
         let document = Document::parse(&svg).unwrap();
         assert!(words(&document).contains(&"no data"), "{layers:?}");
@@ -287,19 +193,14 @@ fn panels_without_data_say_so() {
 
 #[test]
 fn a_gap_in_a_line_is_kept() {
-    let points = [
-        [0.0, 1.0],
-        [1.0, 2.0],
-        [2.0, f64::NAN],
-        [3.0, 1.0],
-        [4.0, 2.0],
-    ];
-    let svg = figure(vec![panel(vec![Layer::plain(
-        Colour::Blue,
-        line(&points, false),
-    )])])
-    .svg()
-    .unwrap();
+    let heights = [1.0, 2.0, f64::NAN, 1.0, 2.0];
+    let points: Vec<[f64; 2]> = (0..)
+        .map(f64::from)
+        .zip(heights)
+        .map(<[f64; 2]>::from)
+        .collect();
+    let layer = Layer::plain(Colour::Blue, line(&points, false));
+    let svg = figure(vec![panel(vec![layer])]).svg().unwrap();
     let document = Document::parse(&svg).unwrap();
     let blue = Colour::hex(Colour::Blue.light());
     let lines = document
@@ -338,27 +239,18 @@ fn a_png_has_its_size_and_its_text() {
 #[test]
 fn a_layout_out_of_range_is_refused_with_its_numbers() {
     let sound = everything();
-    let wrong = [
-        Figure {
-            panels: Vec::new(),
-            ..sound.clone()
-        },
-        Figure {
-            columns: 0,
-            ..sound.clone()
-        },
-        Figure {
-            columns: 9,
-            ..sound.clone()
-        },
-        Figure {
-            panel_height_px: 99,
-            ..sound.clone()
-        },
+    let changes: [fn(&mut Figure); 4] = [
+        |figure| figure.panels.clear(),
+        |figure| figure.columns = 0,
+        |figure| figure.columns = 9,
+        |figure| figure.panel_height_px = 99,
     ];
-    for figure in wrong {
+    for change in changes {
+        let mut figure = sound.clone();
+        change(&mut figure);
+        let refused = figure.svg();
         assert!(
-            matches!(figure.svg(), Err(FigureError::Layout { .. })),
+            matches!(refused, Err(FigureError::Layout { .. })),
             "{figure:?}"
         );
     }

@@ -97,7 +97,6 @@ impl Asked {
 
 impl Policy {
     /// The name in tables.
-    #[must_use]
     pub const fn name(&self) -> &'static str {
         match self {
             Self::Threshold { .. } => "threshold",

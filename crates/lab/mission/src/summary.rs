@@ -83,7 +83,6 @@ pub struct Comparison {
 impl Summary {
     /// Summarises the missions of each policy, all of the same seeds, joulebus last. The oracle is
     /// no baseline.
-    #[must_use]
     pub fn of(scenario: Scenario, first_seed: u64, runs: &[Runs]) -> Self {
         let last = runs.last().map(|runs| runs.outcomes.as_slice());
         let policies = runs

@@ -25,7 +25,6 @@ pub const CHOSEN: [Policy; 4] = [
 ];
 
 /// The settings that `--tune` tries: around the best of each policy, which must not lie at an edge.
-#[must_use]
 pub fn tried() -> Vec<Policy> {
     let mut policies = Vec::new();
     for begin in [0.5, 0.55, 0.6] {

@@ -146,30 +146,19 @@ mod tests {
 
     #[test]
     fn every_usual_spelling_of_an_activation_is_understood() {
+        use Activation::{GeluErf, GeluTanh, Relu};
         for (path, value, expected) in [
-            ("activation", "relu", Activation::Relu),
-            ("config.activation", "ReLU", Activation::Relu),
-            ("hidden_act", "nn.ReLU(inplace=True)", Activation::Relu),
-            (
-                "activations.0",
-                "torch.nn.functional.relu",
-                Activation::Relu,
-            ),
-            ("act_fn", "gelu", Activation::GeluErf),
-            (
-                "activation",
-                "GELU(approximate='none')",
-                Activation::GeluErf,
-            ),
-            ("activation", "gelu_erf", Activation::GeluErf),
-            (
-                "meta.activation_function",
-                "gelu_tanh",
-                Activation::GeluTanh,
-            ),
-            ("hidden_act", "gelu_new", Activation::GeluTanh),
-            ("nonlinearity", "gelu_pytorch_tanh", Activation::GeluTanh),
-            ("net.1.approximate", "tanh", Activation::GeluTanh),
+            ("activation", "relu", Relu),
+            ("config.activation", "ReLU", Relu),
+            ("hidden_act", "nn.ReLU(inplace=True)", Relu),
+            ("activations.0", "torch.nn.functional.relu", Relu),
+            ("act_fn", "gelu", GeluErf),
+            ("activation", "GELU(approximate='none')", GeluErf),
+            ("activation", "gelu_erf", GeluErf),
+            ("meta.activation_function", "gelu_tanh", GeluTanh),
+            ("hidden_act", "gelu_new", GeluTanh),
+            ("nonlinearity", "gelu_pytorch_tanh", GeluTanh),
+            ("net.1.approximate", "tanh", GeluTanh),
         ] {
             let found = stated(&[text(path, value)]);
             assert_eq!(found.expect("known"), Some(expected), "{path}: {value}");

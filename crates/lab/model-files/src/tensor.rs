@@ -75,19 +75,16 @@ impl Tensor {
     }
 
     /// Size of each dimension.
-    #[must_use]
     pub fn shape(&self) -> &[usize] {
         &self.shape
     }
 
     /// Element type as in the file, such as `f32`; `numbers` for plain Python numbers.
-    #[must_use]
     pub fn element(&self) -> &'static str {
         self.element
     }
 
     /// All values in C order; empty for an array of more than 65,536.
-    #[must_use]
     pub fn values(&self) -> &[f64] {
         &self.values
     }

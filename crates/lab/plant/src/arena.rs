@@ -14,13 +14,11 @@ pub struct Vector {
 
 impl Vector {
     /// The vector of two components.
-    #[must_use]
     pub const fn new(x: f64, y: f64) -> Self {
         Self { x, y }
     }
 
     /// Its length.
-    #[must_use]
     pub fn norm(self) -> f64 {
         libm::sqrt(self.x * self.x + self.y * self.y)
     }
@@ -80,7 +78,6 @@ pub struct Pose {
 }
 
 /// Speeds of the left and the right wheel, m/s.
-#[must_use]
 pub fn wheels_mps(command: Command) -> [f64; 2] {
     let turn_mps = command.omega_radps * ROBOT_M / 2.0;
     [command.v_mps - turn_mps, command.v_mps + turn_mps]
@@ -88,7 +85,6 @@ pub fn wheels_mps(command: Command) -> [f64; 2] {
 
 /// The command after wheel saturation: each wheel's speed is clamped to ±[`V_MAX_MPS`] separately,
 /// as on the testbed, and the command follows from the clamped speeds.
-#[must_use]
 pub fn saturated(command: Command) -> Command {
     let [left_mps, right_mps] =
         wheels_mps(command).map(|speed_mps| speed_mps.clamp(-V_MAX_MPS, V_MAX_MPS));
@@ -99,7 +95,6 @@ pub fn saturated(command: Command) -> Command {
 }
 
 /// The unit vector of an angle from the x axis.
-#[must_use]
 pub fn direction(angle_rad: f64) -> Vector {
     let (sin, cos) = libm::sincos(angle_rad);
     Vector::new(cos, sin)

@@ -30,7 +30,6 @@ pub struct Body {
 impl Body {
     /// A robot at rest at time 0. `extra_w` is a constant additional load, W; `neighbours` share
     /// its radio channel; `made` draws its manufacturing variation, `noise` everything else.
-    #[must_use]
     pub fn new(
         parts: Parts,
         extra_w: f64,
@@ -63,7 +62,6 @@ impl Body {
     }
 
     /// Energy drawn from the battery, J.
-    #[must_use]
     pub const fn drawn_j(&self) -> f64 {
         self.battery.drawn_j()
     }

@@ -19,7 +19,6 @@ pub struct Driven {
 impl Driven {
     /// A robot at rest at time 0. Streams `stream` and `stream + 1` of the seed draw its
     /// manufacturing variation and its state; `extra_w` is a constant additional load, W.
-    #[must_use]
     pub fn new(parts: Parts, extra_w: f64, pose: Pose, (seed, stream): (u64, u64)) -> Self {
         let mut made = Noise::new(seed, stream);
         let body = Body::new(
@@ -57,32 +56,27 @@ impl Driven {
     }
 
     /// Position and heading.
-    #[must_use]
     pub fn pose(&self) -> Pose {
         self.body.pose
     }
 
     /// Energy that it has really drawn since the start, J; known to no policy. It advances with the
     /// polls of the power monitor, ten times a second.
-    #[must_use]
     pub fn drawn_j(&self) -> f64 {
         self.body.drawn_j() - self.before_j
     }
 
     /// Power by the latest measurement, W.
-    #[must_use]
     pub fn power_w(&self) -> f64 {
         self.body.measured.power_w
     }
 
     /// When it was measured, ns since the start.
-    #[must_use]
     pub fn measured_ns(&self) -> u64 {
         self.body.measured_ns
     }
 
     /// Whether the last step brought a new measurement.
-    #[must_use]
     pub fn is_fresh(&self) -> bool {
         self.fresh
     }

@@ -73,7 +73,6 @@ impl Plant {
     /// A fleet at time 0, each robot at rest. Robot `i` begins with the protocol of trial
     /// `i % 6 + 1`, at a random segment of it, and continues with the next one after each
     /// [`TRIAL_S`]. Robot `i` of a seed is the same whatever the size of the fleet.
-    #[must_use]
     pub fn new(seed: u64, robots: usize) -> Self {
         let protocols = Protocol::ALL.into_iter().cycle().take(robots);
         Self::of(protocols.enumerate().map(|(robot, protocol)| {
@@ -84,7 +83,6 @@ impl Plant {
 
     /// A fleet at time 0 with one robot for each given protocol, which it repeats all the time.
     /// They are other robots than those of [`Plant::new`], also with the same seed.
-    #[must_use]
     pub fn driving(seed: u64, protocols: impl IntoIterator<Item = Protocol>) -> Self {
         let protocols = protocols.into_iter().enumerate();
         Self::of(protocols.map(|(robot, protocol)| {
@@ -142,7 +140,6 @@ impl Plant {
     }
 
     /// Nanoseconds since the plant's start.
-    #[must_use]
     pub fn now_ns(&self) -> u64 {
         self.now_ns
     }

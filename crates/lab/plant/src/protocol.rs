@@ -70,13 +70,11 @@ impl Protocol {
     }
 
     /// The trial's number, 1 to 6.
-    #[must_use]
     pub const fn number(self) -> usize {
         self as usize + 1
     }
 
     /// The name used in the published files' names.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Structured => "structured",
@@ -89,7 +87,6 @@ impl Protocol {
     }
 
     /// The trial's file name without extension, as published.
-    #[must_use]
     pub fn file_stem(self) -> String {
         format!("energy_data_trial{}_{}", self.number(), self.name())
     }

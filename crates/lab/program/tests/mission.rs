@@ -20,8 +20,7 @@ fn the_program_reports_as_json_and_draws_a_picture() {
         "--picture",
         picture,
     ];
-    let made = run(program, arguments);
-    assert_eq!(made.exit_code(), 0, "{}", made.errors());
+    let made = run(program, arguments).exits(0);
     let report = made.json();
     let policies = report["policies"].as_array().unwrap();
     assert_eq!(policies.len(), 4);

@@ -5,7 +5,7 @@ use std::ffi::{OsStr, OsString};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use joulebus_testkit::{Ended, run};
+use joulebus_testkit::{Ended, run, says};
 
 fn output<A: AsRef<OsStr>>(arguments: impl IntoIterator<Item = A>) -> Ended {
     let arguments = arguments.into_iter().map(|word| word.as_ref().to_owned());
@@ -38,16 +38,12 @@ fn a_split_reports_on_what_was_held_out() {
         let out = folder.path().join("report");
         let (data, out) = (data.to_str().unwrap(), out.to_str().unwrap());
         let arguments = [data, "--model", "builtin:gternal-sim", "-o", out];
-        let made = output([&arguments[..], more].concat());
-        assert_eq!(made.exit_code(), 0, "{}", made.errors());
+        output([&arguments[..], more].concat()).exits(0);
         fs::read_to_string(Path::new(out).join("report.txt")).unwrap()
     };
     let text = report(&["--split", "trial", "--held-out", "0.3", "--seed", "3"]);
     assert!(text.contains("split by trial"), "{text}");
-    assert!(
-        text.contains("seed 3") && text.contains("30 % held out"),
-        "{text}"
-    );
+    says(&text, ["seed 3", "30 % held out"]);
     assert!(text.contains(", on 2 recordings"), "{text}");
     let text = report(&[
         "--split",
@@ -55,20 +51,15 @@ fn a_split_reports_on_what_was_held_out() {
         "--leave-out",
         data.join("t_4.csv").to_str().unwrap(),
     ]);
-    assert!(
-        text.contains(", on 1 recordings") && text.contains("t_4.csv held out"),
-        "{text}"
-    );
-    let refused = output([
-        data.to_str().unwrap(),
-        "--model",
-        "builtin:gternal-sim",
-        "--split",
-        "row",
-        "-o",
-        "x",
-    ]);
-    assert_eq!(refused.exit_code(), 2, "{}", refused.errors());
+    says(&text, [", on 1 recordings", "t_4.csv held out"]);
+    output(
+        format!(
+            "{} --model builtin:gternal-sim --split row -o x",
+            data.to_str().unwrap()
+        )
+        .split(' '),
+    )
+    .exits(2);
 }
 
 #[test]
@@ -88,8 +79,7 @@ fn one_command_runs_the_simulated_experiments() {
         "-o",
         out.to_str().unwrap(),
     ];
-    let made = output(arguments);
-    assert_eq!(made.exit_code(), 0, "{}", made.errors());
+    let made = output(arguments).exits(0);
     let page = fs::read_to_string(out.join("report.html")).unwrap();
     assert!(page.contains("Every number here is of simulated robots"));
     assert!(!page.contains("http"));
@@ -111,17 +101,10 @@ fn one_command_runs_the_simulated_experiments() {
     let mut arguments = vec!["--model", model.to_str().unwrap()];
     arguments.extend(["-o", second.to_str().unwrap()]);
     arguments.extend(recordings.iter().map(|path| path.to_str().unwrap()));
-    let made = output(arguments);
-    assert_eq!(made.exit_code(), 0, "{}", made.errors());
+    let made = output(arguments).exits(0);
     let text = made.text();
-    for name in [
-        "network",
-        "persistence",
-        "AR(5) + velocities",
-        "trained on simulated robots",
-    ] {
-        assert!(text.contains(name), "{name}: {text}");
-    }
+    let parts = "network | persistence | AR(5) + velocities | trained on simulated robots";
+    says(&text, parts.split(" | "));
     assert!(made.errors().contains("report.html"), "{}", made.errors());
 }
 

@@ -69,7 +69,6 @@ pub struct Column {
 
 impl Column {
     /// A column of this key and title.
-    #[must_use]
     pub fn new(key: impl Into<String>, title: impl Into<String>) -> Self {
         Self {
             key: key.into(),
@@ -100,13 +99,11 @@ pub(super) const UNKNOWN: &str = "\u{2013}";
 
 impl Cell {
     /// A cell with text.
-    #[must_use]
     pub fn words(words: impl Into<String>) -> Self {
         Self::Words(words.into())
     }
 
     /// The cell as text.
-    #[must_use]
     pub fn shown(&self) -> String {
         match self {
             Self::Words(words) => words.clone(),
@@ -128,7 +125,6 @@ impl Cell {
     }
 
     /// Whether it is numeric, and so right-aligned.
-    #[must_use]
     pub(super) fn is_number(&self) -> bool {
         !matches!(self, Self::Words(_) | Self::Nothing)
     }

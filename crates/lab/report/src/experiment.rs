@@ -25,7 +25,6 @@ pub struct Simulated {
 
 impl Simulated {
     /// The paper's sizes and recipe.
-    #[must_use]
     pub fn new(seed: u64) -> Self {
         Self {
             seed,

@@ -24,13 +24,11 @@ const TRIAL_ROBOT: u32 = 8;
 /// A row holds the command during a step, and pose and reading at its end. The six trials of a
 /// seed are of the same robot; its battery, its temperature and all random state restart in
 /// each. `Trial::path` marks it as simulated; no file is read or written.
-#[must_use]
 pub fn drive(protocol: Protocol, seed: u64) -> Trial {
     drive_with(protocol, Parts::default(), seed, SAMPLES)
 }
 
 /// Same as [`drive`], with other parameters and length, at least two samples.
-#[must_use]
 pub fn drive_with(protocol: Protocol, parts: Parts, seed: u64, samples: usize) -> Trial {
     let mut made = Noise::new(seed, MADE + u64::from(TRIAL_ROBOT));
     let state = Noise::new(seed, STATE + protocol.number() as u64);
@@ -55,7 +53,6 @@ pub fn trial(number: usize, seed: u64) -> Result<Trial, UnknownTrial> {
 }
 
 /// All six trials of `seed`, in order.
-#[must_use]
 pub fn trials(seed: u64) -> Vec<Trial> {
     Protocol::ALL.map(|protocol| drive(protocol, seed)).into()
 }

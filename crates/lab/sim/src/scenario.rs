@@ -50,19 +50,16 @@ pub struct Run {
 }
 
 /// The file name of a robot's trial without extension. Ids start at 1.
-#[must_use]
 pub fn file_stem(robot: u32) -> String {
     format!("energy_data_seven_robots_robot{robot}")
 }
 
 /// Runs the seven robots of `seed` for `steps` steps of 33 ms, at least two.
-#[must_use]
 pub fn seven_robots(seed: u64, steps: usize) -> Vec<Trial> {
     run(Parts::default(), seed, steps).trials
 }
 
 /// Same as [`seven_robots`], with given parameters, and with statistics of the barriers.
-#[must_use]
 pub fn run(parts: Parts, seed: u64, steps: usize) -> Run {
     let mut fleet = Fleet::new(parts, seed);
     let mut recorders: Vec<Recorder> = (0..ROBOTS)

@@ -31,7 +31,6 @@ pub struct SimulatedData {
 impl SimulatedData {
     /// The data of the shipped models: 12 robots for training, 4 for validation, 8 held out, one
     /// whole trial each.
-    #[must_use]
     pub fn shipped(seed: u64) -> SimulatedData {
         SimulatedData {
             seed,
@@ -60,7 +59,6 @@ impl SimulatedData {
 
 /// Records simulated robots. A row pairs the command just issued and the readings so far with the
 /// reading of the next tick, as the live path does.
-#[must_use]
 pub fn dataset_from_plant(data: SimulatedData) -> Dataset {
     let SimulatedData {
         seed,

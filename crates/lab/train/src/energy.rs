@@ -40,7 +40,6 @@ struct Run {
 
 /// Fits the energy model, which reads commands if the network does. `None` if the recordings are
 /// too short, or their mean power is not above 0.
-#[must_use]
 pub fn energy_model(dataset: &Dataset, feature_set: FeatureSet) -> Option<EnergyModel> {
     let period_s = f64::from(dataset.period_s);
     if !(period_s > 0.0 && period_s.is_finite()) {

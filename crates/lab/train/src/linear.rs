@@ -46,27 +46,23 @@ impl Terms {
     pub const AR5_AND_VELOCITIES: Terms = Terms::velocities_and_lags(LAGS);
 
     /// The last `count` readings, at most [`LAGS`].
-    #[must_use]
     pub const fn lags(count: usize) -> Terms {
         let count = if count < LAGS { count } else { LAGS };
         Terms(((1 << count) - 1) << NEWEST)
     }
 
     /// The velocities and the last `count` readings.
-    #[must_use]
     pub const fn velocities_and_lags(count: usize) -> Terms {
         Terms(Terms::VELOCITIES.0 | Terms::lags(count).0)
     }
 
     /// The features at these positions in [`Features`]. Other positions are ignored.
-    #[must_use]
     pub fn of(features: &[usize]) -> Terms {
         let known = features.iter().filter(|feature| **feature < FEATURES);
         Terms(known.fold(0, |bits, feature| bits | 1 << feature))
     }
 
     /// Whether the feature at this position is in the subset.
-    #[must_use]
     pub const fn has(self, feature: usize) -> bool {
         feature < FEATURES && self.0 >> feature & 1 == 1
     }
@@ -77,13 +73,11 @@ impl Terms {
     }
 
     /// Number of features.
-    #[must_use]
     pub const fn count(self) -> usize {
         self.0.count_ones() as usize
     }
 
     /// The union of both.
-    #[must_use]
     pub const fn or(self, other: Terms) -> Terms {
         Terms(self.0 | other.0)
     }
@@ -176,7 +170,6 @@ pub struct Moments {
 
 impl Moments {
     /// Moments of no rows.
-    #[must_use]
     pub fn new(terms: Terms) -> Moments {
         Moments {
             terms,
@@ -191,7 +184,6 @@ impl Moments {
 
     /// Moments of the rows in which every feature of `terms` and the reading are finite; the others
     /// are counted ([`Moments::unusable_rows`]).
-    #[must_use]
     pub fn of(rows: &[Row], terms: Terms) -> Moments {
         let usable = || {
             let values = rows.iter().map(|row| values(row, terms));
@@ -245,13 +237,11 @@ impl Moments {
     }
 
     /// Number of rows.
-    #[must_use]
     pub const fn rows(&self) -> usize {
         self.rows
     }
 
     /// Number of rows in which a feature or the reading is not finite.
-    #[must_use]
     pub const fn unusable_rows(&self) -> usize {
         self.rows - self.count
     }
@@ -383,7 +373,6 @@ impl Linear {
     }
 
     /// Persistence as a linear model.
-    #[must_use]
     pub fn persistence() -> Linear {
         Linear {
             terms: Terms::lags(1),
@@ -405,7 +394,6 @@ impl Linear {
 
     /// The forecast for a row of features, W. NaN where a feature with a coefficient is NaN; other
     /// features are ignored.
-    #[must_use]
     pub fn predict(&self, features: &Features) -> f64 {
         let terms = self.coefficients.iter();
         terms.fold(self.intercept_w, |sum, (feature, coefficient)| {
@@ -414,49 +402,41 @@ impl Linear {
     }
 
     /// The forecast for each row, W.
-    #[must_use]
     pub fn predict_rows(&self, rows: &[Row]) -> Vec<f64> {
         rows.iter().map(|row| self.predict(&row.features)).collect()
     }
 
     /// The requested features.
-    #[must_use]
     pub const fn terms(&self) -> Terms {
         self.terms
     }
 
     /// The forecast where every feature is 0, W.
-    #[must_use]
     pub const fn intercept_w(&self) -> f64 {
         self.intercept_w
     }
 
     /// Position of each feature used, and its coefficient in W per unit of the feature.
-    #[must_use]
     pub fn coefficients(&self) -> &[(usize, f64)] {
         &self.coefficients
     }
 
     /// Position of each requested feature that is not used, and why.
-    #[must_use]
     pub fn dropped(&self) -> &[(usize, Dropped)] {
         &self.dropped
     }
 
     /// Rows that it was fitted on.
-    #[must_use]
     pub const fn rows(&self) -> usize {
         self.rows
     }
 
     /// Rows that could not be used.
-    #[must_use]
     pub const fn unusable_rows(&self) -> usize {
         self.unusable_rows
     }
 
     /// The same as plain numbers with names.
-    #[must_use]
     pub fn report(&self) -> LinearReport {
         let name = |feature: usize| FEATURE_NAMES[feature];
         let coefficients = self.coefficients.iter();
@@ -484,7 +464,6 @@ impl KnownFeatures {
     pub const NONE: KnownFeatures = KnownFeatures(Terms(0));
 
     /// The known features of some rows. Only those of `asked` are checked.
-    #[must_use]
     pub fn of(rows: &[Row], asked: Terms) -> KnownFeatures {
         let is_known = |feature: &usize| {
             let mut rows = rows.iter();
@@ -495,13 +474,11 @@ impl KnownFeatures {
     }
 
     /// The union of both.
-    #[must_use]
     pub const fn or(self, other: KnownFeatures) -> KnownFeatures {
         KnownFeatures(Terms(self.0.0 | other.0.0))
     }
 
     /// The known ones of some terms, and the positions of the others.
-    #[must_use]
     pub fn split(self, terms: Terms) -> (Terms, Vec<usize>) {
         let missing = terms.features().filter(|feature| !self.0.has(*feature));
         (Terms(terms.0 & self.0.0), missing.collect())
@@ -509,7 +486,6 @@ impl KnownFeatures {
 }
 
 /// The terms that are finite in any row of some parts, and the positions of the others.
-#[must_use]
 pub fn known_terms(parts: &[&[Row]], terms: Terms) -> (Terms, Vec<usize>) {
     let each = parts.iter().map(|rows| KnownFeatures::of(rows, terms));
     let known = each.fold(KnownFeatures::NONE, KnownFeatures::or);

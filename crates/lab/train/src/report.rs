@@ -45,7 +45,6 @@ struct HeldOut {
 
 impl TrainReport {
     /// The report of a training that took this long. `path` is the model file, if it was written.
-    #[must_use]
     pub fn new(
         path: Option<&Path>,
         trained: &Trained,

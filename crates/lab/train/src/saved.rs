@@ -37,7 +37,6 @@ pub enum ResumeError {
 impl Training {
     /// The run so far, a safetensors file. With [`Training::resume`] it continues to the same
     /// result.
-    #[must_use]
     pub fn saved(&self) -> Vec<u8> {
         let tensors = [
             ("weights", &self.weights.values),

@@ -17,7 +17,7 @@ pub struct TrainSettings {
     pub source: String,
     /// The features that the network reads: `full` (the paper's), `power-only`, and both with the
     /// age of the newest reading: `freshness`, `power-freshness`.
-    #[serde(with = "feature_set")]
+    #[serde(with = "FeatureSetName")]
     pub feature_set: FeatureSet,
     /// Seed of initial weights, order of rows and dropout.
     pub seed: u64,
@@ -81,46 +81,27 @@ impl TrainSettings {
         const SMALL: &str = "above 0 and up to 1";
         let share = |value: f64| (0.0..1.0).contains(&value);
         let small = |value: f64| value > 0.0 && value <= 1.0;
-        let batch = self.batch as f64;
+        let Self {
+            dropout,
+            patience,
+            max_epochs,
+            batch,
+            learning_rate,
+            first_moment,
+            second_moment,
+            epsilon,
+            ..
+        } = *self;
+        let (rows, [epochs, waited]) = (batch as f64, [max_epochs, patience].map(f64::from));
         let checks = [
-            ("dropout", self.dropout, share(self.dropout), SHARE),
-            (
-                "patience",
-                f64::from(self.patience),
-                self.patience > 0,
-                "at least 1",
-            ),
-            (
-                "max_epochs",
-                f64::from(self.max_epochs),
-                self.max_epochs > 0,
-                "at least 1",
-            ),
-            (
-                "batch",
-                batch,
-                (1..=65_536).contains(&self.batch),
-                "1 to 65536",
-            ),
-            (
-                "learning_rate",
-                self.learning_rate,
-                small(self.learning_rate),
-                SMALL,
-            ),
-            (
-                "first_moment",
-                self.first_moment,
-                share(self.first_moment),
-                SHARE,
-            ),
-            (
-                "second_moment",
-                self.second_moment,
-                share(self.second_moment),
-                SHARE,
-            ),
-            ("epsilon", self.epsilon, small(self.epsilon), SMALL),
+            ("dropout", dropout, share(dropout), SHARE),
+            ("patience", waited, patience > 0, "at least 1"),
+            ("max_epochs", epochs, max_epochs > 0, "at least 1"),
+            ("batch", rows, (1..=65_536).contains(&batch), "1 to 65536"),
+            ("learning_rate", learning_rate, small(learning_rate), SMALL),
+            ("first_moment", first_moment, share(first_moment), SHARE),
+            ("second_moment", second_moment, share(second_moment), SHARE),
+            ("epsilon", epsilon, small(epsilon), SMALL),
         ];
         match checks.into_iter().find(|(_, _, sound, _)| !sound) {
             None => Ok(()),
@@ -153,29 +134,12 @@ pub fn settings_for_sim(seed: u64, feature_set: FeatureSet) -> TrainSettings {
     TrainSettings::new(name, "simulation", feature_set, seed)
 }
 
-mod feature_set {
-    use joulebus_predictor::FeatureSet;
-    use serde::{Deserialize, Deserializer, Serializer, de::Error};
-
-    pub(super) fn serialize<S: Serializer>(set: &FeatureSet, to: S) -> Result<S::Ok, S::Error> {
-        to.serialize_str(name(*set))
-    }
-
-    fn name(set: FeatureSet) -> &'static str {
-        match set {
-            FeatureSet::Full => "full",
-            FeatureSet::PowerOnly => "power-only",
-            FeatureSet::Freshness => "freshness",
-            FeatureSet::PowerFreshness => "power-freshness",
-        }
-    }
-
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<FeatureSet, D::Error> {
-        let found = String::deserialize(from)?;
-        let fitting = FeatureSet::ALL.into_iter().find(|set| name(*set) == found);
-        fitting.ok_or_else(|| {
-            let allowed = FeatureSet::ALL.map(name);
-            D::Error::custom(format!("feature_set is {found:?}, allowed: {allowed:?}"))
-        })
-    }
+/// The names of [`FeatureSet`] in settings.
+#[derive(Serialize, Deserialize)]
+#[serde(remote = "FeatureSet", rename_all = "kebab-case")]
+enum FeatureSetName {
+    Full,
+    PowerOnly,
+    Freshness,
+    PowerFreshness,
 }

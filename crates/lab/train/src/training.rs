@@ -148,19 +148,16 @@ impl Training {
     }
 
     /// Irregularities of the data that were worked around.
-    #[must_use]
     pub fn findings(&self) -> &Findings {
         &self.findings
     }
 
     /// The epochs so far, including those before a resumption.
-    #[must_use]
     pub fn epochs(&self) -> &[Epoch] {
         &self.epochs
     }
 
     /// Whether the run has reached the maximum number of epochs or stopped early.
-    #[must_use]
     pub fn is_done(&self) -> bool {
         let made = self.epochs.len();
         let best = self.epochs.iter().rposition(|epoch| epoch.best);

@@ -272,11 +272,6 @@ fn refused(fleet: u64) -> Vec<(QueryRefusal, QueryHeader, Vec<f64>)> {
     use QueryRefusal as Reason;
     let (good, values) = commands(0, 4, 10).encode(fleet).expect("it fits");
     let (followed, points) = path(&[0], 1.0).encode(fleet).expect("it fits");
-    let with = |change: &dyn Fn(&mut QueryHeader)| {
-        let mut header = good;
-        change(&mut header);
-        header
-    };
     let value = |at: usize, value: f64| {
         let mut values = values.clone();
         values[at] = value;
@@ -287,63 +282,35 @@ fn refused(fleet: u64) -> Vec<(QueryRefusal, QueryHeader, Vec<f64>)> {
         points[at] = value;
         points
     };
-    let mut all = vec![
-        (
-            Reason::Schema,
-            with(&|header| header.schema = 0),
-            values.clone(),
-        ),
-        (
-            Reason::Fleet,
-            with(&|header| header.fleet ^= 1),
-            values.clone(),
-        ),
-        (
-            Reason::Kind,
-            with(&|header| header.kind = 0),
-            values.clone(),
-        ),
-        (
-            Reason::Kind,
-            with(&|header| header.kind = u32::MAX),
-            values.clone(),
-        ),
-        (
-            Reason::Kind,
-            with(&|header| header.flags |= query_flag::ALL + 1),
-            values.clone(),
-        ),
-        (
-            Reason::Kind,
-            with(&|header| header.reserved = 7),
-            values.clone(),
-        ),
-        (
-            Reason::TooLarge,
-            with(&|header| header.robots = u32::MAX),
-            values.clone(),
-        ),
-        (
-            Reason::TooLarge,
-            with(&|header| header.candidates = u32::MAX),
-            values.clone(),
-        ),
-        (
-            Reason::TooLarge,
-            with(&|header| header.steps = u32::MAX),
-            values.clone(),
-        ),
+    type Change = fn(&mut QueryHeader);
+    let changes: [(Reason, Change); 15] = [
+        (Reason::Schema, |header| header.schema = 0),
+        (Reason::Fleet, |header| header.fleet ^= 1),
+        (Reason::Kind, |header| header.kind = 0),
+        (Reason::Kind, |header| header.kind = u32::MAX),
+        (Reason::Kind, |header| header.flags |= query_flag::ALL + 1),
+        (Reason::Kind, |header| header.reserved = 7),
+        (Reason::TooLarge, |header| header.robots = u32::MAX),
+        (Reason::TooLarge, |header| header.candidates = u32::MAX),
+        (Reason::TooLarge, |header| header.steps = u32::MAX),
+        (Reason::Length, |header| header.steps = 4_096),
+        (Reason::Question, |header| header.coverage = f32::NAN),
+        (Reason::Question, |header| header.coverage = 1.0),
+        (Reason::Question, |header| header.period_s = -1.0),
+        (Reason::Question, |header| header.period_s = f32::NAN),
+        (Reason::Deadline, |_| ()),
+    ];
+    let changed = changes.into_iter().map(|(reason, change)| {
+        let mut header = good;
+        change(&mut header);
+        (reason, header, values.clone())
+    });
+    let mut all: Vec<_> = changed.collect();
+    let (mut of_no_robot, mut of_no_plan) = (good, good);
+    (of_no_robot.robots, of_no_plan.candidates) = (0, 0);
+    all.extend([
         (Reason::TooLarge, good, vec![0.0; 5_000]),
-        (
-            Reason::Length,
-            with(&|header| header.robots = 0),
-            values[1..].to_vec(),
-        ),
-        (
-            Reason::Length,
-            with(&|header| header.steps = 4_096),
-            values.clone(),
-        ),
+        (Reason::Length, of_no_robot, values[1..].to_vec()),
         (Reason::Length, good, values[..values.len() - 1].to_vec()),
         (Reason::Length, good, Vec::new()),
         (Reason::UnknownRobot, good, value(0, f64::NAN)),
@@ -354,39 +321,14 @@ fn refused(fleet: u64) -> Vec<(QueryRefusal, QueryHeader, Vec<f64>)> {
         (Reason::Question, good, value(1, f64::NAN)),
         (Reason::Question, good, value(2, f64::INFINITY)),
         (Reason::Question, good, value(1, 1e300)),
-        (
-            Reason::Question,
-            with(&|header| header.coverage = f32::NAN),
-            values.clone(),
-        ),
-        (
-            Reason::Question,
-            with(&|header| header.coverage = 1.0),
-            values.clone(),
-        ),
-        (
-            Reason::Question,
-            with(&|header| header.period_s = -1.0),
-            values.clone(),
-        ),
-        (
-            Reason::Question,
-            with(&|header| header.period_s = f32::NAN),
-            values.clone(),
-        ),
-        (
-            Reason::Question,
-            with(&|header| header.candidates = 0),
-            values[..1].to_vec(),
-        ),
+        (Reason::Question, of_no_plan, values[..1].to_vec()),
         (Reason::Question, followed, point(1, f64::NAN)),
         (Reason::Question, followed, point(4, 1e300)),
         // So far away that following it would take hours.
         (Reason::Question, followed, point(4, 1e6)),
         (Reason::Question, followed, point(6, 0.0)),
         (Reason::Question, followed, point(6, f64::NAN)),
-        (Reason::Deadline, good, values.clone()),
-    ];
+    ]);
     let mut away = followed;
     away.return_x_m = f64::NAN;
     all.push((Reason::Question, away, points.clone()));

@@ -188,6 +188,12 @@ impl Source {
         let header = self.frame(samples.len());
         fleet.take(&header, samples, now_ns);
     }
+
+    /// The fleet takes its next frame and ticks.
+    pub fn tick(&mut self, fleet: &mut Fleet, samples: &[Sample], now_ns: u64) {
+        self.send(fleet, samples, now_ns);
+        fleet.tick(now_ns, false);
+    }
 }
 
 /// The `step`-th sample of a healthy robot: varying command and power, a new measurement every
@@ -230,10 +236,13 @@ pub struct Bits {
 pub fn bits(fleet: &Fleet, robot: u32) -> Option<Bits> {
     let place = place(fleet, robot)?;
     Some(Bits {
-        forecast: forecast_bits(&fleet.forecast(place)),
-        diagnostic: diagnostic_bits(&fleet.diagnostic(place)),
-        budget: budget_bits(&fleet.budget(place)),
-        plan_state: plan_state_bits(&PlanState {
+        forecast: row_bits(&Forecast {
+            generation: 0,
+            ..fleet.forecast(place)
+        }),
+        diagnostic: row_bits(&fleet.diagnostic(place)),
+        budget: row_bits(&fleet.budget(place)),
+        plan_state: row_bits(&PlanState {
             generation: 0,
             ..fleet.plan_state(place)
         }),
@@ -291,97 +300,10 @@ pub fn quality(fleet: &Fleet, robot: u32) -> Quality {
     forecast(fleet, robot).quality()
 }
 
-fn word(value: f32) -> u64 {
-    value.to_bits().into()
-}
-
-/// All of a forecast but the generation.
-#[must_use]
-pub fn forecast_bits(it: &Forecast) -> Vec<u64> {
-    vec![
-        it.robot.into(),
-        it.flags.into(),
-        it.quality.into(),
-        it.quality_detail.into(),
-        word(it.reading_w),
-        word(it.power_w),
-        word(it.lo_w),
-        word(it.hi_w),
-        it.sample_seq,
-        it.stamp_ns,
-        it.target_ns,
-        it.reading_age_ns,
-        it.source_epoch,
-    ]
-}
-
-/// All of a diagnostic but the generation.
-#[must_use]
-pub fn diagnostic_bits(it: &Diagnostic) -> Vec<u64> {
-    vec![
-        it.robot.into(),
-        it.flags.into(),
-        it.level.into(),
-        it.alarm.into(),
-        it.alarms.into(),
-        word(it.residual_w),
-        word(it.residual_z),
-        word(it.bias_w),
-        word(it.cusum_up),
-        word(it.cusum_down),
-        word(it.noise_ratio),
-        word(it.coverage),
-        word(it.coverage_recent),
-        it.scored,
-        it.mae_w.to_bits(),
-        it.r2.to_bits(),
-        it.persistence_mae_w.to_bits(),
-        it.persistence_r2.to_bits(),
-        it.skill.to_bits(),
-        it.sample_seq,
-        it.stamp_ns,
-        it.source_epoch,
-        it.refused,
-    ]
-}
-
-/// All of it.
-#[must_use]
-pub fn plan_state_bits(it: &PlanState) -> Vec<u64> {
-    bytemuck::bytes_of(it)
-        .chunks_exact(8)
+/// All of a row. Its length is a multiple of eight bytes.
+pub fn row_bits<R: bytemuck::NoUninit>(row: &R) -> Vec<u64> {
+    let words = bytemuck::bytes_of(row).chunks_exact(8);
+    words
         .map(|word| u64::from_ne_bytes(word.try_into().expect("eight bytes")))
         .collect()
-}
-
-/// All of a budget but the generation.
-#[must_use]
-pub fn budget_bits(it: &Budget) -> Vec<u64> {
-    vec![
-        it.robot.into(),
-        it.flags.into(),
-        it.charge_state.into(),
-        it.drawn_uj as u64,
-        it.drawn_remainder as u64,
-        it.forecast_uj as u64,
-        it.metered_ns,
-        it.unmetered_ns,
-        it.stamp_ns,
-        it.valid_until_ns,
-        word(it.mean_power_w),
-        word(it.left_j),
-        word(it.usable_j),
-        word(it.usable_lo_j),
-        word(it.soc),
-        word(it.soc_lo),
-        word(it.time_to_empty_s),
-        word(it.time_to_empty_lo_s),
-        word(it.time_to_empty_hi_s),
-        it.battery_changes.into(),
-        word(it.soc_hi),
-        word(it.soc_sd),
-        word(it.sensor_bias),
-        word(it.sensor_bias_sd),
-        word(it.sensor_covariance),
-    ]
 }

@@ -2,6 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
+use joulebus_testkit::cases;
+
 use super::imports::{circles, imports};
 use super::{crates, members, members_below, root};
 
@@ -75,48 +77,21 @@ fn the_layers_of_the_fleet_import_only_downward() {
 /// Checks that cycles are found: two files in a temporary directory, for each form of path.
 #[test]
 fn an_import_cycle_is_found_in_every_notation() {
-    for (one, two, circle) in [
-        (
-            "use crate::two::Two; pub struct One;",
-            "use crate::one::One; pub struct Two;",
-            true,
-        ),
-        (
-            "use super::two; pub fn one() { two::two() }",
-            "pub fn two() { crate::one::one() }",
-            true,
-        ),
-        (
-            "use crate::{two::{self, Two}}; pub struct One(Two);",
-            "use super::One; pub struct Two;",
-            true,
-        ),
-        (
-            "use crate::two::Two; pub struct One;",
-            "pub struct Two; // use crate::one::One;",
-            false,
-        ),
-        (
-            "use crate::two::Two; pub struct One;",
-            "pub struct Two; #[cfg(test)] mod tests { use crate::one::One; }",
-            false,
-        ),
-        (
-            "use crate::two::Two; pub struct One;",
-            "pub const TWO: &str = \"crate::one::One\"; pub struct Two;",
-            false,
-        ),
-        (
-            "pub use crate::two::Two; pub struct One;",
-            "use crate::one::One; pub struct Two;",
-            false,
-        ),
-        (
-            "pub use crate::two::Two; pub struct One(Two);",
-            "use crate::one::One; pub struct Two;",
-            true,
-        ),
-    ] {
+    for case in cases(
+        r#"
+        use crate::two::Two; pub struct One; | use crate::one::One; pub struct Two; | true
+        use super::two; pub fn one() { two::two() } | pub fn two() { crate::one::one() } | true
+        use crate::{two::{self, Two}}; pub struct One(Two); | use super::One; pub struct Two; | true
+        use crate::two::Two; pub struct One; | pub struct Two; // use crate::one::One; | false
+        use crate::two::Two; pub struct One; | pub struct Two; #[cfg(test)] mod tests { use crate::one::One; } | false
+        use crate::two::Two; pub struct One; | pub const TWO: &str = "crate::one::One"; pub struct Two; | false
+        pub use crate::two::Two; pub struct One; | use crate::one::One; pub struct Two; | false
+        pub use crate::two::Two; pub struct One(Two); | use crate::one::One; pub struct Two; | true
+        "#,
+    ) {
+        let [one, two, circle] = case.as_slice() else {
+            panic!("{case:?}");
+        };
         let directory = tempfile::tempdir().unwrap();
         let write =
             |name: &str, text: &str| std::fs::write(directory.path().join(name), text).unwrap();
@@ -124,6 +99,10 @@ fn an_import_cycle_is_found_in_every_notation() {
         write("one.rs", one);
         write("two.rs", two);
         let found = circles(&imports(directory.path(), false));
-        assert_eq!(!found.is_empty(), circle, "{one}\n{two}\n{found:?}");
+        assert_eq!(
+            (!found.is_empty()).to_string(),
+            *circle,
+            "{one}\n{two}\n{found:?}"
+        );
     }
 }

@@ -285,47 +285,28 @@ impl Summary {
 
 /// The counts that differ, as text.
 fn differences(said: &Statistics, counted: &Statistics) -> Vec<String> {
-    let span = |statistics: &Statistics| {
+    let counts = |of: &Statistics| -> [(&str, u64); 8] {
         // Without messages the times are meaningless.
-        if statistics.message_count == 0 {
-            return (0, 0);
-        }
-        (statistics.message_start_time, statistics.message_end_time)
+        let (first, last) = match of.message_count {
+            0 => (0, 0),
+            _ => (of.message_start_time, of.message_end_time),
+        };
+        [
+            ("messages", of.message_count),
+            ("schemas", of.schema_count.into()),
+            ("channels", of.channel_count.into()),
+            ("attachments", of.attachment_count.into()),
+            ("metadata records", of.metadata_count.into()),
+            ("chunks", of.chunk_count.into()),
+            ("first log time", first),
+            ("last log time", last),
+        ]
     };
-    let mut differences: Vec<String> = [
-        ("messages", said.message_count, counted.message_count),
-        (
-            "schemas",
-            said.schema_count.into(),
-            counted.schema_count.into(),
-        ),
-        (
-            "channels",
-            said.channel_count.into(),
-            counted.channel_count.into(),
-        ),
-        (
-            "attachments",
-            said.attachment_count.into(),
-            counted.attachment_count.into(),
-        ),
-        (
-            "metadata records",
-            said.metadata_count.into(),
-            counted.metadata_count.into(),
-        ),
-        (
-            "chunks",
-            said.chunk_count.into(),
-            counted.chunk_count.into(),
-        ),
-        ("first log time", span(said).0, span(counted).0),
-        ("last log time", span(said).1, span(counted).1),
-    ]
-    .into_iter()
-    .filter(|(_, said, counted)| said != counted)
-    .map(|(what, said, counted)| format!("{what}: {said} stated, {counted} found"))
-    .collect();
+    let both = counts(said).into_iter().zip(counts(counted));
+    let mut differences: Vec<String> = both
+        .filter(|(said, counted)| said != counted)
+        .map(|((what, said), (_, counted))| format!("{what}: {said} stated, {counted} found"))
+        .collect();
     let channels = said
         .channel_message_counts
         .keys()
@@ -335,14 +316,11 @@ fn differences(said: &Statistics, counted: &Statistics) -> Vec<String> {
     channels.dedup();
     for channel in channels {
         let of = |statistics: &Statistics| {
-            statistics
-                .channel_message_counts
-                .get(&channel)
-                .copied()
-                .unwrap_or(0)
+            let count = statistics.channel_message_counts.get(&channel);
+            count.copied().unwrap_or(0)
         };
-        if of(said) != of(counted) {
-            let (said, counted) = (of(said), of(counted));
+        let (said, counted) = (of(said), of(counted));
+        if said != counted {
             differences.push(format!(
                 "channel {channel}: {said} messages stated, {counted} found"
             ));

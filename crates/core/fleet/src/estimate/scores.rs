@@ -42,35 +42,30 @@ impl Scores {
     }
 
     /// Mean absolute residual, W; NaN before the first.
-    #[must_use]
     #[inline(always)]
     pub fn mae_w(&self) -> f64 {
         canonical_f64(self.sum_abs_w * self.share())
     }
 
     /// Coefficient of determination of the forecasts; NaN for constant readings.
-    #[must_use]
     #[inline(always)]
     pub fn r2(&self) -> f64 {
         explained(self.sum_sq_w2, self.scatter_w2)
     }
 
     /// Mean absolute error of persistence, W; NaN before the first.
-    #[must_use]
     #[inline(always)]
     pub fn persistence_mae_w(&self) -> f64 {
         canonical_f64(self.persistence_sum_abs_w * self.share())
     }
 
     /// Coefficient of determination of persistence; NaN for constant readings.
-    #[must_use]
     #[inline(always)]
     pub fn persistence_r2(&self) -> f64 {
         explained(self.persistence_sum_sq_w2, self.scatter_w2)
     }
 
     /// 1 − ratio of the squared error to persistence's. NaN for constant readings.
-    #[must_use]
     #[inline(always)]
     pub fn skill(&self) -> f64 {
         explained(self.sum_sq_w2, self.persistence_sum_sq_w2)

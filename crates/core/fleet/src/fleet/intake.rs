@@ -23,7 +23,6 @@ impl Fleet {
     /// Whether the account of the frame's source contains the frame, which came at `now_ns`: it was
     /// taken, refused or counted as lost. Who continues from a [state](crate::FleetState) takes no
     /// frame twice.
-    #[must_use]
     pub fn has_accounted(&self, header: &SampleHeader, now_ns: u64) -> bool {
         self.sources.has_accounted(header, now_ns)
     }

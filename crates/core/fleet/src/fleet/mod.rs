@@ -104,7 +104,6 @@ impl Fleet {
     }
 
     /// Whether every robot whose next sample is due at `now_ns` has reported since the last tick.
-    #[must_use]
     pub fn complete(&self, now_ns: u64) -> bool {
         self.reported == self.len()
             || self.slots.iter().all(|slot| {
@@ -117,7 +116,6 @@ impl Fleet {
     }
 
     /// Intake of the tick in preparation so far.
-    #[must_use]
     pub fn intake(&self) -> TickIntake {
         self.intake
     }
@@ -165,58 +163,49 @@ impl Fleet {
     }
 
     /// Robots in the fleet: the length of every output frame.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.slots.used()
     }
 
     /// Whether no robot is in the fleet.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
     /// Maximum number of robots.
-    #[must_use]
     pub fn capacity(&self) -> u32 {
         self.tick.settings.capacity
     }
 
     /// Samples accepted so far.
-    #[must_use]
     pub fn accepted(&self) -> u64 {
         self.accepted
     }
 
     /// Samples dropped so far, by reason.
-    #[must_use]
     pub fn drops(&self) -> DropCounts {
         self.drops
     }
 
     /// Number of accounts of departed robots that were given up for those of other robots. As many
     /// as the capacity are kept.
-    #[must_use]
     pub fn accounts_given_up(&self) -> u64 {
         self.departed.given_up()
     }
 
     /// Recently refused robots, with the reason and the source.
-    #[must_use]
     pub fn refusals(&self) -> [Refusal; 16] {
         self.refused.places()
     }
 
     /// Hash of the model of all platforms. If they use different models, a combination of their
     /// hashes in the order of the platforms.
-    #[must_use]
     pub fn model_hash(&self) -> u64 {
         let platforms = self.tick.platforms.iter();
         combine_hashes(platforms.map(|context| context.model.hash()))
     }
 
     /// Hashes of the platforms' models, in their order; 0 beyond the last.
-    #[must_use]
     pub fn model_hashes(&self) -> [u64; LISTED_MODELS] {
         let mut hashes = [0; LISTED_MODELS];
         for (hash, context) in hashes.iter_mut().zip(&self.tick.platforms) {
@@ -226,13 +215,11 @@ impl Fleet {
     }
 
     /// Hash of the settings.
-    #[must_use]
     pub const fn settings_hash(&self) -> u64 {
         self.settings_hash
     }
 
     /// Scores of a robot, if it is in the fleet.
-    #[must_use]
     pub fn scores(&self, robot: u32) -> Option<Scores> {
         let slot = self.find(robot)?;
         Some(lanes::get(&self.columns.scores, slot))
@@ -240,7 +227,6 @@ impl Fleet {
 
     /// State of a robot's online learning; `None` for a robot that is not in the fleet, or whose
     /// platform learns nothing online.
-    #[must_use]
     pub fn learned(&self, robot: u32) -> Option<Learned> {
         let slot = self.find(robot)?;
         let platform = usize::from(self.columns.admissions[slot].platform);
@@ -251,7 +237,6 @@ impl Fleet {
     }
 
     /// A robot's state for the energy of its plans, if it is in the fleet.
-    #[must_use]
     pub fn energy(&self, robot: u32) -> Option<EnergyState> {
         let slot = self.find(robot)?;
         Some(lanes::get(&self.columns.energy, slot))
@@ -259,13 +244,11 @@ impl Fleet {
 
     /// The energy model of the platform at `index` of the settings. One [without
     /// training](EnergyModel::untrained) if its model has none.
-    #[must_use]
     pub fn energy_model(&self, index: usize) -> Option<&EnergyModel> {
         Some(&self.tick.platforms.get(index)?.energy)
     }
 
     /// Account of a robot, in the fleet or departed.
-    #[must_use]
     pub fn ledger(&self, robot: u32) -> Option<Ledger> {
         let live = self.find(robot);
         let live = live.map(|slot| lanes::get(&self.columns.ledgers, slot));
@@ -274,14 +257,12 @@ impl Fleet {
 
     /// The forecast of the robot at `place` (0 to [`Fleet::len`] − 1) in the last tick. A [`Shard`]
     /// writes those of all robots faster.
-    #[must_use]
     pub fn forecast(&self, place: usize) -> Forecast {
         let (block, lane) = self.block_of(place);
         Forecasts::of(block).get(&self.tick, lane)
     }
 
     /// The diagnostics of the robot at `place`, as of the last tick.
-    #[must_use]
     pub fn diagnostic(&self, place: usize) -> Diagnostic {
         let (block, lane) = self.block_of(place);
         let learned = LearnedLanes::of(&self.tick, &block);
@@ -289,14 +270,12 @@ impl Fleet {
     }
 
     /// The budget of the robot at `place`, as of the last tick.
-    #[must_use]
     pub fn budget(&self, place: usize) -> Budget {
         let (block, lane) = self.block_of(place);
         Budgets::of(&self.tick, block).get(&self.tick, lane)
     }
 
     /// The start of a plan of the robot at `place`, in the last tick.
-    #[must_use]
     pub fn plan_state(&self, place: usize) -> PlanState {
         let (block, lane) = self.block_of(place);
         let learned = LearnedLanes::of(&self.tick, &block);

@@ -8,7 +8,6 @@ use crate::state::snapshot::{Counters, FleetState, StateError};
 
 impl Fleet {
     /// The fleet's current state. Allocates.
-    #[must_use]
     pub fn state(&self) -> FleetState {
         let mut state = FleetState::with_capacity_for(&self.tick.settings);
         self.state_into(&mut state);
@@ -67,30 +66,21 @@ impl Fleet {
 
     /// Refuses the state of another fleet.
     fn check_origin(&self, state: &FleetState) -> Result<(), StateError> {
-        let (capacity, platforms) = (self.capacity(), self.tick.platforms.len() as u32);
-        if state.capacity != capacity {
-            return Err(StateError::Capacity {
-                found: state.capacity,
-                expected: capacity,
-            });
+        let (found, expected) = (state.capacity, self.capacity());
+        if found != expected {
+            return Err(StateError::Capacity { found, expected });
         }
-        if state.platforms != platforms {
-            return Err(StateError::Platforms {
-                found: state.platforms,
-                expected: platforms,
-            });
+        let (found, expected) = (state.platforms, self.tick.platforms.len() as u32);
+        if found != expected {
+            return Err(StateError::Platforms { found, expected });
         }
-        if state.settings_hash != self.settings_hash {
-            return Err(StateError::FleetSettings {
-                found: state.settings_hash,
-                expected: self.settings_hash,
-            });
+        let (found, expected) = (state.settings_hash, self.settings_hash);
+        if found != expected {
+            return Err(StateError::FleetSettings { found, expected });
         }
-        if state.model_hash != self.model_hash() {
-            return Err(StateError::Models {
-                found: state.model_hash,
-                expected: self.model_hash(),
-            });
+        let (found, expected) = (state.model_hash, self.model_hash());
+        if found != expected {
+            return Err(StateError::Models { found, expected });
         }
         Ok(())
     }

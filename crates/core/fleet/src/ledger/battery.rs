@@ -526,7 +526,6 @@ pub struct SavedBattery {
 
 impl SavedBattery {
     /// The battery in a budget; `None` if it has none.
-    #[must_use]
     pub fn of(budget: &Budget) -> Option<Self> {
         let has = |flag| budget.flags & flag != 0;
         has(budget_flag::BATTERY).then_some(Self {
@@ -545,7 +544,6 @@ impl SavedBattery {
     }
 
     /// Times that another battery was noticed.
-    #[must_use]
     pub const fn changes(&self) -> u32 {
         self.changes
     }

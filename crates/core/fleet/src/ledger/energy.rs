@@ -52,7 +52,6 @@ impl Default for Ledger {
 
 impl Ledger {
     /// A saved ledger: the time until the next sample will be unmetered.
-    #[must_use]
     pub fn restored(
         drawn: (i64, i64),
         forecast_uj: i64,
@@ -74,7 +73,6 @@ impl Ledger {
     }
 
     /// Stamp of the newest sample, ns; `None` before the first.
-    #[must_use]
     pub fn stamp_ns(&self) -> Option<u64> {
         self.begun.then_some(self.stamp_ns)
     }

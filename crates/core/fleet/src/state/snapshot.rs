@@ -124,7 +124,6 @@ impl FleetState {
     /// Allocates and touches memory for the state of a fleet with the capacity of `settings`, so
     /// that [`crate::Fleet::state_into`] neither allocates nor faults. The content is not a valid
     /// state.
-    #[must_use]
     pub fn with_capacity_for(settings: &FleetSettings) -> Self {
         let robots = settings.capacity as usize;
         let mut columns = Columns::new(robots, Needed::by(settings));
@@ -183,13 +182,11 @@ impl FleetState {
     }
 
     /// Robots in the fleet.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.present().count()
     }
 
     /// Whether no robot is in the fleet.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.present().next().is_none()
     }
@@ -200,7 +197,6 @@ impl FleetState {
     }
 
     /// Same as [`crate::Fleet::model_hash`].
-    #[must_use]
     pub fn model_hash(&self) -> u64 {
         self.model_hash
     }

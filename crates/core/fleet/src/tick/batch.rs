@@ -35,7 +35,6 @@ impl Default for Batch {
 impl Batch {
     /// For tiles of this many slots, rounded up to a multiple of 64, which does not affect the bits
     /// of any output.
-    #[must_use]
     pub fn of_slots(slots: usize) -> Self {
         let words = slots.div_ceil(WORD).max(1);
         let slots = words * WORD;

@@ -41,7 +41,6 @@ pub struct Schedule {
 
 impl Schedule {
     /// A schedule that begins at `now_ns`; `period_ns` > 0.
-    #[must_use]
     pub fn new(policy: Policy, period_ns: u64, now_ns: u64) -> Self {
         let period_ns = period_ns.max(1);
         Self {
@@ -57,7 +56,6 @@ impl Schedule {
 
     /// The action at `now_ns`. `first_taken_ns`: when the first frame since the last tick was
     /// taken; `complete`: whether every robot whose sample is due has reported since then.
-    #[must_use]
     pub fn next(&self, now_ns: u64, first_taken_ns: Option<u64>, complete: bool) -> Next {
         let due_ns = match (self.policy, first_taken_ns) {
             (Policy::Timer, _) => self.grid_ns,

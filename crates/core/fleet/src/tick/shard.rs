@@ -77,7 +77,6 @@ pub struct Accounts<'a> {
 impl<'a> Outputs<'a> {
     /// The first `robots` of each, and the rest. A shorter slice, which is not to be written,
     /// belongs to the first.
-    #[must_use]
     pub fn split_at(self, robots: usize) -> (Self, Self) {
         let (forecasts, more_forecasts) = split(self.forecasts, robots);
         let (accounts, more_accounts) = self.accounts.split_at(robots);
@@ -129,20 +128,17 @@ fn split<T>(rows: &mut [T], robots: usize) -> (&mut [T], &mut [T]) {
 
 impl<'a> Shard<'a> {
     /// Number of robots.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.columns.robots()
     }
 
     /// Whether it has no robot.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.columns.words.iter().all(|word| *word == 0)
     }
 
     /// Two shards: the first has at least `robots` robots, if there are as many, and at most 63
     /// more; the second has all others. Places continue from the first to the second.
-    #[must_use]
     pub fn split_at(self, robots: usize) -> (Self, Self) {
         let words = words_of(self.columns.words, robots).end;
         self.split_words(words)

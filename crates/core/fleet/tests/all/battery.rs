@@ -127,8 +127,7 @@ impl Bench {
             .command(0.1, 0.0)
             .reading(power_w, now_ns);
         let sample = change(sample, &self.truth);
-        self.source.send(&mut self.fleet, &[sample], now_ns);
-        self.fleet.tick(now_ns, false);
+        self.source.tick(&mut self.fleet, &[sample], now_ns);
         self.budget()
     }
 
@@ -143,6 +142,11 @@ impl Bench {
         self.budget()
     }
 
+    /// How far the best estimate is from the truth.
+    fn off(&self, shown: &Budget) -> f64 {
+        (f64::from(shown.soc) - self.truth.soc).abs()
+    }
+
     fn raised(&self, alarm: Alarm) -> bool {
         world::diagnostic(&self.fleet, 0).alarms().has(alarm)
     }
@@ -152,6 +156,10 @@ fn plain(sample: Sample, _: &Truth) -> Sample {
     sample
 }
 
+fn charged(sample: Sample, _: &Truth) -> Sample {
+    sample.with(sample_flag::CHARGING | sample_flag::FULL)
+}
+
 fn with_soc(sample: Sample, truth: &Truth) -> Sample {
     sample.state_of_charge(truth.measured())
 }
@@ -159,10 +167,8 @@ fn with_soc(sample: Sample, truth: &Truth) -> Sample {
 fn assert_in_order(budget: &Budget) {
     let shares = [0.0, budget.soc_lo, budget.soc, budget.soc_hi, 1.0];
     assert!(shares.is_sorted(), "{budget:?}");
-    assert!(
-        budget.soc_sd >= 0.0 && budget.sensor_bias_sd >= 0.0,
-        "{budget:?}"
-    );
+    let [sd, bias_sd] = [budget.soc_sd, budget.sensor_bias_sd];
+    assert!(sd >= 0.0 && bias_sd >= 0.0, "{budget:?}");
     let known = budget_flag::BATTERY | budget_flag::LEDGER;
     assert_eq!(budget.flags & known, known, "{budget:?}");
 }
@@ -215,8 +221,7 @@ fn day(battery: Battery, robots: u32, measures: bool) -> (f64, f64) {
             }
             samples.push(sample);
         }
-        source.send(&mut fleet, &samples, now_ns);
-        fleet.tick(now_ns, false);
+        source.tick(&mut fleet, &samples, now_ns);
         if step == 10 * HOUR {
             epoch += 1;
             fleet = restarted(&fleet, battery, robots);
@@ -297,12 +302,8 @@ fn a_metered_charge_is_counted_with_its_sign_and_efficiency() {
         }
         let after = bench.drive(1, plain);
         // The step between two kinds of readings is half of each.
-        let off = (f64::from(after.soc) - bench.truth.soc).abs();
-        assert!(
-            off < 2.0 * 14.0 * STEP_S / CAPACITY_J,
-            "{reading:?}: {after:?}, {:?}",
-            bench.truth
-        );
+        let most = 2.0 * 14.0 * STEP_S / CAPACITY_J;
+        assert!(bench.off(&after) < most, "{reading:?}: {after:?}");
         assert!(after.soc > before.soc + 0.2, "{after:?}");
         assert_eq!(after.metered_ns + after.unmetered_ns, 300 * STEP_NS);
         assert_in_order(&after);
@@ -316,13 +317,9 @@ fn a_full_battery_is_as_full_as_the_config_says_and_only_on_the_charger() {
         ..battery()
     });
     bench.drive(300, plain);
-    let full = bench.send(2.0, |sample, _| {
-        sample.with(sample_flag::CHARGING | sample_flag::FULL)
-    });
-    assert!(
-        (full.soc - 0.97).abs() < 1e-6 && full.soc_lo > 0.94,
-        "{full:?}"
-    );
+    let full = bench.send(2.0, charged);
+    assert!((full.soc - 0.97).abs() < 1e-6, "{full:?}");
+    assert!(full.soc_lo > 0.94, "{full:?}");
     let refused = bench.fleet.drops().total();
     bench.send(2.0, |sample, _| sample.with(sample_flag::FULL));
     assert_eq!(bench.fleet.drops().total(), refused + 1);
@@ -335,16 +332,11 @@ fn a_measured_state_of_charge_narrows_the_bounds_but_not_below_its_own_error() {
     let without = counted.drive(2 * HOUR, plain);
     let with = measured.drive(2 * HOUR, with_soc);
     let width = |budget: &Budget| f64::from(budget.soc_hi - budget.soc_lo);
-    assert!(
-        width(&with) < 0.8 * width(&without),
-        "{with:?}, {without:?}"
-    );
+    let [narrow, wide] = [width(&with), width(&without)];
+    assert!(narrow < 0.8 * wide, "{with:?}, {without:?}");
     // A prior and a sensor of 5 % each give 3.5 %, however often the sensor reports.
     assert!(with.soc_sd > 0.03, "{with:?}");
-    assert!(
-        (f64::from(with.soc) - measured.truth.soc).abs() < 0.02,
-        "{with:?}"
-    );
+    assert!(measured.off(&with) < 0.02, "{with:?}");
     assert!(with.flags & budget_flag::MEASURED != 0);
     assert!(without.flags & budget_flag::MEASURED == 0);
 }
@@ -355,17 +347,11 @@ fn the_sensors_error_is_learned_where_the_charger_says_full() {
     bench.truth.bias = 0.06;
     bench.drive(HOUR, with_soc);
     bench.truth.soc = 1.0;
-    bench.send(2.0, |sample, _| {
-        sample.with(sample_flag::CHARGING | sample_flag::FULL)
-    });
+    bench.send(2.0, charged);
     // Above its upper end a sensor is useless: its error shows below.
     let after = bench.drive(2 * HOUR, with_soc);
     assert!(after.sensor_bias > 0.02, "{after:?}");
-    assert!(
-        (f64::from(after.soc) - bench.truth.soc).abs() < 0.04,
-        "{after:?}, {:?}",
-        bench.truth
-    );
+    assert!(bench.off(&after) < 0.04, "{after:?}, {:?}", bench.truth);
 }
 
 #[test]
@@ -380,12 +366,8 @@ fn a_measured_state_of_charge_out_of_range_is_refused_and_counted() {
         let mut bench = Bench::new(battery());
         let before = bench.drive(10, with_soc);
         let shown = bench.send(4.0, |sample, _| sample.state_of_charge(soc));
-        let drops: Vec<_> = bench
-            .fleet
-            .drops()
-            .iter()
-            .map(|it| (it.0.name(), it.1))
-            .collect();
+        let drops = bench.fleet.drops();
+        let drops: Vec<_> = drops.iter().map(|it| (it.0.name(), it.1)).collect();
         assert_eq!(drops, [(reason, 1)], "{soc}");
         assert!(shown.soc <= before.soc, "{soc}");
         assert_in_order(&shown);
@@ -397,11 +379,8 @@ fn a_measured_state_of_charge_out_of_range_is_refused_and_counted() {
     }
     let mut bench = Bench::new(battery());
     bench.drive(10, |sample, _| sample.state_of_charge(1.04));
-    assert_eq!(
-        bench.fleet.drops().total(),
-        0,
-        "a little more than full is full"
-    );
+    // A little more than full is full.
+    assert_eq!(bench.fleet.drops().total(), 0);
 }
 
 #[test]
@@ -414,10 +393,8 @@ fn a_stuck_sensor_is_noticed_and_the_count_goes_on() {
         let truth = bench.truth.soc as f32;
         assert!(truth < 0.1, "the battery is nearly empty: {truth}");
         assert!(bench.raised(Alarm::SocImplausible), "{stuck}: {shown:?}");
-        assert!(
-            shown.soc_lo <= truth && truth <= shown.soc_hi,
-            "{stuck}: {shown:?}, {truth}"
-        );
+        let bounds = shown.soc_lo..=shown.soc_hi;
+        assert!(bounds.contains(&truth), "{stuck}: {shown:?}, {truth}");
         assert!(bench.raised(Alarm::BatteryLow), "{stuck}: {shown:?}");
     }
 }
@@ -434,10 +411,8 @@ fn a_jumping_sensor_is_not_followed() {
             sample.state_of_charge((truth.measured() + off).clamp(0.0, 1.0))
         });
         let (shown, truth) = (bench.budget(), bench.truth.soc as f32);
-        assert!(
-            shown.soc_lo <= truth && truth <= shown.soc_hi,
-            "{every}: {shown:?}, {truth}"
-        );
+        let bounds = shown.soc_lo..=shown.soc_hi;
+        assert!(bounds.contains(&truth), "{every}: {shown:?}, {truth}");
         assert_eq!(shown.battery_changes, 0, "{every}");
         let back = bench.drive(200, with_soc);
         assert!(!bench.raised(Alarm::SocImplausible), "{every}: {back:?}");
@@ -475,19 +450,14 @@ fn an_exchanged_battery_is_noticed_after_a_gap_and_at_once_if_the_robot_says_so(
     // Without a measured value, as full as the first.
     bench.drive(HOUR, plain);
     let shown = bench.send(4.0, |sample, _| sample.with(sample_flag::SWAPPED));
-    assert!(
-        (shown.soc - 0.9).abs() < 1e-3 && shown.battery_changes == 2,
-        "{shown:?}"
-    );
+    assert!((shown.soc - 0.9).abs() < 1e-3, "{shown:?}");
+    assert_eq!(shown.battery_changes, 2, "{shown:?}");
     // In the middle of driving: once it is clear that the value moves with the energy drawn.
     bench.drive(2 * HOUR, with_soc);
     bench.truth.soc = 0.95;
     let shown = bench.drive(60, with_soc);
     assert_eq!(shown.battery_changes, 3, "{shown:?}");
-    assert!(
-        (shown.soc - bench.truth.soc as f32).abs() < 0.1,
-        "{shown:?}"
-    );
+    assert!(bench.off(&shown) < 0.1, "{shown:?}");
 }
 
 #[test]
@@ -508,17 +478,12 @@ fn a_voltage_gives_the_state_of_charge_where_nothing_else_does() {
     };
     let shown = bench.drive(200, |sample, truth| {
         let current_a = 0.35;
-        sample.battery(
-            (voltage(truth.soc) - 0.1 * current_a) as f32,
-            current_a as f32,
-        )
+        let voltage_v = voltage(truth.soc) - 0.1 * current_a;
+        sample.battery(voltage_v as f32, current_a as f32)
     });
-    let truth = bench.truth.soc as f32;
-    assert!((shown.soc - truth).abs() < 0.05, "{shown:?}, {truth}");
-    assert!(
-        shown.soc_sd > 0.04 && shown.flags & budget_flag::MEASURED != 0,
-        "{shown:?}"
-    );
+    assert!(bench.off(&shown) < 0.05, "{shown:?}, {:?}", bench.truth);
+    assert!(shown.soc_sd > 0.04, "{shown:?}");
+    assert!(shown.flags & budget_flag::MEASURED != 0, "{shown:?}");
     // Far outside the table a voltage gives no charge.
     let before = bench.budget();
     let shown = bench.drive(10, |sample, _| sample.battery(3.0, 0.3));
@@ -541,13 +506,10 @@ fn levels_are_raised_below_their_thresholds_and_cleared_a_band_above() {
     let mut seen = [false; 2];
     for step in 0..800 {
         let charging = step >= 400;
-        let shown = bench.send(if charging { -5.0 } else { 5.0 }, |sample, _| {
-            if charging {
-                sample.with(sample_flag::CHARGING)
-            } else {
-                sample
-            }
-        });
+        let shown = match charging {
+            true => bench.send(-5.0, |sample, _| sample.with(sample_flag::CHARGING)),
+            false => bench.send(5.0, plain),
+        };
         let now = [Alarm::BatteryLow, Alarm::BatteryCritical].map(|alarm| bench.raised(alarm));
         if now != seen {
             changes.push((now, (100.0 * shown.soc).round()));
@@ -583,14 +545,10 @@ fn a_robot_cannot_return_when_less_than_it_needs_is_certainly_left() {
     });
     assert!(steps.is_some());
     let shown = bench.budget();
-    assert!(
-        (f64::from(shown.soc_lo) * CAPACITY_J - 9_000.0).abs() < 25.0,
-        "{shown:?}"
-    );
-    assert!(
-        shown.soc > 0.3,
-        "well before the best estimate does: {shown:?}"
-    );
+    let least_j = f64::from(shown.soc_lo) * CAPACITY_J;
+    assert!((least_j - 9_000.0).abs() < 25.0, "{shown:?}");
+    // Well before the best estimate does.
+    assert!(shown.soc > 0.3, "{shown:?}");
     // By the planner, sample by sample: the robot is near its charger after all.
     bench.send(4.0, |sample, _| sample.return_energy(500.0));
     assert!(!bench.raised(Alarm::CannotReturn));
@@ -618,10 +576,8 @@ fn levels_of_a_silent_robot_are_raised_as_its_budget_falls() {
             let raised = bench.raised(Alarm::CannotReturn);
             // The row has f32.
             let spare_j = f64::from(shown.soc_lo) * CAPACITY_J - needed_j;
-            assert!(
-                raised == (spare_j < 0.0) || spare_j.abs() < 0.1,
-                "{shown:?}"
-            );
+            let is_right = raised == (spare_j < 0.0) || spare_j.abs() < 0.1;
+            assert!(is_right, "{shown:?}");
             raised
         })
         .collect();
@@ -642,10 +598,8 @@ fn a_restarted_worker_continues_and_the_gap_is_charged_at_maximum_power() {
     let after = bench.send(4.0, plain);
     let dark_s = 3.0 * STEP_S;
     let lowest = f64::from(before.soc_lo) - dark_s * f64::from(POWER_MAX_W) / CAPACITY_J;
-    assert!(
-        (f64::from(after.soc_lo) - lowest).abs() < 1e-4,
-        "{after:?}, {before:?}"
-    );
+    let off = (f64::from(after.soc_lo) - lowest).abs();
+    assert!(off < 1e-4, "{after:?}, {before:?}");
     assert!(after.soc_hi <= before.soc_hi + 1e-6 + 0.1, "{after:?}");
     assert_eq!(after.flags & budget_flag::MEASURED, budget_flag::MEASURED);
     assert_eq!(after.sensor_bias, before.sensor_bias);
@@ -657,8 +611,7 @@ fn a_restarted_worker_continues_and_the_gap_is_charged_at_maximum_power() {
     fleet.restore(0, ledger, false, SavedBattery::of(&nonsense));
     let mut source = Source::new(1, 3);
     let sample = Sample::new(0, 1, bench.now_ns() + STEP_NS).reading(4.0, bench.now_ns());
-    source.send(&mut fleet, &[sample], sample.stamp_ns);
-    fleet.tick(sample.stamp_ns, false);
+    source.tick(&mut fleet, &[sample], sample.stamp_ns);
     let shown = world::budget(&fleet, 0);
     assert!(shown.soc_lo < 0.01 && shown.soc_hi > 0.99, "{shown:?}");
 }

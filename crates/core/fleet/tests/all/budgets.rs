@@ -13,8 +13,7 @@ const START_NS: u64 = 60_000 * MS;
 const POWER_MAX_W: f64 = 20.0;
 
 fn send(fleet: &mut Fleet, source: &mut Source, sample: Sample) -> Budget {
-    source.send(fleet, &[sample], sample.stamp_ns);
-    fleet.tick(sample.stamp_ns, false);
+    source.tick(fleet, &[sample], sample.stamp_ns);
     budget(fleet, ROBOT)
 }
 
@@ -33,33 +32,37 @@ fn warm() -> (Fleet, Source, Budget) {
 
 /// Conservative bounds are below the best estimate, and all are within the battery.
 fn assert_in_order(budget: &Budget) {
-    let Battery { capacity_j, .. } = battery();
-    assert!(
-        0.0 <= budget.usable_lo_j && budget.usable_lo_j <= budget.usable_j,
-        "{budget:?}"
-    );
-    assert!(budget.usable_j <= budget.left_j, "{budget:?}");
-    assert!(f64::from(budget.left_j) <= capacity_j, "{budget:?}");
-    assert!(
-        0.0 <= budget.soc_lo && budget.soc_lo <= budget.soc,
-        "{budget:?}"
-    );
-    assert!(
-        budget.soc <= budget.soc_hi && budget.soc_hi <= 1.0,
-        "{budget:?}"
-    );
+    let full_j = battery().capacity_j as f32;
+    let energies = [
+        0.0,
+        budget.usable_lo_j,
+        budget.usable_j,
+        budget.left_j,
+        full_j,
+    ];
+    let shares = [0.0, budget.soc_lo, budget.soc, budget.soc_hi, 1.0];
+    assert!(energies.is_sorted() && shares.is_sorted(), "{budget:?}");
+    let [lo_s, hi_s] = [budget.time_to_empty_lo_s, budget.time_to_empty_hi_s];
     if budget.flags & budget_flag::TIME_TO_EMPTY != 0 {
         assert!(
-            budget.time_to_empty_lo_s <= budget.time_to_empty_s,
-            "{budget:?}"
-        );
-        assert!(
-            budget.time_to_empty_s <= budget.time_to_empty_hi_s,
+            [lo_s, budget.time_to_empty_s, hi_s].is_sorted(),
             "{budget:?}"
         );
     } else {
         assert!(budget.time_to_empty_s.is_nan(), "{budget:?}");
     }
+}
+
+/// The lower bound of the usable energy is `spent_s` of the greatest power below that of `start`.
+fn assert_spent(shown: &Budget, start: &Budget, spent_s: f64) {
+    let expected = f64::from(start.usable_lo_j) - spent_s * POWER_MAX_W;
+    let off = (f64::from(shown.usable_lo_j) - expected).abs();
+    assert!(off < 0.01, "{shown:?}, {expected}");
+}
+
+/// Periods, s.
+fn seconds(periods: u64) -> f64 {
+    (periods * PERIOD_NS) as f64 * 1e-9
 }
 
 #[test]
@@ -81,14 +84,9 @@ fn the_budget_follows_from_the_ledger() {
     let usable_lo_j = capacity_j * (initial_soc_lo - reserve) - shown.drawn_j();
     let near = |found: f32, expected: f64| (f64::from(found) - expected).abs() < 1e-3;
     assert!(near(shown.usable_j, usable_j), "{shown:?}, {usable_j}");
-    assert!(
-        near(shown.usable_lo_j, usable_lo_j),
-        "{shown:?}, {usable_lo_j}"
-    );
-    assert_eq!(
-        shown.flags,
-        budget_flag::BATTERY | budget_flag::TIME_TO_EMPTY | budget_flag::LEDGER
-    );
+    assert!(near(shown.usable_lo_j, usable_lo_j), "{shown:?}");
+    let flags = budget_flag::BATTERY | budget_flag::TIME_TO_EMPTY | budget_flag::LEDGER;
+    assert_eq!(shown.flags, flags);
     assert_in_order(&shown);
 }
 
@@ -99,24 +97,16 @@ fn silence_is_charged_at_maximum_power_and_returning_raises_nothing() {
     for step in 31..90 {
         fleet.tick(START_NS + step * PERIOD_NS, false);
         let shown = budget(&fleet, ROBOT);
-        assert!(
-            shown.usable_lo_j < before.usable_lo_j,
-            "step {step}: {shown:?}"
-        );
-        assert!(shown.usable_j < before.usable_j, "step {step}: {shown:?}");
-        let silent_s = (step - 30) as f64 * PERIOD_NS as f64 * 1e-9;
-        let expected = f64::from(start.usable_lo_j) - silent_s * POWER_MAX_W;
-        assert!(
-            (f64::from(shown.usable_lo_j) - expected).abs() < 0.01,
-            "step {step}: {shown:?}"
-        );
+        assert!(shown.usable_lo_j < before.usable_lo_j, "{step}: {shown:?}");
+        assert!(shown.usable_j < before.usable_j, "{step}: {shown:?}");
+        assert_spent(&shown, &start, seconds(step - 30));
         assert_in_order(&shown);
         before = shown;
     }
     let back = send(&mut fleet, &mut source, at(90));
     assert!(
         back.usable_lo_j <= before.usable_lo_j,
-        "{back:?}, before {before:?}"
+        "{back:?}, {before:?}"
     );
     assert_eq!(back.unmetered_ns, 61 * PERIOD_NS);
 }
@@ -139,12 +129,9 @@ fn refused_or_missing_input_lowers_the_budget_like_silence() {
             spoil(&mut sample);
             let shown = send(&mut fleet, &mut source, sample);
             // One period of tolerance: the robot may just be late.
+            let (now, last) = (shown.usable_lo_j, before.usable_lo_j);
             assert!(
-                shown.usable_lo_j <= before.usable_lo_j,
-                "{what}, step {step}"
-            );
-            assert!(
-                step == 30 || shown.usable_lo_j < before.usable_lo_j,
+                now < last || step == 30 && now == last,
                 "{what}, step {step}"
             );
             assert_eq!(shown.metered_ns, start.metered_ns, "{what}, step {step}");
@@ -152,21 +139,10 @@ fn refused_or_missing_input_lowers_the_budget_like_silence() {
             before = shown;
         }
         let back = send(&mut fleet, &mut source, at(60));
-        assert!(
-            back.usable_lo_j <= before.usable_lo_j,
-            "{what}: {back:?}, before {before:?}"
-        );
-        let unknown_s = (31 * PERIOD_NS) as f64 * 1e-9;
-        let expected = f64::from(start.usable_lo_j) - unknown_s * POWER_MAX_W;
-        assert!(
-            (f64::from(back.usable_lo_j) - expected).abs() < 0.01,
-            "{what}: {back:?}"
-        );
-        assert_eq!(
-            back.metered_ns + back.unmetered_ns,
-            60 * PERIOD_NS,
-            "{what}"
-        );
+        assert!(back.usable_lo_j <= before.usable_lo_j, "{what}: {back:?}");
+        assert_spent(&back, &start, seconds(31));
+        let account_ns = back.metered_ns + back.unmetered_ns;
+        assert_eq!(account_ns, 60 * PERIOD_NS, "{what}");
     }
 }
 
@@ -178,10 +154,8 @@ fn a_charge_that_is_not_metered_widens_the_range_to_what_it_may_have_stored() {
     let lo = charging.soc_lo;
     let charging = send(&mut fleet, &mut source, at(31).with(sample_flag::CHARGING));
     assert_in_order(&charging);
-    assert!(
-        charging.soc_hi == 1.0 && charging.soc_lo <= lo,
-        "{charging:?}"
-    );
+    let [soc_lo, soc_hi] = [charging.soc_lo, charging.soc_hi];
+    assert!(soc_hi == 1.0 && soc_lo <= lo, "{charging:?}");
     assert!(charging.time_to_empty_s.is_nan(), "{charging:?}");
     let after = send(&mut fleet, &mut source, at(32));
     assert_eq!(after.charge_state(), ChargeState::Discharging);
@@ -219,17 +193,14 @@ fn without_a_battery_or_an_accepted_sample_nothing_is_published() {
     let mut refused = at(0);
     refused.power_w = f32::NAN;
     let shown = send(&mut fleet, &mut source, refused);
-    assert_eq!(
-        (shown.flags, shown.charge_state()),
-        (0, ChargeState::Unknown)
-    );
+    assert_eq!(shown.flags, 0);
+    assert_eq!(shown.charge_state(), ChargeState::Unknown);
     assert!(shown.usable_lo_j.is_nan() && shown.left_j.is_nan());
-    source.send(
+    source.tick(
         &mut fleet,
         &[healthy(207, 0, START_NS, PERIOD_NS)],
         START_NS,
     );
-    fleet.tick(START_NS, false);
     assert_unknown(&budget(&fleet, 207));
 }
 
@@ -247,31 +218,17 @@ fn a_restored_account_continues_and_the_gap_is_charged_at_maximum_power() {
     assert!(fleet.restore(8, account, false, None));
     let battery = SavedBattery::of(&saved);
     assert!(fleet.restore(ROBOT, account, false, battery));
-    assert!(
-        fleet.restore(ROBOT, account, false, battery),
-        "a stored account can be replaced"
-    );
-    assert!(
-        !fleet.restore(9, account, false, None),
-        "there is capacity for two: the oldest is dropped"
-    );
+    // A stored account can be replaced. There is capacity for two: the oldest is dropped.
+    assert!(fleet.restore(ROBOT, account, false, battery));
+    assert!(!fleet.restore(9, account, false, None));
     assert!(fleet.ledger(8).is_none());
     let back = send(&mut fleet, &mut Source::new(1, 2), at(129));
-    assert_eq!(
-        (back.drawn_uj, back.drawn_remainder),
-        (saved.drawn_uj, saved.drawn_remainder)
-    );
+    let drawn = |budget: &Budget| (budget.drawn_uj, budget.drawn_remainder);
+    assert_eq!(drawn(&back), drawn(&saved));
     assert_eq!(back.unmetered_ns, 100 * PERIOD_NS);
-    let away_s = (100 * PERIOD_NS) as f64 * 1e-9;
-    let expected = f64::from(saved.usable_lo_j) - away_s * POWER_MAX_W;
-    assert!(
-        (f64::from(back.usable_lo_j) - expected).abs() < 0.01,
-        "{back:?}"
-    );
+    assert_spent(&back, &saved, seconds(100));
 }
 
-/// The model forecasts around 3.65 W; the interval of a robot that draws far less for long excludes
-/// the forecast, and its time to empty must still be conservative.
 #[test]
 fn a_persistent_bias_never_inverts_the_conservative_bound() {
     for power_w in [0.5, 19.0] {
@@ -292,8 +249,7 @@ fn regeneration_fills_a_battery_no_further_than_full() {
         let now_ns = START_NS + step * world::SLOW_NS;
         let mut sample = healthy(107, step, now_ns, world::SLOW_NS);
         sample.power_w = -9.0;
-        source.send(&mut fleet, &[sample], now_ns);
-        fleet.tick(now_ns, false);
+        source.tick(&mut fleet, &[sample], now_ns);
         assert_in_order(&budget(&fleet, 107));
     }
     assert_eq!(budget(&fleet, 107).left_j, battery().capacity_j as f32);

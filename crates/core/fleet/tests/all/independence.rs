@@ -35,11 +35,9 @@ fn alone(samples: &[Sample], end_ns: u64) -> Bits {
     let (mut fleet, mut source) = (fleet(1), Source::new(1, 1));
     let (last, before) = samples.split_last().expect("it has sent samples");
     for sample in before {
-        source.send(&mut fleet, &[*sample], sample.stamp_ns);
-        fleet.tick(sample.stamp_ns, false);
+        source.tick(&mut fleet, &[*sample], sample.stamp_ns);
     }
-    source.send(&mut fleet, &[*last], end_ns);
-    fleet.tick(end_ns, false);
+    source.tick(&mut fleet, &[*last], end_ns);
     bits(&fleet, last.robot).expect("it has sent samples")
 }
 
@@ -79,8 +77,7 @@ proptest! {
         }
         prop_assert_eq!(fleet.drops().total(), 0);
         let last: Vec<Sample> = all.iter().map(|samples| samples[0]).collect();
-        source.send(&mut fleet, &last, end_ns);
-        fleet.tick(end_ns, false);
+        source.tick(&mut fleet, &last, end_ns);
         for (id, expected) in ids.iter().zip(expected) {
             prop_assert_eq!(bits(&fleet, *id), Some(expected), "robot {}", id);
         }
@@ -127,8 +124,7 @@ fn run(
                     sample
                 })
                 .collect();
-            source.send(fleet, &frame, now_ns);
-            fleet.tick(now_ns, false);
+            source.tick(fleet, &frame, now_ns);
             robots.iter().map(|robot| bits(fleet, *robot)).collect()
         })
         .collect()
@@ -191,8 +187,7 @@ fn robots_beyond_the_capacity_change_no_bit_of_the_others() {
 fn a_reassigned_slot_has_no_state_of_its_last_robot_and_accounts_continue() {
     let (mut fleet, mut source) = (fleet(2), Source::new(1, 1));
     let mut send = |fleet: &mut Fleet, robot: u32, step: u64, now_ns: u64| {
-        source.send(fleet, &[healthy(robot, step, now_ns, PERIOD_NS)], now_ns);
-        fleet.tick(now_ns, false);
+        source.tick(fleet, &[healthy(robot, step, now_ns, PERIOD_NS)], now_ns);
     };
     for step in 0..20 {
         send(&mut fleet, ROBOT, step, START_NS + step * PERIOD_NS);
@@ -257,8 +252,7 @@ fn the_first_owner_keeps_the_robot_and_the_second_source_changes_no_bit() {
         );
         let mut foreign = healthy(ROBOT, 1_000 + step, now_ns + 1, PERIOD_NS);
         foreign.power_w = if step % 2 == 0 { f32::NAN } else { 9.0 };
-        intruder.send(&mut fleet, &[foreign], now_ns);
-        fleet.tick(now_ns, false);
+        intruder.tick(&mut fleet, &[foreign], now_ns);
         assert_eq!(
             bits(&fleet, ROBOT),
             expected[step as usize][0],
@@ -275,12 +269,10 @@ fn the_first_owner_keeps_the_robot_and_the_second_source_changes_no_bit() {
 #[test]
 fn a_robot_without_a_slot_gets_one_when_another_leaves() {
     let (mut fleet, mut source) = (fleet(1), Source::new(1, 1));
-    source.send(&mut fleet, &[healthy(1, 0, START_NS, PERIOD_NS)], START_NS);
-    fleet.tick(START_NS, false);
+    source.tick(&mut fleet, &[healthy(1, 0, START_NS, PERIOD_NS)], START_NS);
     for step in 1..200 {
         let now_ns = START_NS + step * PERIOD_NS;
-        source.send(&mut fleet, &[healthy(2, step, now_ns, PERIOD_NS)], now_ns);
-        fleet.tick(now_ns, false);
+        source.tick(&mut fleet, &[healthy(2, step, now_ns, PERIOD_NS)], now_ns);
         let stale = Quality::Invalid(InvalidReason::Stale);
         assert!(place(&fleet, 1).is_none() || step < 31 || forecast(&fleet, 1).quality() == stale);
     }
@@ -310,8 +302,7 @@ fn a_robots_output_in_a_fleet_of_several_tiles_is_the_same_as_alone() {
                 .filter(sends)
                 .map(|robot| healthy(*robot, step, now_ns, PERIOD_NS))
                 .collect();
-            source.send(fleet, &frame, now_ns);
-            fleet.tick(now_ns, false);
+            source.tick(fleet, &frame, now_ns);
         }
     };
     let mut together = build(ROBOTS);

@@ -66,8 +66,7 @@ fn impossible_samples_of_any_number_of_robots_cost_no_departed_robot_its_account
     for step in 0..20 {
         now_ns += PERIOD_NS;
         let sample = healthy(LIVING, step, now_ns, PERIOD_NS);
-        real.send(&mut fleet, &[sample], now_ns);
-        fleet.tick(now_ns, false);
+        real.tick(&mut fleet, &[sample], now_ns);
     }
     let account = fleet.ledger(LIVING).unwrap();
     assert_eq!(account.metered_ns, 19 * PERIOD_NS);
@@ -87,8 +86,7 @@ fn impossible_samples_of_any_number_of_robots_cost_no_departed_robot_its_account
             })
             .map(|sample| sample.reading(wrong, now_ns))
             .collect();
-        liar.send(&mut fleet, &impossible, now_ns);
-        fleet.tick(now_ns, false);
+        liar.tick(&mut fleet, &impossible, now_ns);
         let kept = fleet.ledger(LIVING);
         assert_eq!(kept, Some(account), "step {step}");
     }

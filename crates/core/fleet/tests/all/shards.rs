@@ -4,10 +4,7 @@
 use joulebus_fleet::{Accounts, Batch, Fleet, Outputs, Shard};
 use joulebus_predictor::Kernel;
 use joulebus_testkit_fleets::random::Noise;
-use joulebus_testkit_fleets::{
-    self as world, MS, PERIOD_NS, SLOW_NS, Source, budget_bits, diagnostic_bits, forecast_bits,
-    healthy, plan_state_bits,
-};
+use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, SLOW_NS, Source, healthy, row_bits};
 use joulebus_wire::{Budget, Diagnostic, Forecast, PlanState, Sample, sample_flag};
 use proptest::prelude::*;
 
@@ -119,15 +116,15 @@ proptest! {
             };
             scatter(shared.shard(), outputs, noise.next_u64(), depth);
             for place in 0..robots {
-                let expected = forecast_bits(&whole.forecast(place));
-                prop_assert_eq!(&forecast_bits(&forecasts[place]), &expected, "step {}", step);
-                prop_assert_eq!(forecast_bits(&shared.forecast(place)), expected);
-                let expected = diagnostic_bits(&whole.diagnostic(place));
-                prop_assert_eq!(diagnostic_bits(&diagnostics[place]), expected, "step {}", step);
-                let expected = budget_bits(&whole.budget(place));
-                prop_assert_eq!(budget_bits(&budgets[place]), expected, "step {}", step);
-                let expected = plan_state_bits(&whole.plan_state(place));
-                prop_assert_eq!(plan_state_bits(&plan_states[place]), expected, "step {}", step);
+                let expected = row_bits(&whole.forecast(place));
+                prop_assert_eq!(&row_bits(&forecasts[place]), &expected, "step {}", step);
+                prop_assert_eq!(row_bits(&shared.forecast(place)), expected);
+                let expected = row_bits(&whole.diagnostic(place));
+                prop_assert_eq!(row_bits(&diagnostics[place]), expected, "step {}", step);
+                let expected = row_bits(&whole.budget(place));
+                prop_assert_eq!(row_bits(&budgets[place]), expected, "step {}", step);
+                let expected = row_bits(&whole.plan_state(place));
+                prop_assert_eq!(row_bits(&plan_states[place]), expected, "step {}", step);
             }
             if step > 100 {
                 lengths = (lengths.0.min(robots), lengths.1.max(robots));

@@ -23,8 +23,7 @@ fn fleet(robots: u32) -> Fleet {
         let now_ns = START_NS + step * PERIOD_NS;
         let sample = |robot| -> Sample { healthy(robot, step, now_ns, PERIOD_NS) };
         let frame: Vec<Sample> = (0..robots).map(sample).collect();
-        source.send(&mut fleet, &frame, now_ns);
-        fleet.tick(now_ns, false);
+        source.tick(&mut fleet, &frame, now_ns);
     }
     fleet
 }

@@ -217,6 +217,8 @@ impl Check<'_> {
 mod tests {
     use std::fs;
 
+    use joulebus_testkit::cases;
+
     use super::*;
 
     const FLEET: &str = "[fleet]\nname = \"lab\"\ncapacity = 20\n\
@@ -251,57 +253,38 @@ mod tests {
 
     #[test]
     fn what_is_wrong_is_named_with_its_line() {
-        for (from, to, line, expected) in [
-            ("broker =", "borker =", 5, "unknown field `borker`"),
-            ("\"localhost:1883\"", "\"localhost\"", 5, "host:port"),
-            ("\"localhost:1883\"", "1883", 5, "invalid type"),
-            ("lifter = 7", "lifter = 17", 1, "17"),
-            ("lifter = 7", "lifter = 2", 3, "second name"),
-            ("lifter = 7", "lifter = true", 3, "boolean"),
-            ("\"mW\"", "\"mA\"", 9, "allowed are W, mW, kW"),
-            ("fleet/{robot}/power", "fleet/power", 7, "{robot}"),
-            ("fleet/{robot}/power", "fleet/#/{robot}", 7, "wildcard"),
-            ("fleet/{robot}/power", "jb/{robot}", 11, "reads it too"),
-            ("jb/{robot}", "jb/+/{robot}", 11, "wildcard"),
-            ("jb/{robot}", "jb", 11, "lacks {robot}"),
-            (
-                "power = {",
-                "power_of_current = true\npower = {",
-                9,
-                "voltage",
-            ),
-            ("at = \"power\"", "at = \"/a~2\"", 9, "pointer"),
-            ("\"forecast\"", "\"forecasts\"", 12, "unknown variant"),
-            ("\"forecast\"", "\"forecast\"\nevery_s = nan", 13, "NaN"),
-            ("\"forecast\"", "\"status\"", 11, "not of one robot"),
-            (
-                "\"forecast\"",
-                "\"forecast\"\n[mqtt.write.fields]\nx = { value = \"watt\" }",
-                14,
-                "power_w",
-            ),
-            (
-                "\"forecast\"",
-                "\"forecast\"\n[mqtt.write.fields]\nx = { value = \"soc\", unit = \"W\" }",
-                14,
-                "share, %",
-            ),
-            (
-                "\"forecast\"",
-                "\"forecast\"\n[mqtt.write.fields]\nx = { value = \"soc\" }\n\"/x/y\" = { value = \"soc\" }",
-                14,
-                "within",
-            ),
-            (
-                "[mqtt]",
-                "[bridge]\nreading_holds_s = 0\n[mqtt]",
-                5,
-                "0.01 to 3600",
-            ),
-            ("[mqtt]", "[bridge]\nname = \"a/b\"\n[mqtt]", 5, "a/b"),
-            ("[mqtt]", "[mqtt]\nusername = \"joe\"", 5, "password_file"),
-            ("[mqtt]", "[mqtt]\nkeep_alive_s = 0", 5, "5 to 3600"),
-        ] {
+        for case in cases(
+            r#"
+            broker = | borker = | 5 | unknown field `borker`
+            "localhost:1883" | "localhost" | 5 | host:port
+            "localhost:1883" | 1883 | 5 | invalid type
+            lifter = 7 | lifter = 17 | 1 | 17
+            lifter = 7 | lifter = 2 | 3 | second name
+            lifter = 7 | lifter = true | 3 | boolean
+            "mW" | "mA" | 9 | allowed are W, mW, kW
+            fleet/{robot}/power | fleet/power | 7 | {robot}
+            fleet/{robot}/power | fleet/#/{robot} | 7 | wildcard
+            fleet/{robot}/power | jb/{robot} | 11 | reads it too
+            jb/{robot} | jb/+/{robot} | 11 | wildcard
+            jb/{robot} | jb | 11 | lacks {robot}
+            power = { | power_of_current = true\npower = { | 9 | voltage
+            at = "power" | at = "/a~2" | 9 | pointer
+            "forecast" | "forecasts" | 12 | unknown variant
+            "forecast" | "forecast"\nevery_s = nan | 13 | NaN
+            "forecast" | "status" | 11 | not of one robot
+            "forecast" | "forecast"\n[mqtt.write.fields]\nx = { value = "watt" } | 14 | power_w
+            "forecast" | "forecast"\n[mqtt.write.fields]\nx = { value = "soc", unit = "W" } | 14 | share, %
+            "forecast" | "forecast"\n[mqtt.write.fields]\nx = { value = "soc" }\n"/x/y" = { value = "soc" } | 14 | within
+            [mqtt] | [bridge]\nreading_holds_s = 0\n[mqtt] | 5 | 0.01 to 3600
+            [mqtt] | [bridge]\nname = "a/b"\n[mqtt] | 5 | a/b
+            [mqtt] | [mqtt]\nusername = "joe" | 5 | password_file
+            [mqtt] | [mqtt]\nkeep_alive_s = 0 | 5 | 5 to 3600
+            "#,
+        ) {
+            let [from, to, line, expected] = case.as_slice() else {
+                panic!("{case:?}");
+            };
+            let line: usize = line.parse().unwrap();
             let text = GOOD.replacen(from, to, 1);
             assert_ne!(text, GOOD);
             let refused = load(&text).expect_err(to);
@@ -335,56 +318,32 @@ mod tests {
 
     #[test]
     fn what_is_wrong_for_ros_2_is_named_with_its_line() {
-        for (from, to, line, expected) in [
-            ("domain_id = 7", "domain_id = 233", 5, "0 to 232"),
-            ("domain_id = 7", "domain = 7", 5, "unknown field"),
-            ("127.0.0.1", "lo", 6, "invalid IPv4 address"),
-            (
-                "/{fleet}/{robot}/battery",
-                "/{robot}/7b",
-                8,
-                "no topic of ROS 2",
-            ),
-            (
-                "/{fleet}/{robot}/battery",
-                "{robot}/b",
-                8,
-                "no topic of ROS 2",
-            ),
-            ("/{fleet}/{robot}/battery", "/battery", 8, "lacks {robot}"),
-            ("/{fleet}/{robot}/battery", "/+/{robot}", 8, "wildcard"),
-            ("lifter = 7", "lif-ter = 7", 8, "/lab/lif-ter/battery"),
-            ("BatteryState", "Batteries", 9, "nav_msgs/msg/Odometry"),
-            (
-                "\"sensor_msgs/msg/BatteryState\"",
-                "\"geometry_msgs/msg/Twist\"\npower_of = \"load\"",
-                9,
-                "no current",
-            ),
-            (
-                "BatteryState\"",
-                "BatteryState\"\npercentage_unit = \"W\"",
-                10,
-                "share, %",
-            ),
-            ("power_w", "watt", 12, "is no value"),
-            ("\"power_w\"", "\"name\"", 12, "is no number"),
-            ("\"mW\"", "\"mA\"", 13, "allowed are W"),
-            ("unit = \"mW\"", "every_s = 0", 13, "0.02 to 3600"),
-            ("\"value\"", "\"forecast\"", 12, "belongs to"),
-            (
-                "unit = \"mW\"",
-                "topic = \"/lab/{robot}/battery\"",
-                4,
-                "both name",
-            ),
-            (
-                "\"diagnostics\"",
-                "\"diagnostics\"\nunit = \"W\"",
-                16,
-                "belongs to",
-            ),
-        ] {
+        for case in cases(
+            r#"
+            domain_id = 7 | domain_id = 233 | 5 | 0 to 232
+            domain_id = 7 | domain = 7 | 5 | unknown field
+            127.0.0.1 | lo | 6 | invalid IPv4 address
+            /{fleet}/{robot}/battery | /{robot}/7b | 8 | no topic of ROS 2
+            /{fleet}/{robot}/battery | {robot}/b | 8 | no topic of ROS 2
+            /{fleet}/{robot}/battery | /battery | 8 | lacks {robot}
+            /{fleet}/{robot}/battery | /+/{robot} | 8 | wildcard
+            lifter = 7 | lif-ter = 7 | 8 | /lab/lif-ter/battery
+            BatteryState | Batteries | 9 | nav_msgs/msg/Odometry
+            "sensor_msgs/msg/BatteryState" | "geometry_msgs/msg/Twist"\npower_of = "load" | 9 | no current
+            BatteryState" | BatteryState"\npercentage_unit = "W" | 10 | share, %
+            power_w | watt | 12 | is no value
+            "power_w" | "name" | 12 | is no number
+            "mW" | "mA" | 13 | allowed are W
+            unit = "mW" | every_s = 0 | 13 | 0.02 to 3600
+            "value" | "forecast" | 12 | belongs to
+            unit = "mW" | topic = "/lab/{robot}/battery" | 4 | both name
+            "diagnostics" | "diagnostics"\nunit = "W" | 16 | belongs to
+            "#,
+        ) {
+            let [from, to, line, expected] = case.as_slice() else {
+                panic!("{case:?}");
+            };
+            let line: usize = line.parse().unwrap();
             let text = ROS.replacen(from, to, 1);
             assert_ne!(text, ROS, "{from}");
             let refused = load(&text).expect_err(to);

@@ -121,47 +121,37 @@ fn check(text: &str) -> Result<(), TopicError> {
 
 #[cfg(test)]
 mod tests {
+    use joulebus_testkit::cases;
     use proptest::prelude::*;
 
     use super::*;
 
     #[test]
     fn a_pattern_finds_the_robot_in_topics_that_match() {
-        for (pattern, filter, topic, found) in [
-            (
-                "fleet/{robot}/power",
-                "fleet/+/power",
-                "fleet/a/power",
-                Some(Some("a")),
-            ),
-            (
-                "fleet/{robot}/power",
-                "fleet/+/power",
-                "fleet/a/powers",
-                None,
-            ),
-            (
-                "fleet/{robot}/power",
-                "fleet/+/power",
-                "fleet/a/b/power",
-                None,
-            ),
-            ("fleet/{robot}/power", "fleet/+/power", "fleet/a", None),
-            (
-                "x/agv-{robot}-s/y",
-                "x/+/y",
-                "x/agv-07-s/y",
-                Some(Some("07")),
-            ),
-            ("x/agv-{robot}-s/y", "x/+/y", "x/lift-07-s/y", None),
-            ("+/{robot}/#", "+/+/#", "a/b/c/d", Some(Some("b"))),
-            ("+/{robot}/#", "+/+/#", "a/b", Some(Some("b"))),
-            ("all", "all", "all", Some(None)),
-            ("{robot}", "+", "", Some(Some(""))),
-        ] {
+        for case in cases(
+            r#"
+            fleet/{robot}/power | fleet/+/power | fleet/a/power | Some(Some("a"))
+            fleet/{robot}/power | fleet/+/power | fleet/a/powers | None
+            fleet/{robot}/power | fleet/+/power | fleet/a/b/power | None
+            fleet/{robot}/power | fleet/+/power | fleet/a | None
+            x/agv-{robot}-s/y | x/+/y | x/agv-07-s/y | Some(Some("07"))
+            x/agv-{robot}-s/y | x/+/y | x/lift-07-s/y | None
+            +/{robot}/# | +/+/# | a/b/c/d | Some(Some("b"))
+            +/{robot}/# | +/+/# | a/b | Some(Some("b"))
+            all | all | all | Some(None)
+            {robot} | + |  | Some(Some(""))
+            "#,
+        ) {
+            let [pattern, filter, topic, found] = case.as_slice() else {
+                panic!("{case:?}");
+            };
             let read = Pattern::parse(pattern).unwrap();
-            assert_eq!(read.filter(), filter);
-            assert_eq!(read.matches(topic), found, "{pattern} {topic}");
+            assert_eq!(&read.filter(), filter);
+            assert_eq!(
+                &format!("{:?}", read.matches(topic)),
+                found,
+                "{pattern} {topic}"
+            );
         }
     }
 

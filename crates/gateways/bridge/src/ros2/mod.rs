@@ -162,7 +162,7 @@ impl Ros2 {
                 let name = route.topic.of(name);
                 let kind = dds_type(route.kind);
                 let opened = self
-                    .topic(&name, kind, &qos)
+                    .topic(&name, &kind, &qos)
                     .and_then(|topic| subscriber.create_datareader_no_key(&topic, None));
                 let reader: DataReader<Received, Raw> = opened.map_err(|source| {
                     let topic = name.clone();

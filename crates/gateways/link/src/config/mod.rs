@@ -568,18 +568,17 @@ mod tests {
             let lines: Vec<_> = refused.problems().iter().filter_map(|it| it.line).collect();
             assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
         }
-        for (text, expected) in [
+        for (from, to, expected) in [
+            ("[follow]", "[follow]\nworker = \"base\"", "Leave it out"),
             (
-                DESK.replace("[follow]", "[follow]\nworker = \"base\""),
-                "Leave it out",
-            ),
-            (
-                DESK.replace("[follow]", "[follow]\nservices = [\"ticks\"]"),
+                "[follow]",
+                "[follow]\nservices = [\"ticks\"]",
                 "of one worker",
             ),
-            (DESK.replace("shards = ", "# shards = "), "file of `shards`"),
-            (DESK.replace("shards.toml", "none.toml"), "cannot be read"),
+            ("shards = ", "# shards = ", "file of `shards`"),
+            ("shards.toml", "none.toml", "cannot be read"),
         ] {
+            let text = DESK.replace(from, to);
             let shown = load_with(SHARDS, &text).expect_err(expected).to_string();
             assert!(shown.contains(expected), "{expected}: {shown}");
         }
@@ -611,62 +610,33 @@ mod tests {
 
     #[test]
     fn a_lease_that_cannot_be_had_is_refused_with_its_remedy() {
-        let endpoint = "endpoints = [\"http://127.0.0.1:2379\"]\n";
-        for (name, lease, expected) in [
-            ("south", endpoint, "decides nothing here"),
-            ("spare", "endpoints = []\n", "1 to 16 members"),
-            (
-                "spare",
-                "endpoints = [\"127.0.0.1:2379\"]\n",
-                "https://host:port",
-            ),
-            (
-                "spare",
-                "endpoints = [\"http://127.0.0.1\"]\n",
-                "https://host:port",
-            ),
-            (
-                "spare",
-                "endpoints = [\"http://127.0.0.1:1/v3\"]\n",
-                "https://host:port",
-            ),
-            (
-                "spare",
-                "endpoints = [\"ftp://127.0.0.1:1\"]\n",
-                "https://host:port",
-            ),
-            (
-                "spare",
-                "endpoints = [\"http://10.0.0.1:2379\"]\n",
-                "Use https",
-            ),
-            ("spare", &format!("{endpoint}ttl_s = 1\n"), "2 to 60"),
-            ("spare", &format!("{endpoint}ttl_s = 61\n"), "2 to 60"),
-            (
-                "spare",
-                &format!("{endpoint}prefix = \"a b\"\n"),
-                "letters, digits",
-            ),
-            (
-                "spare",
-                &format!("{endpoint}user = \"root\"\n"),
-                "lease.password",
-            ),
-            (
-                "spare",
-                &format!("{endpoint}key = \"none.key\"\n"),
-                "lease.certificate",
-            ),
-            (
-                "spare",
-                &format!("{endpoint}ca = \"none.pem\"\n"),
-                "cannot be read",
-            ),
-            ("spare", &format!("{endpoint}leash = 1\n"), "leash"),
-        ] {
+        let refused = |name: &str, lease: &str, expected: &str| {
             let text = format!("{}[lease]\n{lease}", CANDIDATE.replace("spare", name));
             let shown = load_with(SHARDS, &text).expect_err(expected).to_string();
             assert!(shown.contains(expected), "{expected}: {shown}");
+        };
+        for (members, expected) in [
+            ("", "1 to 16 members"),
+            ("\"127.0.0.1:2379\"", "https://host:port"),
+            ("\"http://127.0.0.1\"", "https://host:port"),
+            ("\"http://127.0.0.1:1/v3\"", "https://host:port"),
+            ("\"ftp://127.0.0.1:1\"", "https://host:port"),
+            ("\"http://10.0.0.1:2379\"", "Use https"),
+        ] {
+            refused("spare", &format!("endpoints = [{members}]\n"), expected);
+        }
+        let endpoint = "endpoints = [\"http://127.0.0.1:2379\"]\n";
+        refused("south", endpoint, "decides nothing here");
+        for (line, expected) in [
+            ("ttl_s = 1", "2 to 60"),
+            ("ttl_s = 61", "2 to 60"),
+            ("prefix = \"a b\"", "letters, digits"),
+            ("user = \"root\"", "lease.password"),
+            ("key = \"none.key\"", "lease.certificate"),
+            ("ca = \"none.pem\"", "cannot be read"),
+            ("leash = 1", "leash"),
+        ] {
+            refused("spare", &format!("{endpoint}{line}\n"), expected);
         }
     }
 
@@ -687,16 +657,10 @@ mod tests {
                 .unwrap();
             path
         };
-        for secret in [
-            "fleet-ca.pem",
-            "base.pem",
-            "base.key",
-            "edge-1.pem",
-            "edge-1.key",
-            "desk.pem",
-            "desk.key",
-        ] {
-            write(secret, "");
+        write("fleet-ca.pem", "");
+        for host in ["base", "edge-1", "desk"] {
+            write(&format!("{host}.pem"), "");
+            write(&format!("{host}.key"), "");
         }
         let mut files = 0;
         for entry in fs::read_dir(&examples).unwrap() {

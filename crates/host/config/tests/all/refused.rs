@@ -95,6 +95,18 @@ fn assert_refused(from: &str, to: &str, key: &str, expected: &[&str]) {
     }
 }
 
+/// Checks each case of a table: the text that is replaced, by what, the key of the problem, and what
+/// it says.
+fn each_case(table: &str, check: impl Fn(&str, &str, &str, &[&str])) {
+    for case in joulebus_testkit::cases(table) {
+        let case: Vec<&str> = case.iter().map(String::as_str).collect();
+        let [from, to, key, expected @ ..] = case.as_slice() else {
+            panic!("{case:?}");
+        };
+        check(from, to, key, expected);
+    }
+}
+
 #[test]
 fn of_many_problems_the_first_hundred_are_listed_and_long_texts_are_cut() {
     let many: String = (0..300_000).map(|key| format!("k{key} = 1\n")).collect();
@@ -156,74 +168,31 @@ fn what_replaced_mixture_and_adapt_is_named() {
 
 #[test]
 fn typos_are_refused_with_the_nearest_key() {
-    let cases: &[(&str, &str, &str, &[&str])] = &[
-        (
-            "coverage =",
-            "coverge =",
-            "interval.coverge",
-            &["`interval.coverage`"],
-        ),
-        (
-            "max_jump_s =",
-            "max_jmup_s =",
-            "intake.max_jmup_s",
-            &["`intake.max_jump_s`", "604800"],
-        ),
-        (
-            "every_s =",
-            "every =",
-            "ledger.every",
-            &["`ledger.every_s`", "default 1"],
-        ),
-        (
-            "hold_max_s =",
-            "max_hold_s =",
-            "platform.max_hold_s",
-            &["`platform.hold_max_s`"],
-        ),
-        (
-            "reserve =",
-            "resreve =",
-            "platform.battery.resreve",
-            &["`platform.battery.reserve`"],
-        ),
-        (
-            "[interval]",
-            "[intervall]",
-            "intervall",
-            &["not a known section", "`interval`"],
-        ),
-        (
-            "cusum_limit =",
-            "Cusum_limit =",
-            "alarms.Cusum_limit",
-            &["`alarms.cusum_limit`"],
-        ),
-        (
-            "every_s =",
-            "zzzzzzzz =",
-            "ledger.zzzzzzzz",
-            &["config explain"],
-        ),
-        (
-            "every_s =",
-            "cusum_limit =",
-            "ledger.cusum_limit",
-            &["`alarms.cusum_limit`: move it there"],
-        ),
-    ];
-    for (from, to, key, expected) in cases {
-        assert_refused_among(from, to, key, expected);
-    }
+    let cases = r#"
+        coverage = | coverge = | interval.coverge | `interval.coverage`
+        max_jump_s = | max_jmup_s = | intake.max_jmup_s | `intake.max_jump_s` | 604800
+        every_s = | every = | ledger.every | `ledger.every_s` | default 1
+        hold_max_s = | max_hold_s = | platform.max_hold_s | `platform.hold_max_s`
+        reserve = | resreve = | platform.battery.resreve | `platform.battery.reserve`
+        [interval] | [intervall] | intervall | not a known section | `interval`
+        cusum_limit = | Cusum_limit = | alarms.Cusum_limit | `alarms.cusum_limit`
+        every_s = | zzzzzzzz = | ledger.zzzzzzzz | config explain
+        every_s = | cusum_limit = | ledger.cusum_limit | `alarms.cusum_limit`: move it there
+    "#;
+    each_case(cases, assert_refused_among);
 }
 
 /// Same as `assert_refused`, for a text that may occur elsewhere.
 fn assert_refused_among(from: &str, to: &str, key: &str, expected: &[&str]) {
     let text = WHOLE.replacen(from, to, 1);
-    let refused = parse(&text).expect_err("accepted");
+    assert_named(&text, key, line_of(WHOLE, from), expected);
+}
+
+/// Among the problems of the text is one of this key and line that says all of it.
+fn assert_named(text: &str, key: &str, line: usize, expected: &[&str]) {
+    let refused = parse(text).expect_err("accepted");
     let found = refused.problems().iter().find(|problem| problem.key == key);
     let found = found.unwrap_or_else(|| panic!("{refused}"));
-    let line = line_of(WHOLE, from);
     assert_eq!(found.line, Some(line), "{found}");
     for part in expected {
         assert!(found.to_string().contains(part), "no {part:?} in: {found}");
@@ -232,341 +201,76 @@ fn assert_refused_among(from: &str, to: &str, key: &str, expected: &[&str]) {
 
 #[test]
 fn wrong_kinds_and_units_are_refused() {
-    let cases: &[(&str, &str, &str, &[&str])] = &[
-        (
-            "deadline_ms = 10.0",
-            "deadline_ms = \"10ms\"",
-            "tick.deadline_ms",
-            &["\"10ms\"", "10 ms", "without quotes"],
-        ),
-        (
-            "stuck_after_s = 10.0",
-            "stuck_after_s = \"33ms\"",
-            "platform.stuck_after_s",
-            &["write 0.033", "the unit is always s"],
-        ),
-        (
-            "cpus = \"1\"",
-            "cpus = \"1,1\"",
-            "worker.cpus",
-            &["each once"],
-        ),
-        (
-            "max_jump_s = 60.0",
-            "max_jump_s = \"1 min\"",
-            "intake.max_jump_s",
-            &["write 60"],
-        ),
-        (
-            "power_max_w = 20.0",
-            "power_max_w = \"20\"",
-            "platform.power_max_w",
-            &["Write 20 without"],
-        ),
-        (
-            "power_max_w = 20.0",
-            "power_max_w = \"20 s\"",
-            "platform.power_max_w",
-            &["Allowed: W"],
-        ),
-        (
-            "max_jump_s = 60.0",
-            "max_jump_s = 60000000",
-            "intake.max_jump_s",
-            &["meant in ms, write 60000", "0.01 to 604800"],
-        ),
-        (
-            "deadline_ms = 10.0",
-            "deadline_ms = 0.01",
-            "tick.deadline_ms",
-            &["meant in s, write 10"],
-        ),
-        (
-            "rate_hz = 30.0\ndeadline",
-            "rate_hz = 0.0333\ndeadline",
-            "tick.rate_hz",
-            &["meant in s, write 30.03"],
-        ),
-        (
-            "coverage = 0.9",
-            "coverage = 90",
-            "interval.coverage",
-            &["meant in %, write 0.9"],
-        ),
-        (
-            "coverage = 0.9",
-            "coverage = nan",
-            "interval.coverage",
-            &["NaN", "0.5 to 0.99"],
-        ),
-        (
-            "power_max_w = 20.0",
-            "power_max_w = inf",
-            "platform.power_max_w",
-            &["inf"],
-        ),
-        (
-            "power_min_w = 0.0",
-            "power_min_w = -inf",
-            "platform.power_min_w",
-            &["-inf"],
-        ),
-        (
-            "capacity = 100",
-            "capacity = 100.5",
-            "fleet.capacity",
-            &["float", "whole number"],
-        ),
-        (
-            "capacity = 100",
-            "capacity = 0",
-            "fleet.capacity",
-            &["is 0", "1 to 1000000"],
-        ),
-        (
-            "capacity = 100",
-            "capacity = true",
-            "fleet.capacity",
-            &["boolean"],
-        ),
-        (
-            "name = \"lab\"",
-            "name = \"my lab\"",
-            "fleet.name",
-            &["letters, digits"],
-        ),
-        ("name = \"lab\"", "name = 7", "fleet.name", &["integer"]),
-        (
-            "prefix = \"jb_\"",
-            "prefix = \"JB/\"",
-            "domain.prefix",
-            &["lower-case"],
-        ),
-        (
-            "root = \"/dev/shm/joulebus-{uid}\"",
-            "root = \"joulebus\"",
-            "domain.root",
-            &["absolute"],
-        ),
-        (
-            "root = \"/dev/shm/joulebus-{uid}\"",
-            "root = \"/dev/shm/../x\"",
-            "domain.root",
-            &["absolute"],
-        ),
-        (
-            "root = \"/dev/shm/joulebus-{uid}\"",
-            "root = \"/dev/shm/{user}\"",
-            "domain.root",
-            &["{uid}"],
-        ),
-        (
-            "policy = \"on_frame\"",
-            "policy = \"onframe\"",
-            "tick.policy",
-            &["nearest word is \"on_frame\""],
-        ),
-        (
-            "[\"0-9\", 20]",
-            "[\"9-0\"]",
-            "platform.robots",
-            &["ends before it begins"],
-        ),
-        (
-            "[\"0-9\", 20]",
-            "[\"zero\"]",
-            "platform.robots",
-            &["\"zero\""],
-        ),
-        ("[\"0-9\", 20]", "[-1]", "platform.robots", &["-1"]),
-        (
-            "[\"0-9\", 20]",
-            "[4294967296]",
-            "platform.robots",
-            &["4294967296", "4294967295"],
-        ),
-        (
-            "[\"0-9\", 20]",
-            "\"0-9\"",
-            "platform.robots",
-            &["string", "list of ids"],
-        ),
-        ("[\"0-9\", 20]", "[]", "platform.robots", &["is empty"]),
-        (
-            "model = \"persistence\"",
-            "model = \"builtin:nothing\"",
-            "platform.model",
-            &["no such built-in model"],
-        ),
-        (
-            "file = \"builtin:rover\"",
-            "file = \"builtin:tank\"",
-            "platform.file",
-            &["gternal, robotino"],
-        ),
-        (
-            "file = \"builtin:rover\"",
-            "file = \"tank.toml\"",
-            "platform.file",
-            &["/nowhere/tank.toml"],
-        ),
-        (
-            "file = \"builtin:rover\"",
-            "file = \"/dev/zero\"",
-            "platform.file",
-            &["allowed are regular files"],
-        ),
-    ];
-    for (from, to, key, expected) in cases {
-        assert_refused(from, to, key, expected);
-    }
+    let cases = r#"
+        deadline_ms = 10.0 | deadline_ms = "10ms" | tick.deadline_ms | "10ms" | 10 ms | without quotes
+        stuck_after_s = 10.0 | stuck_after_s = "33ms" | platform.stuck_after_s | write 0.033 | the unit is always s
+        cpus = "1" | cpus = "1,1" | worker.cpus | each once
+        max_jump_s = 60.0 | max_jump_s = "1 min" | intake.max_jump_s | write 60
+        power_max_w = 20.0 | power_max_w = "20" | platform.power_max_w | Write 20 without
+        power_max_w = 20.0 | power_max_w = "20 s" | platform.power_max_w | Allowed: W
+        max_jump_s = 60.0 | max_jump_s = 60000000 | intake.max_jump_s | meant in ms, write 60000 | 0.01 to 604800
+        deadline_ms = 10.0 | deadline_ms = 0.01 | tick.deadline_ms | meant in s, write 10
+        rate_hz = 30.0\ndeadline | rate_hz = 0.0333\ndeadline | tick.rate_hz | meant in s, write 30.03
+        coverage = 0.9 | coverage = 90 | interval.coverage | meant in %, write 0.9
+        coverage = 0.9 | coverage = nan | interval.coverage | NaN | 0.5 to 0.99
+        power_max_w = 20.0 | power_max_w = inf | platform.power_max_w | inf
+        power_min_w = 0.0 | power_min_w = -inf | platform.power_min_w | -inf
+        capacity = 100 | capacity = 100.5 | fleet.capacity | float | whole number
+        capacity = 100 | capacity = 0 | fleet.capacity | is 0 | 1 to 1000000
+        capacity = 100 | capacity = true | fleet.capacity | boolean
+        name = "lab" | name = "my lab" | fleet.name | letters, digits
+        name = "lab" | name = 7 | fleet.name | integer
+        prefix = "jb_" | prefix = "JB/" | domain.prefix | lower-case
+        root = "/dev/shm/joulebus-{uid}" | root = "joulebus" | domain.root | absolute
+        root = "/dev/shm/joulebus-{uid}" | root = "/dev/shm/../x" | domain.root | absolute
+        root = "/dev/shm/joulebus-{uid}" | root = "/dev/shm/{user}" | domain.root | {uid}
+        policy = "on_frame" | policy = "onframe" | tick.policy | nearest word is "on_frame"
+        ["0-9", 20] | ["9-0"] | platform.robots | ends before it begins
+        ["0-9", 20] | ["zero"] | platform.robots | "zero"
+        ["0-9", 20] | [-1] | platform.robots | -1
+        ["0-9", 20] | [4294967296] | platform.robots | 4294967296 | 4294967295
+        ["0-9", 20] | "0-9" | platform.robots | string | list of ids
+        ["0-9", 20] | [] | platform.robots | is empty
+        model = "persistence" | model = "builtin:nothing" | platform.model | no such built-in model
+        file = "builtin:rover" | file = "builtin:tank" | platform.file | gternal, robotino
+        file = "builtin:rover" | file = "tank.toml" | platform.file | /nowhere/tank.toml
+        file = "builtin:rover" | file = "/dev/zero" | platform.file | allowed are regular files
+    "#;
+    each_case(cases, assert_refused);
 }
 
 #[test]
 fn a_key_in_another_unit_is_converted_in_the_remedy() {
-    let cases: &[(&str, &str, &str, &[&str])] = &[
-        (
-            "deadline_ms = 10.0",
-            "deadline_s = 0.01",
-            "tick.deadline_s",
-            &["`tick.deadline_ms`", "0.01 s is 10 ms"],
-        ),
-        (
-            "stale_after_s = 0.5",
-            "stale_after_ms = 500",
-            "platform.stale_after_ms",
-            &["`platform.stale_after_s`", "500 ms is 0.5 s"],
-        ),
-        (
-            "hold_max_s = 0.5",
-            "hold_max_ns = 500000000",
-            "platform.hold_max_ns",
-            &["is 0.5 s"],
-        ),
-        (
-            "hold_max_s = 0.5",
-            "period_ms = 40\nhold_max_s = 0.5",
-            "platform.period_ms",
-            &["`platform.rate_hz`", "40 ms is 25 Hz"],
-        ),
-    ];
-    for (from, to, key, expected) in cases {
-        assert_refused(from, to, key, expected);
-    }
+    let cases = r#"
+        deadline_ms = 10.0 | deadline_s = 0.01 | tick.deadline_s | `tick.deadline_ms` | 0.01 s is 10 ms
+        stale_after_s = 0.5 | stale_after_ms = 500 | platform.stale_after_ms | `platform.stale_after_s` | 500 ms is 0.5 s
+        hold_max_s = 0.5 | hold_max_ns = 500000000 | platform.hold_max_ns | is 0.5 s
+        hold_max_s = 0.5 | period_ms = 40\nhold_max_s = 0.5 | platform.period_ms | `platform.rate_hz` | 40 ms is 25 Hz
+    "#;
+    each_case(cases, assert_refused);
 }
 
 #[test]
 fn contradictions_are_refused_naming_both_keys_and_lines() {
-    let cases: &[(&str, &str, &str, &[&str])] = &[
-        (
-            "cpus = \"1\"",
-            "threads = 3\ncpus = \"1,4\"",
-            "worker.threads",
-            &[
-                "`worker.threads` = 3 threads (<config>:22)",
-                "more than the 2 CPUs of `worker.cpus` = \"1,4\" (<config>:23)",
-                "threads = 0",
-            ],
-        ),
-        (
-            "deadline_ms = 10.0",
-            "deadline_ms = 40",
-            "tick.deadline_ms",
-            &[
-                "`tick.deadline_ms` = 40.0 ms (<config>:10)",
-                "`tick.rate_hz` = 30.0 Hz (<config>:9)",
-            ],
-        ),
-        (
-            "stale_after_s = 0.5",
-            "stale_after_s = 0.06",
-            "platform.stale_after_s",
-            &[
-                "`stale_after_s` = 0.06 s (<config>:29)",
-                "`rate_hz` = 30.0 Hz (<config>:28)",
-                "1.800",
-            ],
-        ),
-        (
-            "leave_after_s = 30.0",
-            "leave_after_s = 0.2",
-            "intake.leave_after_s",
-            &["`stale_after_s` = 0.5 s"],
-        ),
-        (
-            "max_jump_s = 60.0",
-            "max_jump_s = 0.3",
-            "intake.max_jump_s",
-            &["`stale_after_s` = 0.5 s"],
-        ),
-        (
-            "hold_max_s = 0.5",
-            "hold_max_s = 0.02",
-            "platform.hold_max_s",
-            &["`rate_hz` = 30.0 Hz"],
-        ),
-        (
-            "stuck_after_s = 10.0",
-            "stuck_after_s = 0.3",
-            "platform.stuck_after_s",
-            &["`hold_max_s` = 0.5 s"],
-        ),
-        (
-            "power_min_w = 0.0",
-            "power_min_w = 20",
-            "platform.power_min_w",
-            &[
-                "`power_min_w` = 20.0 W (<config>:32)",
-                "`power_max_w` = 20.0 W (<config>:33)",
-            ],
-        ),
-        (
-            "power_resolution_w = 0.01",
-            "power_resolution_w = 25",
-            "platform.power_resolution_w",
-            &["`power_max_w` = 20.0 W"],
-        ),
-        (
-            "initial_soc_lo = 0.8",
-            "initial_soc_lo = 0.95",
-            "platform.battery.initial_soc_lo",
-            &[
-                "`battery.initial_soc_lo` = 0.95",
-                "`battery.initial_soc` = 0.9",
-            ],
-        ),
-        (
-            "reserve = 0.1",
-            "reserve = 0.9",
-            "platform.battery.reserve",
-            &["`battery.initial_soc` = 0.9"],
-        ),
-        (
-            "robots = [\"30-39\"]",
-            "robots = [\"5-39\"]",
-            "platform.robots",
-            &["\"0-9\" (<config>:24)", "\"5-39\" (<config>:46)", "robot 5"],
-        ),
-        (
-            "[\"0-9\", 20]",
-            "[\"0-9\", \"0-25\", 20]",
-            "platform.robots",
-            &["share robot 0"],
-        ),
-    ];
-    for (from, to, key, expected) in cases {
+    let cases = r#"
+        cpus = "1" | threads = 3\ncpus = "1,4" | worker.threads | `worker.threads` = 3 threads (<config>:22) | more than the 2 CPUs of `worker.cpus` = "1,4" (<config>:23) | threads = 0
+        deadline_ms = 10.0 | deadline_ms = 40 | tick.deadline_ms | `tick.deadline_ms` = 40.0 ms (<config>:10) | `tick.rate_hz` = 30.0 Hz (<config>:9)
+        stale_after_s = 0.5 | stale_after_s = 0.06 | platform.stale_after_s | `stale_after_s` = 0.06 s (<config>:29) | `rate_hz` = 30.0 Hz (<config>:28) | 1.800
+        leave_after_s = 30.0 | leave_after_s = 0.2 | intake.leave_after_s | `stale_after_s` = 0.5 s
+        max_jump_s = 60.0 | max_jump_s = 0.3 | intake.max_jump_s | `stale_after_s` = 0.5 s
+        hold_max_s = 0.5 | hold_max_s = 0.02 | platform.hold_max_s | `rate_hz` = 30.0 Hz
+        stuck_after_s = 10.0 | stuck_after_s = 0.3 | platform.stuck_after_s | `hold_max_s` = 0.5 s
+        power_min_w = 0.0 | power_min_w = 20 | platform.power_min_w | `power_min_w` = 20.0 W (<config>:32) | `power_max_w` = 20.0 W (<config>:33)
+        power_resolution_w = 0.01 | power_resolution_w = 25 | platform.power_resolution_w | `power_max_w` = 20.0 W
+        initial_soc_lo = 0.8 | initial_soc_lo = 0.95 | platform.battery.initial_soc_lo | `battery.initial_soc_lo` = 0.95 | `battery.initial_soc` = 0.9
+        reserve = 0.1 | reserve = 0.9 | platform.battery.reserve | `battery.initial_soc` = 0.9
+        robots = ["30-39"] | robots = ["5-39"] | platform.robots | "0-9" (<config>:24) | "5-39" (<config>:46) | robot 5
+        ["0-9", 20] | ["0-9", "0-25", 20] | platform.robots | share robot 0
+    "#;
+    each_case(cases, |from, to, key, expected| {
         let text = WHOLE.replace(from, to);
-        let refused = parse(&text).expect_err(to);
-        let found = refused
-            .problems()
-            .iter()
-            .find(|problem| problem.key == *key);
-        let found = found.unwrap_or_else(|| panic!("{refused}"));
-        assert_eq!(found.line, Some(line_of(&text, to)), "{found}");
-        for part in *expected {
-            assert!(found.to_string().contains(part), "no {part:?} in: {found}");
-        }
-    }
+        assert_named(&text, key, line_of(&text, to), expected);
+    });
     let fast = WHOLE.replace("rate_hz = 30.0\nstale", "rate_hz = 300.0\nstale");
     assert!(
         problem(&fast)

@@ -60,13 +60,11 @@ pub enum ListingError {
 }
 
 /// Whether a folder is an archive.
-#[must_use]
 pub fn is_archive(folder: &Path) -> bool {
     folder.join(LISTINGS).join(MARK).is_file()
 }
 
 /// Whether a file is named as a listing of an archive.
-#[must_use]
 pub fn is_listing(path: &Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str());
     let folder = path.parent().and_then(Path::file_name);

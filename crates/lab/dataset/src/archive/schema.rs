@@ -35,7 +35,6 @@ pub enum Kind {
 
 impl Kind {
     /// Its name in SQL, as DuckDB writes it.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::U32 => "UINTEGER",
@@ -72,7 +71,6 @@ pub struct Field {
 }
 
 /// All columns, in the order of the files.
-#[must_use]
 pub fn fields() -> Vec<Field> {
     let field = |name, kind, unit, is_nullable| Field {
         name,

@@ -35,7 +35,6 @@ pub struct Check {
 
 impl Check {
     /// Whether there is no fault.
-    #[must_use]
     pub const fn is_sound(&self) -> bool {
         self.faults == 0
     }
@@ -53,7 +52,6 @@ impl Check {
     }
 
     /// The finding of a kind, if there is one.
-    #[must_use]
     pub fn finding(&self, kind: FindingKind) -> Option<&Finding> {
         self.findings.iter().find(|finding| finding.kind == kind)
     }
@@ -62,7 +60,6 @@ impl Check {
 /// Checks files in parallel. A file that cannot be read is a finding, not an error. Of each kind,
 /// `places` occurrences are kept, in the order of the files and rows. The result is the same for
 /// any number of threads.
-#[must_use]
 pub fn check_files(files: &[PathBuf], map: &ColumnMap, limits: &Limits, places: usize) -> Check {
     let looked: Vec<Looked> = files
         .par_iter()
@@ -225,7 +222,6 @@ impl Findings {
 }
 
 /// Checks one trial. Of each kind, the first `places` occurrences are kept.
-#[must_use]
 pub fn check_trial(trial: &Trial, limits: &Limits, places: usize) -> Vec<Finding> {
     let mut found = Findings::new(places);
     check_times(trial, &mut found);

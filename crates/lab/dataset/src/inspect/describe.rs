@@ -96,7 +96,6 @@ pub struct ColumnReport {
 }
 
 /// Describes a trial.
-#[must_use]
 pub fn describe(trial: &Trial) -> TrialReport {
     let notes = trial.notes();
     let columns = Column::ALL.into_iter();

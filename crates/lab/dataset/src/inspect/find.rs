@@ -73,7 +73,6 @@ pub enum FindError {
 
 impl FindError {
     /// Whether the arguments are at fault.
-    #[must_use]
     pub const fn is_usage(&self) -> bool {
         !matches!(self, Self::Io { .. })
     }
@@ -149,7 +148,6 @@ fn take_pattern(pattern: &str, found: &mut Found) -> Result<(), FindError> {
 /// Whether a file of a directory is a recording. Its name decides (`.parquet` belongs to an
 /// archive's partitions), for an `.mcap` also its first record, because those of other programs
 /// have to be converted.
-#[must_use]
 pub fn is_recording(path: &Path) -> bool {
     let is_parquet = || path.extension().is_some_and(|ending| ending == "parquet");
     ((Form::of(path).is_some() || is_parquet()) && path.is_file()) || is_capture(path)

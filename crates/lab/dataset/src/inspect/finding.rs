@@ -82,7 +82,6 @@ impl FindingKind {
 
     /// Whether it is a fault, to be resolved before the recording is used. Other findings are
     /// informative.
-    #[must_use]
     pub const fn is_fault(self) -> bool {
         !matches!(
             self,

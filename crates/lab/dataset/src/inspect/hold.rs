@@ -54,7 +54,6 @@ pub(super) fn runs(trial: &Trial) -> Vec<Run> {
 }
 
 /// The pattern of held readings of a trial.
-#[must_use]
 pub fn holds(trial: &Trial) -> Holds {
     let runs = runs(trial);
     let readings: usize = runs.iter().map(|run| run.rows).sum();

@@ -31,13 +31,11 @@ pub struct Implausible {
 }
 
 /// Judges a trial by all its rows: what is implausible, errors first.
-#[must_use]
 pub fn judge(trial: &Trial, limits: &Limits) -> Vec<Implausible> {
     judge_from(Source::Recording, trial, limits)
 }
 
 /// As [`judge`], with the remedies of another source.
-#[must_use]
 pub fn judge_from(source: Source, trial: &Trial, limits: &Limits) -> Vec<Implausible> {
     let mut judge = Judge::new(known(trial, limits));
     let value = |column, row: usize| trial.column(column).map_or(f64::NAN, |values| values[row]);

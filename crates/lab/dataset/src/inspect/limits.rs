@@ -15,7 +15,6 @@ pub struct Range {
 
 impl Range {
     /// The range from `-greatest` to `greatest`.
-    #[must_use]
     pub const fn within(greatest: f64) -> Self {
         Self {
             least: -greatest,
@@ -85,7 +84,6 @@ impl Default for Limits {
 
 impl Limits {
     /// The range of a column in SI units; `None` for an unbounded column.
-    #[must_use]
     pub const fn range(&self, column: Column) -> Option<Range> {
         match column {
             Column::Phase => None,

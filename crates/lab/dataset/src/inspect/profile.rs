@@ -38,7 +38,6 @@ pub struct Profile {
 }
 
 /// The profile of some trials; `None` if they have fewer than two readings or constant power.
-#[must_use]
 pub fn profile(trials: &[Trial]) -> Option<Profile> {
     let mut readings: Vec<f64> = known(trials, Column::Power).collect();
     readings.sort_unstable_by(f64::total_cmp);

@@ -14,7 +14,6 @@ pub struct PowerCheck {
 }
 
 /// Compares power with voltage times current. `None` if no row has all three.
-#[must_use]
 pub fn power_check(trial: &Trial) -> Option<PowerCheck> {
     let columns = [Column::Power, Column::Voltage, Column::Current].map(|c| trial.column(c));
     let [Some(power_w), Some(voltage_v), Some(current_a)] = columns else {

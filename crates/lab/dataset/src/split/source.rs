@@ -21,7 +21,6 @@ pub struct Source {
 
 impl Source {
     /// A trial, with names derived from its file. Robots that share a file belong to one group.
-    #[must_use]
     pub fn of(trial: &Trial) -> Self {
         let file = trial.path().file_name().and_then(|name| name.to_str());
         let file = file.unwrap_or_default();
@@ -66,7 +65,6 @@ impl From<&Source> for SourceInfo {
 
 impl SourceInfo {
     /// The information of each source, in their order.
-    #[must_use]
     pub fn of(sources: &[Source]) -> Vec<Self> {
         sources.par_iter().map(Self::from).collect()
     }
@@ -87,7 +85,6 @@ pub struct Placed<'a> {
 
 impl<'a> Placed<'a> {
     /// A source in a part.
-    #[must_use]
     pub fn new(source: &'a SourceInfo, part: &'static str) -> Self {
         Self {
             trial: &source.trial,
@@ -100,7 +97,6 @@ impl<'a> Placed<'a> {
 
 /// The group of a file: its name without trailing numbers. `ICE_03.csv.gz` and `ICE_04.csv.gz`
 /// belong to the group `ICE`.
-#[must_use]
 pub fn group_of(file_name: &str) -> String {
     let stem = file_name.split('.').next().unwrap_or(file_name);
     let name = stem.trim_end_matches(|c: char| c.is_ascii_digit());
@@ -122,7 +118,6 @@ pub fn digest(rows: &TrialRows) -> [u8; 32] {
 }
 
 /// Number and groups of recordings, as a model's file states them.
-#[must_use]
 pub fn describe(sources: &[SourceInfo]) -> String {
     let mut groups: Vec<&str> = sources.iter().map(|source| source.group.as_str()).collect();
     groups.sort_unstable();
@@ -135,7 +130,6 @@ pub fn describe(sources: &[SourceInfo]) -> String {
 }
 
 /// The median period of some recordings, s; 0 without any.
-#[must_use]
 pub fn median_period_s(sources: &[SourceInfo]) -> f32 {
     median_s(sources.iter().map(|source| source.period_s))
 }

@@ -13,7 +13,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use joulebus_capture_format::{Frame, ReadError, Reader};
-use joulebus_wire::{Sample, Samples, sample_flag};
+use joulebus_wire::{Sample, Samples, sample_flag as flag};
 
 use super::limits::MCAP_MAGIC;
 use super::table::{Cell, Column, Table};
@@ -24,7 +24,6 @@ use crate::archive::RowStamp;
 const HEAD_BYTES: u64 = 64;
 
 /// Whether a file is named `.mcap` and written by joulebus, by its first record.
-#[must_use]
 pub fn is_capture(path: &Path) -> bool {
     if path.extension().is_none_or(|extension| extension != "mcap") {
         return false;
@@ -127,7 +126,7 @@ fn collect(path: &Path) -> Result<Store, TrialError> {
             let robot = (Arc::clone(&entry.fleet), sample.robot);
             let source = (header.source_id, header.source_epoch);
             let is_same = sources.insert(robot.clone(), source) == Some(source);
-            let goes_on = is_same && !sample.has(sample_flag::DISCONTINUITY);
+            let goes_on = is_same && !sample.has(flag::DISCONTINUITY);
             let kept = Recorded {
                 sample,
                 unix_ns: entry.log_time_ns,
@@ -301,24 +300,12 @@ fn table(
         let v_mps = command.map_or(f32::NAN, |command| command.v_mps);
         let omega_radps = command.map_or(f32::NAN, |command| command.omega_radps);
         for (column, value) in [
-            (Column::V, known(sample_flag::V, v_mps, command)),
-            (
-                Column::Omega,
-                known(sample_flag::OMEGA, omega_radps, command),
-            ),
-            (
-                Column::Voltage,
-                known(sample_flag::VOLTAGE, sample.voltage_v, own),
-            ),
-            (
-                Column::Current,
-                known(sample_flag::CURRENT, sample.current_a, own),
-            ),
-            (
-                Column::Power,
-                known(sample_flag::POWER, sample.power_w, own),
-            ),
-            (Column::Soc, known(sample_flag::SOC, sample.soc, own)),
+            (Column::V, known(flag::V, v_mps, command)),
+            (Column::Omega, known(flag::OMEGA, omega_radps, command)),
+            (Column::Voltage, known(flag::VOLTAGE, sample.voltage_v, own)),
+            (Column::Current, known(flag::CURRENT, sample.current_a, own)),
+            (Column::Power, known(flag::POWER, sample.power_w, own)),
+            (Column::Soc, known(flag::SOC, sample.soc, own)),
         ] {
             table.push(cell, column, column.recorded(value))?;
         }
@@ -350,7 +337,7 @@ fn start_ns(samples: &[Recorded]) -> u64 {
     let Some(Recorded { sample: first, .. }) = samples.first() else {
         return 0;
     };
-    let is_new = first.has(sample_flag::POWER) && !first.has(sample_flag::HELD);
+    let is_new = first.has(flag::POWER) && !first.has(flag::HELD);
     let measured_ns = first.measured_ns;
     match is_new && measured_ns > 0 && measured_ns < first.stamp_ns {
         true => measured_ns,

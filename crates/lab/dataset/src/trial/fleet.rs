@@ -122,14 +122,12 @@ impl TrialFleet {
     }
 
     /// Samples in one pass through all trials.
-    #[must_use]
     pub fn samples_per_pass(&self) -> usize {
         self.players.iter().map(|player| player.samples.len()).sum()
     }
 
     /// When the next non-empty frame is due, in trial time, ns; `None` at the end, which
     /// [`Playback::repeat`] never reaches.
-    #[must_use]
     pub fn next_due_ns(&self) -> Option<u64> {
         let due_ns = self.players.iter().filter_map(Player::due_ns).min()?;
         let trial_ns = due_ns.saturating_sub(self.playback.base_ns);

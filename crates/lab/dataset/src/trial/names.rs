@@ -445,7 +445,6 @@ fn shown(unit: &str) -> &str {
 }
 
 /// The table of accepted names, one line for each quantity.
-#[must_use]
 pub fn column_names() -> String {
     let mut table = String::new();
     for Spelling {

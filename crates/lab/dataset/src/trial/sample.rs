@@ -16,7 +16,6 @@ impl Trial {
     /// A value that was not recorded has its flag cleared. A reading equal to the bit to that of
     /// the row before (power, voltage and current) is held and keeps the measurement time of the
     /// first of its run. Times that do not advance are passed on unchanged: ingest refuses them.
-    #[must_use]
     pub fn to_samples(&self, robot: u32, base_ns: u64) -> Vec<Sample> {
         self.samples(robot, base_ns).collect()
     }

@@ -73,7 +73,6 @@ impl Stored {
     }
 
     /// Whether the recording has other trials.
-    #[must_use]
     pub fn is_one_of_several(&self) -> bool {
         match &self.place {
             Place::File(_) => false,
@@ -82,7 +81,6 @@ impl Stored {
     }
 
     /// Rows that it has, or the most that a file of its size has.
-    #[must_use]
     pub fn most_rows(&self) -> u64 {
         match &self.place {
             Place::File(_) => self

@@ -58,7 +58,6 @@ impl Column {
     pub const LAYOUT: usize = 9;
 
     /// Name in a CSV header, with the unit in the file.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Phase => "phase",
@@ -77,7 +76,6 @@ impl Column {
     }
 
     /// Unit of the values in files; `1` without one.
-    #[must_use]
     pub const fn unit(self) -> &'static str {
         match self {
             Self::Phase | Self::Soc => "1",
@@ -197,13 +195,11 @@ impl Cell<'_> {
 
 impl Table {
     /// The file that the table was read from.
-    #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
     /// The robot's name as recorded, if any: text in a CSV, a number in an array.
-    #[must_use]
     pub fn robot_name(&self) -> Option<&str> {
         self.robot_name.as_deref()
     }
@@ -215,38 +211,32 @@ impl Table {
     }
 
     /// Rows.
-    #[must_use]
     pub fn rows(&self) -> usize {
         self.timestamp_s.len()
     }
 
     /// Row of the file that holds row `row` (from 0), from 1, a CSV's header not included.
-    #[must_use]
     pub fn file_row(&self, row: usize) -> usize {
         self.file_row.get(row).map_or(row + 1, |row| *row as usize)
     }
 
     /// Whether the file, a CSV, does not end with a newline.
-    #[must_use]
     pub fn no_final_line_break(&self) -> bool {
         self.no_final_line_break
     }
 
     /// Rows without a robot name in a table that has one; all written rows name the robot.
-    #[must_use]
     pub fn unnamed_rows(&self) -> usize {
         self.unnamed_rows
     }
 
     /// Time of each row as recorded, s; finite.
-    #[must_use]
     pub fn timestamp_s(&self) -> &[f64] {
         &self.timestamp_s
     }
 
     /// One value per recorded row, in the unit stated in [`Column::name`], NaN if there is none.
     /// `None` if the file has no such column.
-    #[must_use]
     pub fn column(&self, column: Column) -> Option<&[f64]> {
         self.columns[column as usize].as_deref()
     }
@@ -281,7 +271,6 @@ impl Table {
     }
 
     /// The columns of a CSV that were read.
-    #[must_use]
     pub fn sources(&self) -> &[SourceColumn] {
         &self.sources
     }
@@ -292,7 +281,6 @@ impl Table {
     }
 
     /// Unknown columns of the file, which are not in the table.
-    #[must_use]
     pub fn ignored_columns(&self) -> &[String] {
         &self.ignored_columns
     }

@@ -51,7 +51,6 @@ impl Trial {
 
     /// The trial in the units of files. A value read from a file with non-SI units may differ in
     /// the last bit; [`Table::read`] preserves it.
-    #[must_use]
     pub fn to_table(&self) -> Table {
         let mut columns = self.columns.clone();
         for (column, values) in Column::ALL.into_iter().zip(&mut columns) {
@@ -106,7 +105,6 @@ impl Form {
     pub const ALL: [Self; 3] = [Self::Npy, Self::Csv, Self::CsvGz];
 
     /// The file name extension.
-    #[must_use]
     pub const fn ending(self) -> &'static str {
         match self {
             Self::Npy => ".npy",
@@ -116,7 +114,6 @@ impl Form {
     }
 
     /// The format of a file name's extension, if it is one of these.
-    #[must_use]
     pub fn of(path: &Path) -> Option<Self> {
         let name = path.file_name()?.to_str()?;
         Self::ALL

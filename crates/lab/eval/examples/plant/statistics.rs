@@ -6,7 +6,6 @@
 //! tested.
 
 use std::fmt;
-use std::ops::RangeInclusive;
 
 use joulebus_predictor::{FeatureSet, Network};
 
@@ -58,18 +57,46 @@ const fn target(name: &'static str, value: f64, scale: f64) -> Target {
     Target { name, value, scale }
 }
 
-/// Role of a figure in the fit.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Role {
-    /// A target of the fit.
-    Fitted,
-    /// Not used by the fit.
-    Checked,
-    /// A parameter of the plant.
-    Given,
-    /// Outside the paper's value and not tested.
-    Reported,
-}
+/// Every figure that the paper gives, in its order: name, the paper's value, the band of the mean
+/// over the seeds, role in the fit.
+const PAPER: &str = "
+power, mean (mW) | 3,652 | 3580..3720 | fitted
+power, standard deviation (mW) | 375 | 340..410 | fitted
+power, lowest (mW) | 3,000 | 2900..3120 | fitted
+power, highest (mW) | 8,450 | 7500..9400 | checked
+lag-1 autocorrelation, trial 1 | .942 to .956 | 0.932..0.966 | checked
+lag-1 autocorrelation, trial 2 | .942 to .956 | 0.932..0.966 | checked
+lag-1 autocorrelation, trial 3 | .942 to .956 | 0.932..0.966 | checked
+lag-1 autocorrelation, trial 4 | .942 to .956 | 0.932..0.966 | checked
+lag-1 autocorrelation, trial 5 | .942 to .956 | 0.932..0.966 | checked
+lag-1 autocorrelation, trial 6 | .942 to .956 | 0.932..0.966 | checked
+lag-1 autocorrelation, mean | .95 | 0.944..0.956 | fitted
+lag-1 autocorrelation, deviation between trials | about .005 | 0..0.012 | fitted
+R², velocities alone | .16 | 0.12..0.2 | fitted
+R², velocities and one lag | .90 | 0.885..0.92 | fitted
+v, mean (m/s) | .0279 | 0.01..0.045 | given
+v, standard deviation (m/s) | .0736 | 0.065..0.085 | given
+ω, mean (rad/s) | .0479 | -0.05..0.15 | given
+ω, standard deviation (rad/s) | 1.0187 | 0.9..1.15 | given
+network, R², trial 1 | .89 to .92 | 0.875..0.935 | checked
+network, R², trial 2 | .89 to .92 | 0.875..0.935 | checked
+network, R², trial 3 | .89 to .92 | 0.875..0.935 | checked
+network, R², trial 4 | .89 to .92 | 0.875..0.935 | checked
+network, R², trial 5 | .89 to .92 | 0.875..0.935 | checked
+network, R², mean of the trials | .90 | 0.89..0.915 | checked
+network, R², trial 6 | .92 | 0.895..0.935 | fitted
+network, MAE, trial 6 (mW) | 31.5 | 26..37 | fitted
+network, mean residual, all trials (mW) | 1.3 | -7..7 | checked
+network, residual, 5 % below, all trials (mW) | −47 | -65..-30 | fitted
+network, residual, 95 % below, all trials (mW) | 50 | 33..70 | fitted
+seven robots, R², mean | .87 | 0.85..0.89 | fitted
+seven robots, R², standard deviation | .018 | 0.005..0.03 | checked
+seven robots, MAE, mean (mW) | 70.7 | 60..82 | fitted
+seven robots, least of 1, 2, 3, 6 above most of 4, 5, 7 (mW) | above 0 | 50..1000 | given
+seven robots, largest energy error (%) | below 2.3 | 0..2.3 | checked
+seven robots, median energy error (%) | below 0.1 | 0..1.3 | checked
+seven robots, energy errors below 0.1 % | 4 | – | reported
+";
 
 /// One figure.
 #[derive(Clone, Debug)]
@@ -84,14 +111,21 @@ pub(crate) struct Figure {
     /// reported.
     pub(crate) held: Option<(f64, f64)>,
     /// Role in the fit.
-    pub(crate) role: Role,
+    pub(crate) role: String,
 }
 
 impl Figure {
-    fn given(self) -> Self {
+    /// The figure of a line of [`PAPER`].
+    fn of(line: &str, found: f64) -> Self {
+        let cells: Vec<&str> = line.split(" | ").collect();
+        let number = |text: &str| text.parse::<f64>().expect("a number");
+        let band = cells[2].split_once("..");
         Self {
-            role: Role::Given,
-            ..self
+            name: cells[0].to_owned(),
+            paper: cells[1].to_owned(),
+            found,
+            held: band.map(|(low, high)| (number(low), number(high))),
+            role: cells[3].to_owned(),
         }
     }
 
@@ -310,195 +344,60 @@ pub(crate) fn measure(
 impl Measured {
     /// Every figure that the paper gives, in its order.
     pub(crate) fn figures(&self) -> Vec<Figure> {
-        let mut figures = self.power_figures();
-        figures.extend(self.network_figures());
-        figures.extend(self.robot_figures());
+        let found = [self.of_power(), self.of_the_network(), self.of_robots()].concat();
+        let lines: Vec<&str> = PAPER.trim().lines().collect();
+        assert_eq!(lines.len(), found.len(), "every figure is measured");
+        let figures = lines.iter().zip(found);
         figures
+            .map(|(line, found)| Figure::of(line, found))
+            .collect()
     }
 
-    fn power_figures(&self) -> Vec<Figure> {
+    fn of_power(&self) -> Vec<f64> {
         let basics = &self.basics;
-        let mut figures = vec![
-            figure(
-                "power, mean (mW)",
-                "3,652",
-                basics.mean_w * 1e3,
-                3_580.0..=3_720.0,
-            ),
-            figure(
-                "power, standard deviation (mW)",
-                "375",
-                basics.std_w * 1e3,
-                340.0..=410.0,
-            ),
-            figure(
-                "power, lowest (mW)",
-                "3,000",
-                basics.min_w * 1e3,
-                2_900.0..=3_120.0,
-            ),
-            figure(
-                "power, highest (mW)",
-                "8,450",
-                basics.max_w * 1e3,
-                7_500.0..=9_400.0,
-            ),
-        ];
-        for (trial, rho1) in (1..).zip(&basics.rho1) {
-            let name = format!("lag-1 autocorrelation, trial {trial}");
-            figures.push(figure(&name, ".942 to .956", *rho1, 0.932..=0.966));
-        }
+        let power_w = [basics.mean_w, basics.std_w, basics.min_w, basics.max_w];
         let (mean, deviation) = mean_and_std(&basics.rho1);
-        figures.push(figure(
-            "lag-1 autocorrelation, mean",
-            ".95",
-            mean,
-            0.944..=0.956,
-        ));
-        figures.push(figure(
-            "lag-1 autocorrelation, deviation between trials",
-            "about .005",
-            deviation,
-            0.0..=0.012,
-        ));
-        figures.push(figure(
-            "R², velocities alone",
-            ".16",
-            basics.r2_velocities,
-            0.12..=0.2,
-        ));
-        figures.push(figure(
-            "R², velocities and one lag",
-            ".90",
-            basics.r2_one_lag,
-            0.885..=0.92,
-        ));
         let [(v, v_std), (omega, omega_std)] = basics.commands;
-        for (name, paper, found, held) in [
-            ("v, mean (m/s)", ".0279", v, 0.01..=0.045),
-            ("v, standard deviation (m/s)", ".0736", v_std, 0.065..=0.085),
-            ("ω, mean (rad/s)", ".0479", omega, -0.05..=0.15),
-            (
-                "ω, standard deviation (rad/s)",
-                "1.0187",
-                omega_std,
-                0.9..=1.15,
-            ),
-        ] {
-            figures.push(figure(name, paper, found, held).given());
-        }
-        figures
+        let mut found = power_w.map(|w| w * 1e3).to_vec();
+        found.extend(&basics.rho1);
+        found.extend([mean, deviation, basics.r2_velocities, basics.r2_one_lag]);
+        found.extend([v, v_std, omega, omega_std]);
+        found
     }
 
-    fn network_figures(&self) -> Vec<Figure> {
-        let mut figures = Vec::new();
-        for (trial, score) in (1..=5).zip(&self.trials) {
-            let name = format!("network, R², trial {trial}");
-            figures.push(figure(&name, ".89 to .92", score.tally.r2(), 0.875..=0.935));
-        }
-        let Some(held_out) = self.trials.last() else {
-            return figures;
-        };
+    fn of_the_network(&self) -> Vec<f64> {
         let all = self.trials.iter().flat_map(|score| &score.residuals_w);
         let residuals_w = sorted(all.copied());
-        let share = |share| quantile(&residuals_w, share) * 1e3;
         let bias_w = residuals_w.iter().sum::<f64>() / residuals_w.len() as f64;
-        let r2: Vec<f64> = self.trials.iter().map(|score| score.tally.r2()).collect();
-        figures.extend([
-            figure(
-                "network, R², mean of the trials",
-                ".90",
-                mean_and_std(&r2).0,
-                0.89..=0.915,
-            ),
-            figure(
-                "network, R², trial 6",
-                ".92",
-                held_out.tally.r2(),
-                0.895..=0.935,
-            ),
-            figure(
-                "network, MAE, trial 6 (mW)",
-                "31.5",
-                held_out.tally.mae_w() * 1e3,
-                26.0..=37.0,
-            ),
-            figure(
-                "network, mean residual, all trials (mW)",
-                "1.3",
-                bias_w * 1e3,
-                -7.0..=7.0,
-            ),
-            figure(
-                "network, residual, 5 % below, all trials (mW)",
-                "−47",
-                share(0.05),
-                -65.0..=-30.0,
-            ),
-            figure(
-                "network, residual, 95 % below, all trials (mW)",
-                "50",
-                share(0.95),
-                33.0..=70.0,
-            ),
-        ]);
-        figures
+        let mut found: Vec<f64> = self.trials.iter().map(|score| score.tally.r2()).collect();
+        let mean = mean_and_std(&found).0;
+        found.insert(found.len() - 1, mean);
+        let held_out_w = self
+            .trials
+            .last()
+            .map_or(f64::NAN, |score| score.tally.mae_w());
+        let (low_w, high_w) = (quantile(&residuals_w, 0.05), quantile(&residuals_w, 0.95));
+        found.extend([held_out_w, bias_w, low_w, high_w].map(|w| w * 1e3));
+        found
     }
 
-    fn robot_figures(&self) -> Vec<Figure> {
-        let r2: Vec<f64> = self.robots.iter().map(|robot| robot.tally.r2()).collect();
-        let mae: Vec<f64> = self
-            .robots
-            .iter()
-            .map(|robot| robot.tally.mae_w() * 1e3)
-            .collect();
-        let energy: Vec<f64> = self
-            .robots
-            .iter()
-            .map(|robot| 100.0 * robot.tally.energy_error().abs())
-            .collect();
-        let (r2_mean, r2_std) = mean_and_std(&r2);
+    fn of_robots(&self) -> Vec<f64> {
+        let of = |figure: fn(&Tally) -> f64| -> Vec<f64> {
+            self.robots
+                .iter()
+                .map(|robot| figure(&robot.tally))
+                .collect()
+        };
+        let (r2_mean, r2_std) = mean_and_std(&of(Tally::r2));
+        let (mae, _) = mean_and_std(&of(|tally| tally.mae_w() * 1e3));
+        let energy = of(|tally| 100.0 * tally.energy_error().abs());
         let most = energy.iter().copied().fold(0.0, f64::max);
         let median = quantile(&sorted(energy.iter().copied()), 0.5);
         let small = energy.iter().filter(|error| **error < 0.1).count() as f64;
         let (more, rest): (Vec<f64>, Vec<f64>) = self.more_and_rest();
         let lead_w = more.iter().copied().fold(f64::INFINITY, f64::min)
             - rest.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        vec![
-            figure("seven robots, R², mean", ".87", r2_mean, 0.85..=0.89),
-            figure(
-                "seven robots, R², standard deviation",
-                ".018",
-                r2_std,
-                0.005..=0.03,
-            ),
-            figure(
-                "seven robots, MAE, mean (mW)",
-                "70.7",
-                mean_and_std(&mae).0,
-                60.0..=82.0,
-            ),
-            figure(
-                "seven robots, least of 1, 2, 3, 6 above most of 4, 5, 7 (mW)",
-                "above 0",
-                lead_w * 1e3,
-                50.0..=1_000.0,
-            )
-            .given(),
-            figure(
-                "seven robots, largest energy error (%)",
-                "below 2.3",
-                most,
-                0.0..=2.3,
-            ),
-            figure(
-                "seven robots, median energy error (%)",
-                "below 0.1",
-                median,
-                0.0..=1.3,
-            ),
-            reported("seven robots, energy errors below 0.1 %", "4", small),
-        ]
+        vec![r2_mean, r2_std, mae, lead_w * 1e3, most, median, small]
     }
 
     fn more_and_rest(&self) -> (Vec<f64>, Vec<f64>) {
@@ -507,31 +406,6 @@ impl Measured {
             robots.partition(|(robot, _)| [1, 2, 3, 6].contains(robot));
         let powers = |robots: Vec<(i32, &f64)>| robots.iter().map(|(_, w)| **w).collect();
         (powers(more), powers(rest))
-    }
-}
-
-fn figure(name: &str, paper: &str, found: f64, held: RangeInclusive<f64>) -> Figure {
-    let is_target = TARGETS.iter().any(|target| target.name == name);
-    Figure {
-        name: name.to_owned(),
-        paper: paper.to_owned(),
-        found,
-        held: Some(held.into_inner()),
-        role: if is_target {
-            Role::Fitted
-        } else {
-            Role::Checked
-        },
-    }
-}
-
-fn reported(name: &str, paper: &str, found: f64) -> Figure {
-    Figure {
-        name: name.to_owned(),
-        paper: paper.to_owned(),
-        found,
-        held: None,
-        role: Role::Reported,
     }
 }
 
@@ -575,12 +449,6 @@ impl fmt::Display for Averaged {
         let band = match held {
             None => "–".to_owned(),
             Some((low, high)) => format!("{low:.places$} to {high:.places$}"),
-        };
-        let role = match role {
-            Role::Fitted => "fitted",
-            Role::Checked => "checked",
-            Role::Given => "given",
-            Role::Reported => "reported",
         };
         let std = self.std;
         write!(

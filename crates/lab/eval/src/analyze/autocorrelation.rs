@@ -21,7 +21,6 @@ pub struct Autocorrelation {
 }
 
 /// Autocorrelation at lags from 1 to `lags`.
-#[must_use]
 pub fn autocorrelation(trial: &Trial, lags: usize) -> Autocorrelation {
     LagSums::of(trial, lags).alone()
 }
@@ -29,7 +28,6 @@ pub fn autocorrelation(trial: &Trial, lags: usize) -> Autocorrelation {
 /// Autocorrelation over all trials: deviations from the mean of all readings, pairs within trials.
 /// It includes the variance between trials, so it exceeds the autocorrelation within a trial;
 /// scores over many trials depend on it.
-#[must_use]
 pub fn pooled(trials: &[Trial], lags: usize) -> Autocorrelation {
     let each = trials.iter().map(|trial| LagSums::of(trial, lags));
     LagSums::pooled(&each.collect::<Vec<_>>(), lags)

@@ -39,7 +39,6 @@ impl Fault {
     ];
 
     /// The name in tables.
-    #[must_use]
     pub fn name(self) -> String {
         let percent = |share: f64| 100.0 * share;
         match self {

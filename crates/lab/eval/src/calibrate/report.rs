@@ -75,7 +75,6 @@ pub struct Limit {
 
 impl Limit {
     /// Its source in words.
-    #[must_use]
     pub fn evidence(&self) -> String {
         let [first, second] = self.alarms;
         let counts = format!("{first} false alarms on the first half, {second} on the second");
@@ -93,7 +92,6 @@ impl Limit {
 
 impl Calibration {
     /// The rate and its evidence, in sentences.
-    #[must_use]
     pub fn evidence(&self) -> Vec<String> {
         let percent = 100.0 * self.confidence;
         let (first, second) = (self.chosen_on, self.stated_on);

@@ -93,7 +93,6 @@ pub struct RobotReport {
 
 impl Evaluation {
     /// The evaluation without its steps.
-    #[must_use]
     pub fn report(&self) -> EvaluationReport {
         let mut pool = LivePool::default();
         let robots = self.robots.iter();

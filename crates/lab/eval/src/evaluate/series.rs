@@ -19,7 +19,6 @@ pub struct Series {
 
 impl Series {
     /// The scored readings of a trial.
-    #[must_use]
     pub fn of(robot: &RobotEvaluation) -> Self {
         let mut series = Self::default();
         let mut interval = [f64::NAN; 2];
@@ -41,13 +40,11 @@ impl Series {
     }
 
     /// Number of readings.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.time_s.len()
     }
 
     /// Whether there are no readings.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.time_s.is_empty()
     }
@@ -60,7 +57,6 @@ impl Series {
 
     /// Measured and forecast energy up to each reading, J. Steps longer than `longest_s` are
     /// excluded from both.
-    #[must_use]
     pub fn energy_j(&self, longest_s: f64) -> Vec<[f64; 2]> {
         let mut sums = [0.0; 2];
         let mut before_s = None;

@@ -104,7 +104,6 @@ impl Design {
     /// Evaluates every row. The recordings are assigned in turn to up to ten folds, and the
     /// baselines for each are fitted on the others; a single recording is cut into halves, each
     /// evaluated with baselines from the other. Duplicates of a recording share its fold.
-    #[must_use]
     pub fn folds(recordings: &[Recording]) -> Self {
         let (folds, description) = match recordings {
             [only] => (
@@ -129,7 +128,6 @@ impl Design {
     }
 
     /// Evaluates every row; baselines are fitted on other recordings.
-    #[must_use]
     pub fn fitted_on(recordings: &[Recording], others: Vec<Recording>) -> Self {
         let whole = |(at, recording): (usize, &Recording)| (at, 0..recording.rows());
         let fold = Fold {
@@ -206,7 +204,6 @@ impl Design {
     }
 
     /// The design in numbers.
-    #[must_use]
     pub fn report(&self) -> DesignReport {
         let rows = |of: fn(&Fold) -> &Vec<Part>| -> usize {
             let parts = self.folds.iter().flat_map(of);

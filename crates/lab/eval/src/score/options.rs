@@ -157,31 +157,14 @@ impl Options {
             block_rows,
             ..
         } = self.bootstrap;
+        let (rows, every) = (block_rows as f64, self.origins_every as f64);
+        let is_share = 0.0 < confidence && confidence < 1.0;
+        let few = resamples <= MAX_RESAMPLES;
         for (what, found, fine, allowed) in [
-            (
-                "origins_every",
-                self.origins_every as f64,
-                self.origins_every > 0,
-                "1 row or more",
-            ),
-            (
-                "resamples",
-                resamples.into(),
-                resamples <= MAX_RESAMPLES,
-                "0 to 1,000,000",
-            ),
-            (
-                "block_rows",
-                block_rows as f64,
-                block_rows > 0,
-                "1 row or more",
-            ),
-            (
-                "confidence",
-                confidence,
-                0.0 < confidence && confidence < 1.0,
-                "a share above 0 and below 1",
-            ),
+            ("origins_every", every, every > 0.0, "1 row or more"),
+            ("resamples", resamples.into(), few, "0 to 1,000,000"),
+            ("block_rows", rows, rows > 0.0, "1 row or more"),
+            ("confidence", confidence, is_share, "above 0 and below 1"),
         ] {
             if !fine {
                 return Err(ScoreError::Option {

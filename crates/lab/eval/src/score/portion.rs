@@ -77,13 +77,11 @@ pub fn score_portion(
 
 impl Portion {
     /// Number of its recordings, and of all.
-    #[must_use]
     pub fn recordings(&self) -> (usize, usize) {
         (self.recordings.len(), self.common.recordings.len())
     }
 
     /// Name of the platform.
-    #[must_use]
     pub fn platform(&self) -> &str {
         &self.common.platform
     }

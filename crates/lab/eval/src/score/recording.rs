@@ -57,7 +57,6 @@ pub struct Contents {
 
 impl Contents {
     /// The rows of a trial.
-    #[must_use]
     pub fn of(trial: Trial) -> Self {
         let rows = trial_rows(&trial);
         let offset_ns = trial.offset_ns();
@@ -76,7 +75,6 @@ impl Contents {
 
 impl Recording {
     /// A trial in memory, with names derived from its file.
-    #[must_use]
     pub fn new(id: u32, trial: Trial) -> Self {
         Self::with(id, Contents::of(trial))
     }
@@ -102,7 +100,6 @@ impl Recording {
     }
 
     /// What is implausible in its readings, errors first.
-    #[must_use]
     pub fn implausible(&self) -> &[Implausible] {
         &self.implausible
     }
@@ -148,7 +145,6 @@ impl Recording {
     }
 
     /// The trial and its rows, if they are in memory.
-    #[must_use]
     pub fn in_memory(&self) -> Option<&Contents> {
         match &self.held {
             Held::Memory(contents) => Some(contents),
@@ -157,43 +153,36 @@ impl Recording {
     }
 
     /// The trial's file.
-    #[must_use]
     pub fn file(&self) -> &str {
         &self.file
     }
 
     /// Notes on the trial's quality, in one line.
-    #[must_use]
     pub fn notes(&self) -> &str {
         &self.notes
     }
 
     /// Number of rows with a forecast and a reading that follows.
-    #[must_use]
     pub const fn rows(&self) -> usize {
         self.rows
     }
 
     /// Number of rows of the trial.
-    #[must_use]
     pub const fn trial_rows(&self) -> usize {
         self.trial_rows
     }
 
     /// Hash of the rows with a forecast.
-    #[must_use]
     pub const fn digest(&self) -> [u8; 32] {
         self.digest
     }
 
     /// Median period of the trial, ns.
-    #[must_use]
     pub const fn period_ns(&self) -> u64 {
         self.period_ns
     }
 
     /// The recording as a source of a split.
-    #[must_use]
     pub fn info(&self) -> SourceInfo {
         SourceInfo {
             trial: self.name.clone(),
@@ -222,7 +211,6 @@ impl PartialEq for Recording {
 
 /// A platform that accepts a trial as it was recorded: its median period, and limits that refuse
 /// only values that are not finite. For recordings of robots that no config describes.
-#[must_use]
 pub fn recorded_platform(robot: u32, trial: &Trial) -> Platform {
     const SECOND_NS: u64 = 1_000_000_000;
     let period_ns = trial.period_ns().clamp(SECOND_NS / 10_000, 60 * SECOND_NS);

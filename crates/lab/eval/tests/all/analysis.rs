@@ -2,13 +2,14 @@
 
 use std::path::Path;
 
-use joulebus_dataset::split::{By, Split, SplitError};
+use joulebus_dataset::split::{By, SplitError};
 use joulebus_dataset::trial::{Column, Method, Resample, Row, Trial};
 use joulebus_eval::analyze::{
-    Analysis, AnalysisSettings, AnalyzeError, Member, Series, analyze, autocorrelation, pooled,
+    AnalysisSettings, AnalyzeError, Member, Series, analyze, autocorrelation, pooled,
 };
 use joulebus_eval::score::Recording;
 use joulebus_testkit::recordings::trials;
+use joulebus_testkit::says;
 use proptest::prelude::*;
 
 /// Uniform on [−1, 1), from a simple reference generator.
@@ -57,21 +58,37 @@ fn recordings(trials: &[Trial]) -> Vec<Recording> {
         .collect()
 }
 
-fn native(trials: &[Trial], settings: &AnalysisSettings) -> Series {
-    let settings = AnalysisSettings {
+/// AR(1) trials of these rows, as [`kept`].
+fn six(rows: usize, keep: f64, hold: usize) -> Vec<Trial> {
+    let trials = (0..6).map(|n| kept(&format!("t_{n}.npy"), rows, keep, hold, n));
+    trials.collect()
+}
+
+/// The usual settings with this change, and without grids.
+fn settings(change: impl FnOnce(&mut AnalysisSettings)) -> AnalysisSettings {
+    let mut settings = AnalysisSettings {
         grids: Vec::new(),
-        ..settings.clone()
+        ..AnalysisSettings::default()
     };
-    analyze(&recordings(trials), &settings, &[])
-        .unwrap()
-        .series
-        .remove(0)
+    change(&mut settings);
+    settings
+}
+
+/// The series on a grid, or the native one.
+fn series(trials: &[Trial], grid: Option<Resample>) -> Series {
+    let settings = settings(|it| it.grids.extend(grid));
+    let mut found = analyze(&recordings(trials), &settings, &[]).unwrap().series;
+    found.pop().unwrap()
 }
 
 fn named<'a>(series: &'a Series, name: &str) -> &'a Member {
     let members = &series.ablation.as_ref().unwrap().members;
     let member = members.iter().find(|member| member.name == name);
     member.unwrap_or_else(|| panic!("no {name} in {members:?}"))
+}
+
+fn grid(method: Method, rate_hz: f64) -> Option<Resample> {
+    Some(Resample { method, rate_hz })
 }
 
 proptest! {
@@ -105,77 +122,44 @@ proptest! {
 
 #[test]
 fn the_autocorrelation_of_an_ar1_series_is_its_coefficient() {
-    let trials: Vec<Trial> = (0..6)
-        .map(|n| kept(&format!("t_{n}.npy"), 4_000, 0.9, 1, n))
-        .collect();
-    let series = native(&trials, &AnalysisSettings::default());
+    let series = series(&six(4_000, 0.9, 1), None);
     for (lag, value) in series.pooled_autocorrelation.iter().enumerate() {
         let wanted = 0.9_f64.powi(lag as i32 + 1);
-        assert!(
-            (value.unwrap() - wanted).abs() < 0.03,
-            "lag {}: {value:?} {wanted}",
-            lag + 1
-        );
+        let off = (value.unwrap() - wanted).abs();
+        assert!(off < 0.03, "lag {}: {value:?} {wanted}", lag + 1);
     }
     assert_eq!(series.held_share, 0.0);
     // Persistence scores 2ρ − 1, one lag ρ².
     assert!((named(&series, "persistence").all.r2 - 0.8).abs() < 0.03);
     assert!((named(&series, "AR(1)").all.r2 - 0.81).abs() < 0.03);
     assert!((named(&series, "AR(5)").all.r2 - 0.81).abs() < 0.03);
-    assert!(
-        series.left_out[0].contains("velocities"),
-        "{:?}",
-        series.left_out
-    );
+    says(&series.left_out[0], ["velocities"]);
 }
 
 #[test]
 fn the_share_of_held_readings_in_a_score_is_separated() {
     // Each reading is held for three rows and independent of the next: all skill is repetition.
-    let trials: Vec<Trial> = (0..6)
-        .map(|n| kept(&format!("t_{n}.npy"), 6_000, 0.0, 3, n))
-        .collect();
-    let series = native(&trials, &AnalysisSettings::default());
-    assert!(
-        (series.held_share - 2.0 / 3.0).abs() < 1e-3,
-        "{}",
-        series.held_share
-    );
-    assert!((series.pooled_autocorrelation[0].unwrap() - 2.0 / 3.0).abs() < 0.02);
-    assert!(
-        series.pooled_autocorrelation[2].unwrap().abs() < 0.03,
-        "the next reading"
-    );
-    let persistence = named(&series, "persistence");
+    let trials = six(6_000, 0.0, 3);
+    let native = series(&trials, None);
+    let held = native.held_share;
+    assert!((held - 2.0 / 3.0).abs() < 1e-3, "{held}");
+    assert!((native.pooled_autocorrelation[0].unwrap() - 2.0 / 3.0).abs() < 0.02);
+    // The next reading.
+    assert!(native.pooled_autocorrelation[2].unwrap().abs() < 0.03);
+    let persistence = named(&native, "persistence");
     assert_eq!((persistence.held.mae_w, persistence.held.r2), (0.0, 1.0));
-    assert!(
-        (persistence.all.r2 - 1.0 / 3.0).abs() < 0.03,
-        "{persistence:?}"
-    );
+    let r2 = persistence.all.r2;
+    assert!((r2 - 1.0 / 3.0).abs() < 0.03, "{persistence:?}");
     assert!((persistence.new.r2 + 1.0).abs() < 0.1, "{persistence:?}");
-    assert!(
-        persistence.held_share_of_gain > 1.5,
-        "what it saves on held, it loses on new ones"
-    );
+    // What it saves on held readings, it loses on new ones.
+    assert!(persistence.held_share_of_gain > 1.5);
     let rows = persistence.held.rows + persistence.new.rows;
     assert_eq!(rows, persistence.all.rows);
 
     // The same readings at their own rate: no skill remains.
-    let thinned = AnalysisSettings {
-        grids: vec![Resample {
-            method: Method::Hold,
-            rate_hz: 10.0,
-        }],
-        ..AnalysisSettings::default()
-    };
-    let at_10_hz = analyze(&recordings(&trials), &thinned, &[])
-        .unwrap()
-        .series
-        .remove(1);
-    assert_eq!(
-        (at_10_hz.name.as_str(), at_10_hz.held_share),
-        ("held at 10 Hz", 0.0)
-    );
+    let at_10_hz = series(&trials, grid(Method::Hold, 10.0));
+    let (name, held) = (at_10_hz.name.as_str(), at_10_hz.held_share);
+    assert_eq!((name, held), ("held at 10 Hz", 0.0));
     assert!(at_10_hz.pooled_autocorrelation[0].unwrap().abs() < 0.03);
     assert!(named(&at_10_hz, "AR(5)").all.r2 < 0.01);
 }
@@ -194,23 +178,17 @@ fn power_that_depends_on_the_command_is_explained_by_velocities() {
             trial(&format!("t_{n}.npy"), rows)
         })
         .collect();
-    let series = native(&trials, &AnalysisSettings::default());
+    let series = series(&trials, None);
     assert!(named(&series, "velocities").all.r2 > 0.999_999);
     assert!(named(&series, "velocities + 1 lag").all.mae_w < 1e-5);
     assert!(named(&series, "AR(5)").all.r2 < 0.02);
     assert!(named(&series, "persistence").all.r2 < -0.8);
     let ablation = series.ablation.as_ref().unwrap();
-    assert_eq!(
-        series.split.rows[0] + series.split.rows[1],
-        ablation.fitted_rows
-    );
-    assert_eq!(series.split.rows[2], ablation.rows);
-    assert!(
-        series
-            .split
-            .name
-            .contains("by trial, 15 % for validation, 30 % held out, seed 0")
-    );
+    let [training, validation, held_out] = series.split.rows;
+    assert_eq!(training + validation, ablation.fitted_rows);
+    assert_eq!(held_out, ablation.rows);
+    let split = "by trial, 15 % for validation, 30 % held out, seed 0";
+    says(&series.split.name, [split]);
 }
 
 #[test]
@@ -221,65 +199,35 @@ fn a_group_is_held_out_by_name_and_an_unknown_one_is_refused() {
             kept(&format!("{group}_{}.npy", n % 2), 200, 0.5, 1, n)
         })
         .collect();
-    let leave_out = |names: &[&str], by: By| AnalysisSettings {
-        grids: Vec::new(),
-        leave_out: names.iter().map(|name| (*name).to_owned()).collect(),
-        split: Split {
-            by,
-            ..AnalysisSettings::default().split
-        },
-        ..AnalysisSettings::default()
+    let leave_out = |names: &[&str]| {
+        let settings = settings(|it| {
+            it.leave_out = names.iter().map(|name| (*name).to_owned()).collect();
+            it.split.by = By::Group;
+        });
+        analyze(&recordings(&trials), &settings, &[])
     };
-    let found: Analysis =
-        analyze(&recordings(&trials), &leave_out(&["ICE"], By::Group), &[]).unwrap();
+    let found = leave_out(&["ICE"]).unwrap();
     let split = &found.series[0].split;
     assert_eq!(split.held_out, ["ICE"]);
-    assert!(split.name.contains("ICE held out"), "{}", split.name);
+    says(&split.name, ["ICE held out"]);
     assert!(!split.training.is_empty() && !split.validation.is_empty());
-    let refused =
-        |names: &[&str], by| match analyze(&recordings(&trials), &leave_out(names, by), &[]) {
-            Err(AnalyzeError::Split(error)) => error,
-            other => panic!("{other:?}"),
-        };
-    assert!(matches!(
-        refused(&["MUD"], By::Group),
-        SplitError::Unknown { .. }
-    ));
-    assert!(
-        refused(&["MUD"], By::Group)
-            .to_string()
-            .contains("ICE, SAND, SNOW")
-    );
-    let two = ["ICE", "SNOW"];
-    assert!(matches!(
-        refused(&two, By::Group),
-        SplitError::TooFew { .. }
-    ));
-    for (settings, what) in [
-        (
-            AnalysisSettings {
-                lags: 0,
-                ..AnalysisSettings::default()
-            },
-            "lags",
-        ),
-        (
-            AnalysisSettings {
-                window: 6,
-                ..AnalysisSettings::default()
-            },
-            "1 to 5",
-        ),
-    ] {
-        let refused = analyze(&recordings(&trials), &settings, &[])
-            .unwrap_err()
-            .to_string();
-        assert!(refused.contains(what), "{refused}");
+    let refused = |names: &[&str]| match leave_out(names) {
+        Err(AnalyzeError::Split(error)) => error,
+        other => panic!("{other:?}"),
+    };
+    let unknown = refused(&["MUD"]);
+    assert!(matches!(unknown, SplitError::Unknown { .. }));
+    says(&unknown, ["ICE, SAND, SNOW"]);
+    let few = refused(&["ICE", "SNOW"]);
+    assert!(matches!(few, SplitError::TooFew { .. }));
+    let no_lags = settings(|it| it.lags = 0);
+    let long = settings(|it| it.window = 6);
+    for (settings, what) in [(no_lags, "lags"), (long, "1 to 5")] {
+        let refused = analyze(&recordings(&trials), &settings, &[]);
+        says(&refused.unwrap_err(), [what]);
     }
-    assert!(matches!(
-        analyze(&[], &AnalysisSettings::default(), &[]),
-        Err(AnalyzeError::NoTrial)
-    ));
+    let none = analyze(&[], &AnalysisSettings::default(), &[]);
+    assert!(matches!(none, Err(AnalyzeError::NoTrial)));
 }
 
 /// The reference is `../shared/data/README.md`, computed by another program with another split. Its
@@ -293,48 +241,21 @@ fn the_robotino_scores_equal_the_reference() {
         .iter()
         .map(|path| Trial::read(path).unwrap())
         .collect();
-    let interpolated = Resample {
-        method: Method::Linear,
-        rate_hz: 30.0,
-    };
-    let settings = AnalysisSettings {
-        grids: vec![interpolated],
-        ..AnalysisSettings::default()
-    };
+    let settings = settings(|it| it.grids.extend(grid(Method::Linear, 30.0)));
     let found = analyze(&recordings(&trials), &settings, &[]).unwrap();
     let wanted = [(0.888, 0.819, 0.03, 0.860), (0.928, 0.895, 0.03, 0.909)];
     for (series, (lag_1, persistence, velocities, all)) in found.series.iter().zip(wanted) {
-        let name = &series.name;
-        let near = |what: &str, found: f64, wanted: f64, allowed: f64| {
-            assert!(
-                (found - wanted).abs() <= allowed,
-                "{name}: {what} {found:.4}, {wanted}"
-            );
-        };
-        near(
-            "lag 1",
-            series.pooled_autocorrelation[0].unwrap(),
-            lag_1,
-            0.01,
-        );
-        near(
-            "persistence",
-            named(series, "persistence").all.r2,
-            persistence,
-            0.01,
-        );
-        near(
-            "velocities",
-            named(series, "velocities").all.r2,
-            velocities,
-            0.04,
-        );
-        near(
-            "AR(5) + velocities",
-            named(series, "AR(5) + velocities").all.r2,
-            all,
-            0.01,
-        );
+        let (name, first) = (&series.name, series.pooled_autocorrelation[0].unwrap());
+        let r2 = |member: &str| named(series, member).all.r2;
+        for (what, found, wanted, allowed) in [
+            ("lag 1", first, lag_1, 0.01),
+            ("persistence", r2("persistence"), persistence, 0.01),
+            ("velocities", r2("velocities"), velocities, 0.04),
+            ("all", r2("AR(5) + velocities"), all, 0.01),
+        ] {
+            let off = (found - wanted).abs();
+            assert!(off <= allowed, "{name}: {what} {found:.4}, {wanted}");
+        }
     }
     let ours = pooled(&trials, 1).at_lag;
     assert_eq!(ours[0], found.series[0].pooled_autocorrelation[0]);

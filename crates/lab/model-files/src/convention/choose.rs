@@ -446,7 +446,6 @@ impl Choice {
     }
 
     /// The model that the worker loads.
-    #[must_use]
     pub fn network(&self) -> &Network {
         &self.network
     }

@@ -10,6 +10,7 @@ use joulebus_model_files::{
     StatisticsFrom, to_arrays, to_npz, to_onnx,
 };
 use joulebus_predictor::{Activation, FEATURES, FeatureSet, Features, Network};
+use joulebus_testkit::{cases, says};
 use joulebus_testkit_networks::random;
 
 const STEP_S: f64 = 1.0 / 30.0;
@@ -159,56 +160,33 @@ fn every_file_of_numpy_and_pytorch_gives_forecasts_within_1e5_w_of_theirs() {
 
 #[test]
 fn arrays_are_found_by_shape_and_statistics_by_name_in_every_style() {
-    for (name, transposed, by_name, documented, weight, bias) in [
-        ("flat.npy", false, true, false, "W2", "b2"),
-        (
-            "nested.npy",
-            true,
-            false,
-            false,
-            "weights.matrices.1",
-            "weights.biases.1",
-        ),
-        ("pairs.npy", false, false, true, "2", "3"),
-        ("lists.npy", false, true, false, "layers.1.w", "layers.1.b"),
-        (
-            "arrays.npz",
-            false,
-            true,
-            false,
-            "layers.1.weight",
-            "layers.1.bias",
-        ),
-        ("state_dict.pt", false, true, true, "3.weight", "3.bias"),
-        (
-            "state_dict_legacy.pt",
-            false,
-            true,
-            true,
-            "3.weight",
-            "3.bias",
-        ),
-        (
-            "checkpoint.pt",
-            false,
-            true,
-            false,
-            "model_state_dict.net.3.weight",
-            "model_state_dict.net.3.bias",
-        ),
-        ("module.pt", false, true, true, "3.weight", "3.bias"),
-    ] {
+    // Whether matrices are transposed, layers paired by name, and statistics documented.
+    for case in cases(
+        "
+        flat.npy | by name | W2 | b2
+        nested.npy | transposed | weights.matrices.1 | weights.biases.1
+        pairs.npy | documented | 2 | 3
+        lists.npy | by name | layers.1.w | layers.1.b
+        arrays.npz | by name | layers.1.weight | layers.1.bias
+        state_dict.pt | by name, documented | 3.weight | 3.bias
+        state_dict_legacy.pt | by name, documented | 3.weight | 3.bias
+        checkpoint.pt | by name | model_state_dict.net.3.weight | model_state_dict.net.3.bias
+        module.pt | by name, documented | 3.weight | 3.bias
+        ",
+    ) {
+        let [name, how, weight, bias] = case.as_slice() else {
+            panic!("{case:?}");
+        };
+        let [transposed, by_name, documented] =
+            ["transposed", "by name", "documented"].map(|part| how.contains(part));
         let found = found(name);
         assert_eq!(found.feature_set, FeatureSet::Full, "{name}");
         assert_eq!(found.transposed, transposed, "{name}");
         assert_eq!(found.paired_by_name, by_name, "{name}");
-        assert_eq!(
-            found.normalisation.from == StatisticsFrom::Assumed,
-            documented,
-            "{name}"
-        );
-        assert_eq!(found.layers[1].weight_path, weight, "{name}");
-        assert_eq!(found.layers[1].bias_path, bias, "{name}");
+        let is_assumed = found.normalisation.from == StatisticsFrom::Assumed;
+        assert_eq!(is_assumed, documented, "{name}");
+        assert_eq!(&found.layers[1].weight_path, weight, "{name}");
+        assert_eq!(&found.layers[1].bias_path, bias, "{name}");
         assert_eq!(found.layers, relabelled(&found, "flat.npy"), "{name}");
     }
 }
@@ -226,32 +204,17 @@ fn relabelled(found: &Found, other: &str) -> Vec<joulebus_model_files::FoundLaye
 #[test]
 fn the_convention_that_made_the_data_is_found_with_a_clear_margin() {
     let found = found("flat.npy");
-    let base = FIXTURES;
-    for convention in [
-        base,
-        Convention {
-            order: LagOrder::Oldest,
-            ..base
-        },
-        Convention {
-            lags: Lags::First,
-            ..base
-        },
-        Convention {
-            derivative: Derivative::NormalisedPerStep,
-            ..base
-        },
-        Convention {
-            derivative: Derivative::RawPerSecond,
-            magnitude: Magnitude::Raw,
-            ..base
-        },
-        Convention {
-            derivative: Derivative::RawPerStep,
-            magnitude: Magnitude::Divided,
-            ..base
-        },
-    ] {
+    let changes: [fn(&mut Convention); 6] = [
+        |_| (),
+        |it| it.order = LagOrder::Oldest,
+        |it| it.lags = Lags::First,
+        |it| it.derivative = Derivative::NormalisedPerStep,
+        |it| (it.derivative, it.magnitude) = (Derivative::RawPerSecond, Magnitude::Raw),
+        |it| (it.derivative, it.magnitude) = (Derivative::RawPerStep, Magnitude::Divided),
+    ];
+    for change in changes {
+        let mut convention = FIXTURES;
+        change(&mut convention);
         let trial = recorded(&found, &convention, 1_500, true);
         let choice = chosen(&found, &trial, None).unwrap();
         let (best, next) = (choice.ranking[0], choice.ranking[1]);
@@ -260,16 +223,10 @@ fn the_convention_that_made_the_data_is_found_with_a_clear_margin() {
         assert!(best.r2 > 0.99, "{ranking}");
         assert_eq!(choice.blocks_won, choice.blocks, "{ranking}");
         assert!(choice.margin_r2 >= best.r2 - next.r2, "{ranking}");
-        assert_eq!(
-            convention.to_string().parse::<Convention>().unwrap(),
-            convention
-        );
+        let name = convention.to_string();
+        assert_eq!(name.parse::<Convention>().unwrap(), convention);
         let card = choice.network().card();
-        assert!(
-            card.source.contains(&convention.to_string()),
-            "{}",
-            card.source
-        );
+        says(&card.source, [&name]);
         assert_eq!(card.scores.rows, choice.rows as u64);
     }
 }
@@ -303,13 +260,8 @@ fn data_that_cannot_distinguish_conventions_give_no_clear_choice() {
     let trial = recorded(&found, &FIXTURES, 600, false);
     match chosen(&found, &trial, None) {
         Ok(choice) => panic!("{:?}", choice.ranking),
-        Err(error) => assert!(
-            matches!(
-                &error,
-                ChooseError::NothingFits { .. } | ChooseError::Indistinguishable { .. }
-            ),
-            "{error}"
-        ),
+        Err(ChooseError::NothingFits { .. } | ChooseError::Indistinguishable { .. }) => {}
+        Err(error) => panic!("{error}"),
     }
 }
 
@@ -336,10 +288,8 @@ fn with_constant_features() -> Network {
     for feature in [1, 3] {
         parameters.normalisation.feature_std[feature] = 0.0;
         let mean = parameters.normalisation.feature_mean[feature];
-        (
-            card.training_range.min[feature],
-            card.training_range.max[feature],
-        ) = (mean, mean);
+        card.training_range.min[feature] = mean;
+        card.training_range.max[feature] = mean;
     }
     parameters.layers[0].weights[1] = -0.0;
     Network::new(parameters, card).unwrap()
@@ -383,17 +333,12 @@ fn survives_export(network: &Network) {
     let archive = to_npz(network).unwrap();
     assert_eq!(archive, to_npz(network).unwrap());
     let own = network.to_safetensors().unwrap();
+    let (onnx, arrays) = (to_onnx(network).unwrap(), to_arrays(network).unwrap());
     for (container, read) in [
         (Container::Safetensors, Checkpoint::read(&own)),
         (Container::Npz, Checkpoint::read(&archive)),
-        (
-            Container::Onnx,
-            Checkpoint::read(&to_onnx(network).unwrap()),
-        ),
-        (
-            Container::Arrays,
-            Checkpoint::from_arrays(&to_arrays(network).unwrap()),
-        ),
+        (Container::Onnx, Checkpoint::read(&onnx)),
+        (Container::Arrays, Checkpoint::from_arrays(&arrays)),
     ] {
         let read = read.unwrap();
         assert_eq!(read.container, container);
@@ -403,15 +348,11 @@ fn survives_export(network: &Network) {
     }
     let read = Checkpoint::read(&archive).unwrap();
     let array = |name: &str| {
-        let entry = read
-            .entries
-            .iter()
-            .find(|entry| entry.path == name)
-            .unwrap();
-        let EntryValue::Tensor(tensor) = &entry.value else {
-            panic!("{name}")
-        };
-        tensor.values().to_vec()
+        let entry = read.entries.iter().find(|entry| entry.path == name);
+        match &entry.unwrap().value {
+            EntryValue::Tensor(tensor) => tensor.values().to_vec(),
+            _ => panic!("{name}"),
+        }
     };
     let (rows, inputs) = (array("check_features"), network.feature_set().inputs());
     assert_eq!(rows.len(), CHECK_ROWS * inputs);
@@ -430,10 +371,7 @@ fn a_network_of_another_program_is_not_assumed_to_read_the_reading_age() {
     let read = Checkpoint::from_arrays(&arrays).unwrap();
     assert!(read.network.is_none());
     let error = read.find(None, None).unwrap_err().to_string();
-    assert!(
-        error.contains("freshness comes as an own model only") && error.contains("64, 13"),
-        "{error}"
-    );
+    says(&error, ["freshness comes as an own model only", "64, 13"]);
 }
 
 #[test]
@@ -443,17 +381,13 @@ fn an_exported_array_that_contradicts_the_metadata_is_refused_by_name() {
         let mut arrays = to_arrays(&network).unwrap();
         let (_, bytes) = arrays.iter_mut().find(|(name, _)| name == changed).unwrap();
         *bytes.last_mut().unwrap() ^= 1;
-        let error = Checkpoint::from_arrays(&arrays).unwrap_err().to_string();
-        assert!(
-            error.contains(changed) || error.contains("SHA-256"),
-            "{changed}: {error}"
-        );
+        let damaged = arrays.clone();
         arrays.retain(|(name, _)| name != changed);
-        let error = Checkpoint::from_arrays(&arrays).unwrap_err().to_string();
-        assert!(
-            error.contains(changed) || error.contains("SHA-256"),
-            "{changed}: {error}"
-        );
+        for arrays in [damaged, arrays] {
+            let error = Checkpoint::from_arrays(&arrays).unwrap_err().to_string();
+            let is_named = error.contains(changed) || error.contains("SHA-256");
+            assert!(is_named, "{changed}: {error}");
+        }
     }
 }
 
@@ -469,29 +403,19 @@ fn shipped() -> Network {
 fn the_activation_is_taken_from_the_layers_and_a_program_is_refused() {
     let mut mixed = Checkpoint::read(&fixture("module_tanh.pt")).unwrap();
     let found = mixed.find(None, None).unwrap();
-    assert_eq!(
-        (found.activation, found.activation_from),
-        (Activation::GeluTanh, ActivationFrom::File)
-    );
+    let stated = |found: &Found| (found.activation, found.activation_from);
+    let by_file = |activation| (activation, ActivationFrom::File);
+    assert_eq!(stated(&found), by_file(Activation::GeluTanh));
     let erf = self::found("module.pt");
-    assert_eq!(
-        (erf.activation, erf.activation_from),
-        (Activation::GeluErf, ActivationFrom::File)
-    );
-    assert_eq!(
-        self::found("state_dict.pt").activation_from,
-        ActivationFrom::Default
-    );
-    let mut settings = mixed
-        .entries
-        .iter_mut()
-        .filter(|e| e.path.ends_with("approximate"));
+    assert_eq!(stated(&erf), by_file(Activation::GeluErf));
+    let plain = self::found("state_dict.pt");
+    assert_eq!(plain.activation_from, ActivationFrom::Default);
+    let entries = mixed.entries.iter_mut();
+    let mut settings = entries.filter(|entry| entry.path.ends_with("approximate"));
     settings.next_back().unwrap().value = EntryValue::Text("none".to_owned());
     let error = mixed.find(None, None).unwrap_err();
-    assert!(
-        matches!(&error, FindError::ActivationsDiffer { .. }),
-        "{error}"
-    );
+    let differ = matches!(&error, FindError::ActivationsDiffer { .. });
+    assert!(differ, "{error}");
     let error = Checkpoint::read(&fixture("script.pt")).unwrap_err();
     assert!(error.to_string().contains("TorchScript"), "{error}");
 }
@@ -508,8 +432,6 @@ fn files_of_other_formats_are_refused_with_what_was_found() {
         assert!(error.contains(said), "{error}");
     }
     let error = Checkpoint::read(&vec![0; (16 << 20) + 1]).unwrap_err();
-    assert!(
-        matches!(error, ReadError::TooLarge { found: 16_777_217 }),
-        "{error}"
-    );
+    let found = matches!(error, ReadError::TooLarge { found: 16_777_217 });
+    assert!(found, "{error}");
 }

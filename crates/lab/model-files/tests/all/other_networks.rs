@@ -11,6 +11,7 @@ use joulebus_model_files::{
     Origin, StatisticsFrom,
 };
 use joulebus_predictor::{Activation, FEATURES, Features, Network};
+use joulebus_testkit::says;
 use joulebus_testkit_networks::random::Noise;
 use safetensors::tensor::{Dtype, TensorView};
 
@@ -33,11 +34,9 @@ fn layers(widths: &[usize], seed: u64) -> Layers {
     let pairs = widths.windows(2).map(|pair| {
         let scale = 1.5 / (pair[0] as f32).sqrt();
         let weights = (0..pair[0] * pair[1]).map(|_| noise.next_f32() * scale);
-        let weights = weights.collect();
-        (
-            weights,
-            (0..pair[1]).map(|_| noise.next_f32() * 0.3).collect(),
-        )
+        let weights: Vec<f32> = weights.collect();
+        let bias = (0..pair[1]).map(|_| noise.next_f32() * 0.3).collect();
+        (weights, bias)
     });
     pairs.collect()
 }
@@ -45,15 +44,13 @@ fn layers(widths: &[usize], seed: u64) -> Layers {
 /// A state dict as `safetensors.torch.save_file` writes it.
 fn state_dict(layers: &Layers, dtype: Dtype, metadata: &[(&str, &str)]) -> Vec<u8> {
     let encode = |values: &[f32]| -> Vec<u8> {
-        values
-            .iter()
-            .flat_map(|value| match dtype {
-                Dtype::BF16 => value.to_le_bytes()[2..].to_vec(),
-                Dtype::F16 => half(*value).to_le_bytes().to_vec(),
-                Dtype::F64 => f64::from(*value).to_le_bytes().to_vec(),
-                _ => value.to_le_bytes().to_vec(),
-            })
-            .collect()
+        let bytes = values.iter().map(|value| match dtype {
+            Dtype::BF16 => value.to_le_bytes()[2..].to_vec(),
+            Dtype::F16 => half(*value).to_le_bytes().to_vec(),
+            Dtype::F64 => f64::from(*value).to_le_bytes().to_vec(),
+            _ => value.to_le_bytes().to_vec(),
+        });
+        bytes.flatten().collect()
     };
     let mut tensors = Vec::new();
     for (number, (weights, bias)) in layers.iter().enumerate() {
@@ -63,29 +60,29 @@ fn state_dict(layers: &Layers, dtype: Dtype, metadata: &[(&str, &str)]) -> Vec<u
         tensors.push((name("weight"), vec![bias.len(), inputs], encode(weights)));
         tensors.push((name("bias"), vec![bias.len()], encode(bias)));
     }
-    let views: Vec<(&str, TensorView<'_>)> = tensors
-        .iter()
-        .map(|(name, shape, bytes)| {
-            (
-                name.as_str(),
-                TensorView::new(dtype, shape.clone(), bytes).unwrap(),
-            )
-        })
-        .collect();
-    let metadata: HashMap<String, String> = metadata
-        .iter()
-        .map(|(key, value)| ((*key).to_owned(), (*value).to_owned()))
-        .collect();
+    serialized(&tensors, dtype, metadata)
+}
+
+/// Tensors of these names, shapes and bytes as a file.
+fn serialized(
+    tensors: &[(String, Vec<usize>, Vec<u8>)],
+    dtype: Dtype,
+    metadata: &[(&str, &str)],
+) -> Vec<u8> {
+    let views = tensors.iter().map(|(name, shape, bytes)| {
+        let view = TensorView::new(dtype, shape.clone(), bytes).unwrap();
+        (name.as_str(), view)
+    });
+    let owned = |(key, value): &(&str, &str)| ((*key).to_owned(), (*value).to_owned());
+    let metadata: HashMap<String, String> = metadata.iter().map(owned).collect();
     safetensors::serialize(views, Some(metadata)).unwrap()
 }
 
 /// The half nearest to a number that a half can hold: the tests' numbers are rounded first.
 fn half(value: f32) -> u16 {
     let bits = value.to_bits();
-    let (sign, exponent) = (
-        (bits >> 16 & 0x8000) as u16,
-        (bits >> 23 & 0xff) as i32 - 112,
-    );
+    let sign = (bits >> 16 & 0x8000) as u16;
+    let exponent = (bits >> 23 & 0xff) as i32 - 112;
     if exponent <= 0 {
         return sign;
     }
@@ -192,10 +189,8 @@ fn chosen(found: &Found, trial: &Trial, forced: Option<&str>) -> Result<Choice, 
 
 fn imported(checkpoint: &Checkpoint, trial: &Trial) -> Network {
     let found = checkpoint.find(None, None).unwrap();
-    chosen(&found, trial, Some(CONVENTION))
-        .unwrap()
-        .network()
-        .clone()
+    let choice = chosen(&found, trial, Some(CONVENTION)).unwrap();
+    choice.network().clone()
 }
 
 /// Largest difference between the padded network and the unpadded one, in units of the output
@@ -218,37 +213,22 @@ fn difference(network: &Network, layers: &Layers, activation: Activation) -> (f6
 #[test]
 fn a_smaller_network_of_any_depth_and_activation_gives_the_unpadded_result() {
     let trial = any_trial();
-    for hidden in [
-        &[64, 64, 32][..],
-        &[1, 1, 1],
-        &[32, 32, 32],
-        &[16, 64, 5],
-        &[11, 11, 11],
-        &[64, 64],
-        &[24, 24],
-        &[3, 64],
-        &[64],
-        &[7],
-        &[1],
-    ] {
-        let widths: Vec<usize> = [&[FEATURES][..], hidden, &[1]].concat();
+    for hidden in "64 64 32|1 1 1|32 32 32|16 64 5|11 11 11|64 64|24 24|3 64|64|7|1".split('|') {
+        let hidden: Vec<usize> = hidden.split(' ').map(|it| it.parse().unwrap()).collect();
+        let widths: Vec<usize> = [&[FEATURES][..], &hidden, &[1]].concat();
         for activation in Activation::ALL {
             let layers = layers(&widths, 3);
             let checkpoint = read(&layers, Dtype::F32, Some(activation.name()));
             assert_eq!(checkpoint.container, Container::StateDict);
-            let found = checkpoint
-                .find(None, None)
-                .unwrap_or_else(|e| panic!("{widths:?}: {e}"));
+            let found = checkpoint.find(None, None);
+            let found = found.unwrap_or_else(|e| panic!("{widths:?}: {e}"));
             assert_eq!(found.layers.len(), widths.len() - 1, "{widths:?}");
             assert_eq!(found.activation, activation);
             let network = imported(&checkpoint, &trial);
             let (reference, kernel) = difference(&network, &layers, activation);
-            assert!(
-                reference < 1e-12,
-                "{widths:?} {activation:?}: {reference:e}"
-            );
             // A float of 49 W has a unit of 4e-6 in the last place.
-            assert!(kernel < 6e-6, "{widths:?} {activation:?}: {kernel:e}");
+            let what = format!("{widths:?} {activation:?}: {reference:e} {kernel:e}");
+            assert!(reference < 1e-12 && kernel < 6e-6, "{what}");
         }
     }
 }
@@ -264,10 +244,7 @@ fn a_larger_network_is_refused_with_its_widths_and_the_allowed_ones() {
     ] {
         let checkpoint = read(&layers(widths, 3), Dtype::F32, None);
         let error = checkpoint.find(None, None).unwrap_err().to_string();
-        assert!(
-            error.contains(shown) && error.contains("64, 64 and 32"),
-            "{error}"
-        );
+        says(&error, [shown, "64, 64 and 32"]);
     }
 }
 
@@ -277,12 +254,8 @@ fn an_array_that_may_belong_to_a_layer_is_not_left_out() {
     let plain = layers(&widths, 3);
     let mut tensors = Vec::new();
     for (number, (weights, bias)) in plain.iter().enumerate() {
-        let bytes = |values: &[f32]| {
-            values
-                .iter()
-                .flat_map(|v| v.to_le_bytes())
-                .collect::<Vec<u8>>()
-        };
+        let bytes =
+            |values: &[f32]| -> Vec<u8> { values.iter().flat_map(|v| v.to_le_bytes()).collect() };
         let shape = vec![bias.len(), weights.len() / bias.len()];
         tensors.push((format!("net.{number}.weight"), shape, bytes(weights)));
         tensors.push((format!("net.{number}.bias"), vec![bias.len()], bytes(bias)));
@@ -291,21 +264,10 @@ fn an_array_that_may_belong_to_a_layer_is_not_left_out() {
     for what in ["weight", "bias"] {
         tensors.push((format!("norm.{what}"), vec![24], vec![0; 96]));
     }
-    let views = tensors.iter().map(|(name, shape, bytes)| {
-        (
-            name.as_str(),
-            TensorView::new(Dtype::F32, shape.clone(), bytes).unwrap(),
-        )
-    });
-    let bytes = safetensors::serialize(views, None).unwrap();
-    let error = Checkpoint::read(&bytes)
-        .unwrap()
-        .find(None, None)
-        .unwrap_err();
-    assert!(
-        matches!(&error, FindError::NormalisationLayer { .. }),
-        "{error}"
-    );
+    let read = Checkpoint::read(&serialized(&tensors, Dtype::F32, &[])).unwrap();
+    let error = read.find(None, None).unwrap_err();
+    let is_named = matches!(&error, FindError::NormalisationLayer { .. });
+    assert!(is_named, "{error}");
     assert!(error.to_string().contains("norm."), "{error}");
 }
 
@@ -315,13 +277,11 @@ fn halves_and_doubles_are_read_as_the_numbers_that_they_are() {
     for dtype in [Dtype::F16, Dtype::BF16, Dtype::F64] {
         let mut layers = layers(&[11, 48, 20, 1], 4);
         // Numbers that each of the types holds exactly.
-        for values in layers
+        let both = layers
             .iter_mut()
-            .flat_map(|(weights, bias)| [weights, bias])
-        {
-            for value in values {
-                *value = (*value * 64.0).round() / 64.0;
-            }
+            .flat_map(|(weights, bias)| [weights, bias]);
+        for value in both.flatten() {
+            *value = (*value * 64.0).round() / 64.0;
         }
         let network = imported(&read(&layers, dtype, Some("relu")), &trial);
         let (reference, _) = difference(&network, &layers, Activation::Relu);
@@ -336,10 +296,7 @@ fn an_activation_that_the_kernel_lacks_is_refused_until_the_caller_names_another
         let error = checkpoint.find(None, None).unwrap_err();
         assert!(matches!(&error, FindError::Activation { .. }), "{error}");
         let text = error.to_string();
-        assert!(
-            text.contains(stated) && text.contains("gelu_erf, gelu_tanh, relu"),
-            "{text}"
-        );
+        says(&text, [stated, "gelu_erf, gelu_tanh, relu"]);
         let found = checkpoint.find(None, Some(Activation::Relu)).unwrap();
         assert_eq!(found.activation, Activation::Relu);
         assert_eq!(found.activation_from, ActivationFrom::Caller);
@@ -370,19 +327,11 @@ fn the_files_own_statistics_rule_conventions_out_before_recordings_decide() {
     let choice = chosen(&found, &trial, None).unwrap();
     assert_eq!(choice.convention.to_string(), CONVENTION);
     let is_per_step = |convention: &Convention| convention.to_string().contains("per-step");
-    assert!(
-        choice.ruled_out.iter().any(is_per_step),
-        "{:?}",
-        choice.ruled_out
-    );
-    assert!(
-        !choice
-            .ranking
-            .iter()
-            .any(|ranked| is_per_step(&ranked.convention))
-    );
+    let (out, mut ranking) = (&choice.ruled_out, choice.ranking.iter());
+    assert!(out.iter().any(is_per_step), "{out:?}");
+    assert!(!ranking.any(|ranked| is_per_step(&ranked.convention)));
     let milliwatt = |convention: &Convention| convention.to_string().starts_with("mW");
-    assert!(choice.ruled_out.iter().any(milliwatt));
+    assert!(out.iter().any(milliwatt));
 }
 
 #[test]
@@ -411,9 +360,7 @@ fn conventions_that_forecast_alike_are_named_and_none_is_chosen() {
         matches!(error, ChooseError::Indistinguishable { .. }),
         "{text}"
     );
-    for named in ["newest-first", "oldest-first", "--convention"] {
-        assert!(text.contains(named), "{text}");
-    }
+    says(&text, ["newest-first", "oldest-first", "--convention"]);
     assert!(chosen(&found, &trial, Some(CONVENTION)).is_ok());
 }
 
@@ -427,10 +374,7 @@ fn constants_of_the_published_robot_are_not_taken_for_a_larger_one() {
     let error = chosen(&found, &trial, None).unwrap_err();
     let text = error.to_string();
     assert!(matches!(error, ChooseError::NotPublished { .. }), "{text}");
-    assert!(
-        text.contains("3.652") && text.contains("--normalisation recordings"),
-        "{text}"
-    );
+    says(&text, ["3.652", "--normalisation recordings"]);
     // With the recordings' own constants, the output scale is theirs.
     found.normalisation.from = StatisticsFrom::Recordings;
     let choice = chosen(&found, &trial, Some(CONVENTION)).unwrap();

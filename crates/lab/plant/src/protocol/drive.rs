@@ -16,7 +16,6 @@ pub struct Driver {
 
 impl Driver {
     /// A driver, and the pose in which its robot begins: in the centre, with a random heading.
-    #[must_use]
     pub fn new(protocol: Protocol, mut noise: Noise) -> (Self, Pose) {
         let pose = Pose {
             theta_rad: noise.between(-std::f64::consts::PI, std::f64::consts::PI),

@@ -9,6 +9,7 @@ use joulebus_dataset::trial::{Table, TrialError};
 
 use crate::recordings::{capture, full};
 use crate::{export, files, joulebus, parquet};
+use joulebus_testkit::says;
 
 fn archive(place: &Path) -> PathBuf {
     let recordings = [
@@ -17,8 +18,7 @@ fn archive(place: &Path) -> PathBuf {
     ];
     let folder = place.join("archive");
     let paths: Vec<&Path> = recordings.iter().map(AsRef::as_ref).collect();
-    let ended = export(&paths, &folder);
-    assert_eq!(ended.code(), Some(0), "{}", ended.errors());
+    export(&paths, &folder).exits(0);
     folder
 }
 
@@ -39,20 +39,14 @@ fn a_file_cut_short_or_changed_is_named_before_it_is_decoded() {
     let whole = fs::read(&file).unwrap();
     fs::write(&file, &whole[..whole.len() / 2]).unwrap();
     let message = refusal(&folder);
-    assert!(
-        message.contains("damaged") && message.contains(".parquet"),
-        "{message}"
-    );
+    says(&message, ["damaged", ".parquet"]);
     let mut changed = whole.clone();
     changed[whole.len() / 3] ^= 1;
     fs::write(&file, &changed).unwrap();
     assert!(refusal(&folder).contains("checksum"));
     fs::remove_file(&file).unwrap();
     let message = refusal(&folder);
-    assert!(
-        message.contains("is missing") && message.contains("day="),
-        "{message}"
-    );
+    says(&message, ["is missing", "day="]);
 }
 
 #[test]
@@ -121,19 +115,13 @@ fn parquet_of_other_programs_and_of_other_schemas_is_refused_with_the_remedy() {
     let mut other = whole.clone();
     other[at] = b'x';
     let message = refused(&other);
-    assert!(
-        message.contains("another program") && message.contains("CSV"),
-        "{message}"
-    );
+    says(&message, ["another program", "CSV"]);
     let mut other = whole.clone();
     let value = at + key.len() + 2;
     assert_eq!(other[value], b'1');
     other[value] = b'7';
     let message = refused(&other);
-    assert!(
-        message.contains("\"7\"") && message.contains("allowed is 1"),
-        "{message}"
-    );
+    says(&message, ["\"7\"", "allowed is 1"]);
     // A column of another name.
     let name = b"voltage_mV";
     let mut other = whole.clone();
@@ -144,9 +132,9 @@ fn parquet_of_other_programs_and_of_other_schemas_is_refused_with_the_remedy() {
         other[at] = b'V';
     }
     let message = refused(&other);
-    assert!(
-        message.contains("found OPTIONAL DOUBLE Voltage_mV, allowed is OPTIONAL DOUBLE voltage_mV"),
-        "{message}"
+    says(
+        &message,
+        ["found OPTIONAL DOUBLE Voltage_mV, allowed is OPTIONAL DOUBLE voltage_mV"],
     );
     let mut other = b"PAR1".to_vec();
     other.extend([0; 100]);
@@ -209,8 +197,7 @@ fn a_name_that_is_hostile_stays_in_its_partition() {
     let folder = place.path().join("archive");
     assert_eq!(export(&[&recording], &folder).code(), Some(0));
     assert_eq!(files(place.path()).len(), before + files(&folder).len());
-    let ended = joulebus("data info --format json", &[&folder]);
-    assert_eq!(ended.code(), Some(0), "{}", ended.errors());
+    joulebus("data info --format json", &[&folder]).exits(0);
 }
 
 #[test]

@@ -70,8 +70,7 @@ fn archive_of(trials: u64, rows: u64, place: &Path) -> PathBuf {
         recordings::full(&runs, &format!("{number:03}.csv"), rows, number);
     }
     let archive = place.join(format!("archive_{trials}"));
-    let ended = export(&[&runs], &archive);
-    assert_eq!(ended.code(), Some(0), "{}", ended.errors());
+    export(&[&runs], &archive).exits(0);
     archive
 }
 

@@ -79,8 +79,7 @@ fn duckdb_and_polars_read_every_value_to_the_bit_and_integers_as_integers() {
     let place = tempfile::tempdir().unwrap();
     let (from, archive) = (place.path().join("runs"), place.path().join("archive"));
     every_kind(&from);
-    let ended = export(&[&from], &archive);
-    assert_eq!(ended.code(), Some(0), "{}", ended.errors());
+    export(&[&from], &archive).exits(0);
     let mut trials = Vec::new();
     for path in listings(&archive).unwrap() {
         let listing = Listing::read(&path).unwrap();

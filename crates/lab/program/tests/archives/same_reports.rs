@@ -12,8 +12,7 @@ use crate::{export, joulebus};
 /// A folder of an archive of the recordings in `from`.
 fn exported(from: &Path, place: &Path) -> PathBuf {
     let archive = place.join("archive");
-    let ended = export(&[from], &archive);
-    assert_eq!(ended.code(), Some(0), "{}", ended.errors());
+    export(&[from], &archive).exits(0);
     archive
 }
 
@@ -104,8 +103,7 @@ fn training_on_an_archive_gives_the_same_model_to_the_byte() {
     let trained = |folder: &Path, name: &str| {
         let out = place.path().join(name);
         let words = "train trials --split time --features power --name a --recipe";
-        let ended = joulebus(words, &[&recipe, folder, Path::new("--out"), &out]);
-        assert_eq!(ended.code(), Some(0), "{}", ended.errors());
+        joulebus(words, &[&recipe, folder, Path::new("--out"), &out]).exits(0);
         fs::read(out).unwrap()
     };
     assert!(trained(&from, "a.safetensors") == trained(&archive, "b.safetensors"));
@@ -123,8 +121,7 @@ fn parts_of_an_evaluation_of_an_archive_merge_into_the_report_of_the_recordings(
     let archive = exported(&from, place.path());
     let model = model();
     let words = "eval --resamples 20 --horizons 1,3 --model";
-    let whole = joulebus(words, &[&model, &from]);
-    assert_eq!(whole.code(), Some(0), "{}", whole.errors());
+    let whole = joulebus(words, &[&model, &from]).exits(0);
     let tool = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../tools/eval_parts.sh");
     let parts = std::process::Command::new(tool)
         .arg("3")
@@ -200,8 +197,7 @@ fn an_archive_is_played_as_the_recordings_in_their_order() {
     fs::write(&fleet, text).unwrap();
     let played = |folder: &Path| {
         let words = "publish trial --no-wait --rate 1000 --format json --first-robot 4 --config";
-        let ended = joulebus(words, &[&fleet, folder]);
-        assert_eq!(ended.code(), Some(0), "{}", ended.errors());
+        let ended = joulebus(words, &[&fleet, folder]).exits(0);
         let report = ended.json();
         (report["trials"].clone(), report["samples_sent"].clone())
     };
@@ -215,8 +211,7 @@ fn an_archive_is_played_as_the_recordings_in_their_order() {
 fn simulated_trials_in_arrays_are_exported_whole() {
     let place = tempfile::tempdir().unwrap();
     let from = place.path().join("runs");
-    let made = joulebus("data simulate --steps 500", &[&from]);
-    assert_eq!(made.code(), Some(0), "{}", made.errors());
+    joulebus("data simulate --steps 500", &[&from]).exits(0);
     let arrays = crate::files(&from);
     assert_eq!(arrays.len(), 6 + 7);
     let archive = exported(&from, place.path());

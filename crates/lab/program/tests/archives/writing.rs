@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use joulebus_dataset::archive::{fields, listings};
-use joulebus_testkit::{Child, run};
+use joulebus_testkit::{Child, run, says};
 
 use crate::recordings::{capture, every_kind, full, sparse};
 use crate::{LAB, export, files, joulebus, parquet};
@@ -16,8 +16,7 @@ fn a_folder_with_other_files_is_refused_and_left_as_it_is() {
     let folder = place.path().join("others");
     fs::create_dir(&folder).unwrap();
     fs::write(folder.join("thesis.tex"), "mine").unwrap();
-    let ended = export(&[&recording], &folder);
-    assert_eq!(ended.code(), Some(2), "{}", ended.errors());
+    let ended = export(&[&recording], &folder).exits(2);
     assert!(ended.errors().contains("thesis.tex"), "{}", ended.errors());
     assert_eq!(files(&folder).len(), 1);
     let file = place.path().join("a.csv");
@@ -31,13 +30,8 @@ fn a_further_export_adds_and_says_so_and_nothing_is_added_twice() {
     let first = full(place.path(), "b.csv", 50, 1);
     let second = sparse(place.path(), "a.csv", 50, 2);
     assert_eq!(export(&[&first], &folder).code(), Some(0));
-    let ended = export(&[&second], &folder);
-    assert_eq!(ended.code(), Some(0), "{}", ended.errors());
-    assert!(
-        ended.errors().contains("adding to the 1 recordings"),
-        "{}",
-        ended.errors()
-    );
+    let ended = export(&[&second], &folder).exits(0);
+    says(&ended.errors(), ["adding to the 1 recordings"]);
     assert_eq!(ended.json()["recordings_before"], 1);
     // In the order in which they were exported.
     let info = joulebus("data info --format json", &[&folder]).text();
@@ -46,8 +40,7 @@ fn a_further_export_adds_and_says_so_and_nothing_is_added_twice() {
         "{info}"
     );
     let before = files(&folder);
-    let again = export(&[&second], &folder);
-    assert_eq!(again.code(), Some(2), "{}", again.errors());
+    let again = export(&[&second], &folder).exits(2);
     assert!(again.errors().contains("already"), "{}", again.errors());
     assert_eq!(files(&folder), before);
     // An archive is no recording of another one.
@@ -63,8 +56,7 @@ fn recordings_before_one_that_cannot_be_read_are_whole_and_of_it_nothing_is_read
     let run = capture(place.path(), "b.mcap", 300, 2);
     let bytes = fs::read(&run).unwrap();
     fs::write(&run, &bytes[..bytes.len() / 2]).unwrap();
-    let ended = export(&[&first, &run], &folder);
-    assert_eq!(ended.code(), Some(1), "{}", ended.errors());
+    export(&[&first, &run], &folder).exits(1);
     assert_eq!(listings(&folder).unwrap().len(), 1);
     assert_eq!(joulebus("data info", &[&folder]).code(), Some(0));
     assert_eq!(
@@ -99,8 +91,7 @@ fn an_export_killed_at_any_time_leaves_whole_recordings_and_the_next_one_finishe
         // The listed files are read without a fault.
         let listed = listings(&folder).unwrap_or_default();
         if !listed.is_empty() {
-            let ended = joulebus("data info", &[&folder]);
-            assert_eq!(ended.code(), Some(0), "{}", ended.errors());
+            joulebus("data info", &[&folder]).exits(0);
         }
         // The recordings that are missing.
         let names: Vec<String> = listed
@@ -113,8 +104,7 @@ fn an_export_killed_at_any_time_leaves_whole_recordings_and_the_next_one_finishe
             .collect();
         if !missing.is_empty() {
             let missing: Vec<&Path> = missing.iter().map(AsRef::as_ref).collect();
-            let ended = export(&missing, &folder);
-            assert_eq!(ended.code(), Some(0), "{}", ended.errors());
+            export(&missing, &folder).exits(0);
         }
         let contents = |archive: &Path| -> Vec<Vec<u8>> {
             let mut all: Vec<_> = parquet(archive)
@@ -174,8 +164,7 @@ fn robots_and_days_are_partitions_of_their_own() {
     let one = folder.join("fleet=yard%203/day=2026-11-22/robot=2");
     assert_eq!(parquet(&one).len(), 1);
     // A partition is read by itself.
-    let ended = joulebus("data info --format json", &[&one]);
-    assert_eq!(ended.code(), Some(0), "{}", ended.errors());
+    let ended = joulebus("data info --format json", &[&one]).exits(0);
     assert!(ended.text().contains("run.mcap"), "{}", ended.text());
 }
 
@@ -234,7 +223,6 @@ fn parquet_files_that_no_listing_names_are_kept() {
     }
     kept.extend(parquet(&folder));
     fs::remove_file(folder.join("_joulebus/000000.recording")).unwrap();
-    let ended = export(&[&three], &folder);
-    assert_eq!(ended.code(), Some(0), "{}", ended.errors());
+    export(&[&three], &folder).exits(0);
     assert!(kept.iter().all(|file| file.exists()), "{kept:?}");
 }

@@ -30,12 +30,14 @@ fn experiment() -> Simulated {
     experiment
 }
 
+fn run(experiment: &Simulated) -> Result<SimulatedReport, ReportError> {
+    simulated(experiment, &settings(), |_, _| ControlFlow::Continue(()))
+}
+
 /// Made once and shared by all tests.
 fn made() -> &'static SimulatedReport {
     static MADE: OnceLock<SimulatedReport> = OnceLock::new();
-    MADE.get_or_init(|| {
-        simulated(&experiment(), &settings(), |_, _| ControlFlow::Continue(())).unwrap()
-    })
+    MADE.get_or_init(|| run(&experiment()).unwrap())
 }
 
 fn written() -> &'static [File] {
@@ -61,11 +63,8 @@ fn the_page_needs_no_other_file() {
     for outside in ["http", "src=", "url(", "@import", "<script", "<link"] {
         assert!(!page.contains(outside), "{outside}");
     }
-    let ids: Vec<&str> = page
-        .split(" id=\"")
-        .skip(1)
-        .map(|rest| rest.split('"').next().unwrap())
-        .collect();
+    let named = page.split(" id=\"").skip(1);
+    let ids: Vec<&str> = named.map(|rest| rest.split('"').next().unwrap()).collect();
     let different: HashSet<&str> = ids.iter().copied().collect();
     assert_eq!(ids.len(), different.len(), "an id occurs twice: {ids:?}");
     for rest in page.split("href=\"").skip(1) {
@@ -98,19 +97,12 @@ fn every_figure_is_present_in_three_formats_and_well_formed() {
 fn every_output_is_marked_as_simulated() {
     for path in ["report.html", "report.json", "report.txt"] {
         let text = text(path);
-        assert!(
-            text.contains("Every number here is of simulated robots"),
-            "{path}"
-        );
+        let is_marked = text.contains("Every number here is of simulated robots");
+        assert!(is_marked, "{path}");
     }
     for figure in made().document.figures() {
         let note = format!("simulated robots, seed {}", made().shown_seed);
-        assert_eq!(
-            figure.note.as_deref(),
-            Some(note.as_str()),
-            "{}",
-            figure.name
-        );
+        assert_eq!(figure.note, Some(note), "{}", figure.name);
         let svg = text(&format!("figures/{}.svg", figure.name));
         assert!(svg.contains("simulated robots"), "{}", figure.name);
     }
@@ -135,9 +127,8 @@ fn page_text_and_json_show_the_same_numbers() {
             assert_eq!(row.len(), table.columns.len(), "{}", table.id);
             for (cell, column) in row.iter().zip(&table.columns) {
                 let shown = format!(">{}</t", escaped(&cell.shown()));
-                let at = rest
-                    .find(&shown)
-                    .unwrap_or_else(|| panic!("{shown} in {}", table.id));
+                let at = rest.find(&shown);
+                let at = at.unwrap_or_else(|| panic!("{shown} in {}", table.id));
                 rest = &rest[at + shown.len()..];
                 assert!(plain.contains(&cell.shown()));
                 check_json(cell, &found[column.key.as_str()], table);
@@ -147,28 +138,24 @@ fn page_text_and_json_show_the_same_numbers() {
 }
 
 fn check_json(cell: &Cell, found: &Value, table: &Table) {
+    let id = &table.id;
     match cell {
-        Cell::Words(words) => assert_eq!(found, words.as_str(), "{}", table.id),
-        Cell::Count(count) => assert_eq!(found.as_u64(), Some(*count), "{}", table.id),
+        Cell::Words(words) => assert_eq!(found, words.as_str(), "{id}"),
+        Cell::Count(count) => assert_eq!(found.as_u64(), Some(*count), "{id}"),
         Cell::Number(number, _) if number.is_finite() => {
-            assert_eq!(found.as_f64(), Some(*number), "{}", table.id);
+            assert_eq!(found.as_f64(), Some(*number), "{id}");
         }
         Cell::Range([low, high], _) if low.is_finite() => {
-            assert_eq!(found[0].as_f64(), Some(*low), "{}", table.id);
-            assert_eq!(found[1].as_f64(), Some(*high), "{}", table.id);
+            assert_eq!(found[0].as_f64(), Some(*low), "{id}");
+            assert_eq!(found[1].as_f64(), Some(*high), "{id}");
         }
         Cell::Spread([mean, std], _) if std.is_finite() => {
-            assert_eq!(found["mean"].as_f64(), Some(*mean), "{}", table.id);
-            assert_eq!(
-                found["standard_deviation"].as_f64(),
-                Some(*std),
-                "{}",
-                table.id
-            );
+            assert_eq!(found["mean"].as_f64(), Some(*mean), "{id}");
+            assert_eq!(found["standard_deviation"].as_f64(), Some(*std), "{id}");
         }
-        Cell::Spread(..) => assert!(found["standard_deviation"].is_null(), "{}", table.id),
-        Cell::Number(..) | Cell::Nothing => assert!(found.is_null(), "{}", table.id),
-        Cell::Range(..) => assert!(found[0].is_null(), "{}", table.id),
+        Cell::Spread(..) => assert!(found["standard_deviation"].is_null(), "{id}"),
+        Cell::Number(..) | Cell::Nothing => assert!(found.is_null(), "{id}"),
+        Cell::Range(..) => assert!(found[0].is_null(), "{id}"),
     }
 }
 
@@ -182,15 +169,11 @@ fn escaped(text: &str) -> String {
 fn the_papers_numbers_are_shown_in_the_right_unit() {
     let json: Value = serde_json::from_str(&text("report.json")).unwrap();
     let tables = tables(&json);
-    let table = tables
-        .iter()
-        .find(|table| table["id"] == "table-paper")
-        .unwrap();
+    let table = tables.iter().find(|table| table["id"] == "table-paper");
+    let rows = table.unwrap()["rows"].as_array().unwrap();
     let row = |quantity: &str| {
-        let mut rows = table["rows"].as_array().unwrap().iter();
-        rows.find(|row| row["quantity"] == quantity)
-            .unwrap()
-            .clone()
+        let row = rows.iter().find(|row| row["quantity"] == quantity);
+        row.unwrap().clone()
     };
     assert_eq!(row("mean power (mW)")["paper"], 3652.0);
     assert_eq!(row("MAE on trial 6 (mW)")["paper"], 31.5);
@@ -208,10 +191,8 @@ fn the_papers_numbers_are_shown_in_the_right_unit() {
     let mean = draws.iter().sum::<f64>() / 3.0;
     let square = draws.iter().map(|draw| (draw - mean).powi(2)).sum::<f64>() / 2.0;
     let here = row("mean power (mW)")["here"].clone();
-    assert!(
-        (here["mean"].as_f64().unwrap() - mean).abs() < 1e-6,
-        "{here}"
-    );
+    let off = (here["mean"].as_f64().unwrap() - mean).abs();
+    assert!(off < 1e-6, "{here}");
     let std = here["standard_deviation"].as_f64().unwrap();
     assert!((std - square.sqrt()).abs() < 1e-6, "{here}");
     let ends = row("mean power (mW)")["ends"].clone();
@@ -222,14 +203,10 @@ fn the_papers_numbers_are_shown_in_the_right_unit() {
 #[test]
 fn the_page_begins_with_the_published_forecast_over_all_draws() {
     let summary = &made().document.summary;
-    assert!(
-        summary[0].starts_with("The forecast that the worker publishes"),
-        "{summary:#?}"
-    );
-    assert!(
-        summary[0].contains("of 21 robots"),
-        "three draws of seven robots: {summary:#?}"
-    );
+    let begin = "The forecast that the worker publishes";
+    assert!(summary[0].starts_with(begin), "{summary:#?}");
+    // Three draws of seven robots.
+    assert!(summary[0].contains("of 21 robots"), "{summary:#?}");
     assert!(summary[1].starts_with("The plain network"), "{summary:#?}");
     let first = &made().document.sections[0];
     assert_eq!(first.id, "forecasts");
@@ -242,37 +219,25 @@ fn the_page_begins_with_the_published_forecast_over_all_draws() {
 fn one_draw_is_not_enough() {
     let mut experiment = experiment();
     experiment.draws = 1;
-    let error = simulated(&experiment, &settings(), |_, _| ControlFlow::Continue(())).unwrap_err();
-    assert!(matches!(
-        error,
-        ReportError::TooShort {
-            what: "draws",
-            found: 1,
-            least: 2
-        }
-    ));
+    let error = run(&experiment).unwrap_err();
+    let ReportError::TooShort { what, found, least } = error else {
+        panic!("{error}");
+    };
+    assert_eq!((what, found, least), ("draws", 1, 2));
 }
 
 #[test]
 fn the_same_experiments_give_the_same_bytes() {
-    let again = simulated(
-        &Simulated {
-            threads: 1,
-            ..experiment()
-        },
-        &settings(),
-        |_, _| ControlFlow::Continue(()),
-    )
-    .unwrap();
+    let mut experiment = experiment();
+    experiment.threads = 1;
+    let again = run(&experiment).unwrap();
     assert_eq!(again.network.hash(), made().network.hash());
     assert_eq!(html(&again.document).unwrap(), text("report.html"));
 }
 
 fn recordings(count: usize) -> Vec<Recording> {
-    let trials = Protocol::ALL
-        .iter()
-        .take(count)
-        .map(|&protocol| drive_with(protocol, Parts::default(), 5, 500));
+    let trial = |&protocol| drive_with(protocol, Parts::default(), 5, 500);
+    let trials = Protocol::ALL.iter().take(count).map(trial);
     trials.map(|trial| Recording::new(0, trial)).collect()
 }
 
@@ -299,12 +264,7 @@ fn recordings_are_compared_with_the_baselines_and_without_the_papers_numbers() {
     let design = Design::folds(&recordings);
     let document = recorded(&on(&settings, &models, &recordings, &design)).unwrap();
     let text = document.to_string();
-    for name in [
-        "network",
-        "persistence",
-        "AR(5) + velocities",
-        "trial2 goal navigation",
-    ] {
+    for name in "network|persistence|AR(5) + velocities|trial2 goal navigation".split('|') {
         assert!(text.contains(name), "{name}");
     }
     assert!(!text.contains("paper, trial 6"));
@@ -331,22 +291,19 @@ fn one_short_recording_is_enough_and_none_is_refused() {
         samples: 99,
         ..experiment()
     };
-    let refused = simulated(&short, &settings, |_, _| ControlFlow::Continue(())).unwrap_err();
+    let refused = run(&short).unwrap_err();
     assert!(refused.to_string().contains("99 samples"), "{refused}");
 }
 
 #[test]
 fn names_from_files_are_escaped_in_the_page() {
     let hostile = "<script>alert('1')</script> & \"more\" \u{1}";
+    let points = Mark::Points(vec![[1.0, 1.0]]);
     let panel = Panel {
         title: hostile.to_owned(),
         x: Axis::new(hostile),
         y: Axis::new(hostile),
-        layers: vec![Layer::named(
-            hostile,
-            Colour::Blue,
-            Mark::Points(vec![[1.0, 1.0]]),
-        )],
+        layers: vec![Layer::named(hostile, Colour::Blue, points)],
     };
     let table = Table {
         id: "a-table".to_owned(),

@@ -7,6 +7,7 @@ use std::process::Output;
 use std::time::{Duration, Instant};
 
 use crate::bag::{Bag, convert, time_ns};
+use joulebus_testkit::says;
 
 fn message(ended: &Output) -> String {
     String::from_utf8_lossy(&ended.stderr).into_owned()
@@ -151,14 +152,11 @@ fn rows_that_are_no_messages_are_counted_by_reason() {
     bag.close();
     let (code, message) = code_of(&path);
     assert_eq!(code, 3, "{message}");
-    for why in [
-        "1 messages left out: its time is before 1970",
-        "2 messages left out: topic and time are no integers",
-        "2 messages left out: of a topic that the bag does not name",
-        "messages left out: compressed: ",
-    ] {
-        assert!(message.contains(why), "{why} in\n{message}");
-    }
+    let parts = "1 messages left out: its time is before 1970 | \
+        2 messages left out: topic and time are no integers | \
+        2 messages left out: of a topic that the bag does not name | \
+        messages left out: compressed: ";
+    says(&message, parts.split(" | "));
 }
 
 #[test]
@@ -171,9 +169,9 @@ fn a_message_larger_than_allowed_ends_the_bag_without_taking_its_memory() {
     bag.close();
     let (code, message) = code_of(&path);
     assert_eq!(code, 3, "{message}");
-    assert!(
-        message.contains("this one and all after it: string or blob too big"),
-        "{message}"
+    says(
+        &message,
+        ["this one and all after it: string or blob too big"],
     );
 }
 

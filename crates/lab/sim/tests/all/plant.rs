@@ -44,10 +44,7 @@ fn the_same_seed_gives_the_same_robots_in_any_fleet() {
 fn readings_are_polled_at_10_hz_and_held_in_between() {
     for series in recorded(Plant::new(5, 4), 900) {
         let fresh = series.iter().filter(|reading| !reading.held).count();
-        assert!(
-            (298..=302).contains(&fresh),
-            "{fresh} fresh readings in 30 s"
-        );
+        assert!((298..=302).contains(&fresh), "{fresh} in 30 s");
         for pair in series.windows(2) {
             if pair[1].held {
                 assert_eq!(pair[0].power_w, pair[1].power_w);
@@ -62,14 +59,9 @@ fn readings_are_polled_at_10_hz_and_held_in_between() {
 #[test]
 fn every_command_and_reading_is_within_the_platform_limits() {
     for reading in recorded(Plant::new(6, 10), 3_000).iter().flatten() {
-        assert!(
-            f64::from(reading.v_mps.abs()) <= V_MAX_MPS + 1e-6,
-            "{reading:?}"
-        );
-        assert!(
-            f64::from(reading.omega_radps.abs()) <= OMEGA_MAX_RADPS + 1e-6,
-            "{reading:?}"
-        );
+        let [v, omega] = [reading.v_mps, reading.omega_radps].map(|it| f64::from(it.abs()));
+        assert!(v <= V_MAX_MPS + 1e-6, "{reading:?}");
+        assert!(omega <= OMEGA_MAX_RADPS + 1e-6, "{reading:?}");
         assert!((2.5..12.0).contains(&reading.power_w), "{reading:?}");
         assert!((3.0..4.2).contains(&reading.voltage_v), "{reading:?}");
         // Half a quantisation step of power, of current at full voltage, and of voltage at three
@@ -80,6 +72,11 @@ fn every_command_and_reading_is_within_the_platform_limits() {
         let steps = f64::from(reading.power_w) * 100.0;
         assert!((steps - steps.round()).abs() < 1e-3, "{reading:?}");
     }
+}
+
+fn powers(series: &[SimReading]) -> Vec<f64> {
+    let powers = series.iter().map(|reading| f64::from(reading.power_w));
+    powers.collect()
 }
 
 /// Mean and standard deviation.
@@ -93,40 +90,23 @@ fn moments(values: &[f64]) -> (f64, f64) {
 fn the_robots_of_a_fleet_resemble_the_published_ones() {
     // Each robot drives every protocol once.
     let series = recorded(Plant::new(7, 42), (6.0 * TRIAL_S / DT_S) as usize);
-    let powers = |series: &[SimReading]| -> Vec<f64> {
-        series
-            .iter()
-            .map(|reading| f64::from(reading.power_w))
-            .collect()
-    };
-    let robots: Vec<(f64, f64)> = series
-        .iter()
-        .map(|series| moments(&powers(series)))
-        .collect();
+    let robots: Vec<(f64, f64)> = series.iter().map(|it| moments(&powers(it))).collect();
     let lag1 = mean(series.iter().zip(&robots).map(|(series, (mean_w, std_w))| {
         let powers = powers(series);
-        let products = powers
-            .windows(2)
-            .map(|pair| (pair[0] - mean_w) * (pair[1] - mean_w));
-        mean(products.collect::<Vec<_>>().into_iter()) / (std_w * std_w)
+        let pairs = powers.windows(2);
+        mean(pairs.map(|pair| (pair[0] - mean_w) * (pair[1] - mean_w))) / (std_w * std_w)
     }));
     let std_w = mean(robots.iter().map(|(_, std_w)| *std_w));
     let mean_w = mean(robots.iter().map(|(mean_w, _)| *mean_w));
-    let lowest_w = series
-        .iter()
-        .flat_map(|series| powers(series))
-        .fold(f64::MAX, f64::min);
-    let highest_w = series
-        .iter()
-        .flat_map(|series| powers(series))
-        .fold(f64::MIN, f64::max);
+    let all = || series.iter().flat_map(|series| powers(series));
+    let (lowest_w, highest_w) = (
+        all().fold(f64::MAX, f64::min),
+        all().fold(f64::MIN, f64::max),
+    );
     let commands = |pick: fn(&SimReading) -> f32| {
         let values = series.iter().flatten();
-        moments(
-            &values
-                .map(|reading| f64::from(pick(reading)))
-                .collect::<Vec<_>>(),
-        )
+        let values: Vec<f64> = values.map(|reading| f64::from(pick(reading))).collect();
+        moments(&values)
     };
     let (v_mps, v_std_mps) = commands(|reading| reading.v_mps);
     let (omega_radps, omega_std_radps) = commands(|reading| reading.omega_radps);
@@ -158,10 +138,7 @@ fn a_robot_of_the_fleet_drives_one_protocol_after_the_other() {
     assert_eq!(turns(&series[steps + 2..]), 0, "idle");
     // A robot of one protocol repeats it.
     let alone = recorded(Plant::driving(3, [Protocol::SteadyState]), 2 * steps).remove(0);
-    assert!(
-        turns(&alone[steps..]) > steps / 2,
-        "circles and turns again"
-    );
+    assert!(turns(&alone[steps..]) > steps / 2, "again");
 }
 
 #[test]
@@ -179,15 +156,8 @@ fn most_robots_of_a_fleet_move_at_once() {
 fn robots_for_training_are_none_of_the_live_fleet() {
     let live = recorded(Plant::new(3, 6), 60);
     let training = recorded(Plant::driving(3, Protocol::ALL), 60);
-    let powers = |series: &Vec<SimReading>| -> Vec<u32> {
-        series
-            .iter()
-            .map(|reading| reading.power_w.to_bits())
-            .collect()
-    };
-    let powers_of = |fleet: &[Vec<SimReading>]| fleet.iter().map(powers).collect::<Vec<_>>();
-    for robot in powers_of(&live) {
-        assert!(!powers_of(&training).contains(&robot));
+    for robot in &live {
+        assert!(training.iter().all(|it| powers(it) != powers(robot)));
     }
 }
 
@@ -195,25 +165,16 @@ fn robots_for_training_are_none_of_the_live_fleet() {
 fn trials_drive_what_the_paper_says() {
     let commands = |protocol: Protocol| -> Vec<(u32, f64, f64)> {
         let trial = drive(protocol, 9);
-        let phases = values(&trial, Column::Phase)
-            .iter()
-            .map(|phase| *phase as u32);
-        let velocities = values(&trial, Column::V)
-            .iter()
-            .zip(values(&trial, Column::Omega));
-        phases
-            .zip(velocities)
-            .map(|(phase, (v, omega))| (phase, *v, *omega))
-            .collect()
+        let columns = [Column::Phase, Column::V, Column::Omega];
+        let [phase, v, omega] = columns.map(|column| values(&trial, column));
+        let rows = (0..phase.len()).map(|row| (phase[row] as u32, v[row], omega[row]));
+        rows.collect()
     };
     for protocol in Protocol::ALL {
         for (phase, v_mps, omega_radps) in commands(protocol) {
-            let within =
-                (-0.15 - 1e-9..=0.16 + 1e-9).contains(&v_mps) && omega_radps.abs() <= 3.140_001;
-            assert!(
-                within,
-                "{protocol}, phase {phase}: {v_mps} m/s, {omega_radps} rad/s"
-            );
+            let what = format!("{protocol}, phase {phase}: {v_mps} m/s, {omega_radps} rad/s");
+            assert!((-0.15 - 1e-9..=0.16 + 1e-9).contains(&v_mps), "{what}");
+            assert!(omega_radps.abs() <= 3.140_001, "{what}");
         }
     }
     // Trial 1: each of eight phases once, in order, about an eighth of the trial.
@@ -221,10 +182,7 @@ fn trials_drive_what_the_paper_says() {
     let mut phases: Vec<u32> = structured.iter().map(|(phase, ..)| *phase).collect();
     for phase in 0..8 {
         let samples = phases.iter().filter(|found| **found == phase).count();
-        assert!(
-            (980..=1_020).contains(&samples),
-            "phase {phase}: {samples} samples"
-        );
+        assert!((980..=1_020).contains(&samples), "{phase}: {samples}");
     }
     phases.dedup();
     assert_eq!(phases, [0, 1, 2, 3, 4, 5, 6, 7]);
@@ -233,22 +191,17 @@ fn trials_drive_what_the_paper_says() {
     let most = |pick: fn(&(u32, f64, f64)) -> f64| extremes.iter().map(pick).fold(0.0, f64::max);
     assert!(most(|command| command.1) > 0.159 && most(|command| -command.1) > 0.149);
     assert!(most(|command| command.2) > 3.1 && most(|command| -command.2) > 3.1);
-    let reversals = extremes
-        .windows(2)
-        .filter(|pair| pair[0].1 * pair[1].1 < -0.02);
+    let pairs = extremes.windows(2);
+    let reversals = pairs.filter(|pair| pair[0].1 * pair[1].1 < -0.02);
     assert!(reversals.count() > 20);
     // Trial 5: no jumps, but at a wall.
     let walk = commands(Protocol::RandomWalk);
-    let jumps = walk
-        .windows(2)
-        .filter(|pair| (pair[1].2 - pair[0].2).abs() > 0.5);
-    assert_eq!(jumps.count(), 0, "the walk is smooth");
+    let mut pairs = walk.windows(2);
+    assert!(pairs.all(|pair| (pair[1].2 - pair[0].2).abs() <= 0.5));
     // Trial 6: at most a change in thirty seconds.
     let steady = commands(Protocol::SteadyState);
-    let changes = steady
-        .windows(2)
-        .filter(|pair| pair[0].2 != pair[1].2)
-        .count();
+    let pairs = steady.windows(2);
+    let changes = pairs.filter(|pair| pair[0].2 != pair[1].2).count();
     assert!((5..=8).contains(&changes), "{changes} changes");
 }
 
@@ -263,46 +216,28 @@ fn a_fault_changes_its_robot_from_its_time_on_and_no_other() {
     let faulty = recorded(plant, 1_200);
     assert_eq!(faulty[0], healthy[0]);
     for robot in 1..4 {
-        assert_eq!(
-            faulty[robot][..599],
-            healthy[robot][..599],
-            "robot {robot} before the fault"
-        );
+        let [found, sound] = [&faulty, &healthy].map(|of| &of[robot][..599]);
+        assert_eq!(found, sound, "robot {robot} before the fault");
     }
-    let late = |series: &[SimReading]| {
-        let series = series[610..].to_vec();
-        move || {
-            series
-                .clone()
-                .into_iter()
-                .map(|reading| f64::from(reading.power_w))
-        }
+    let late = |series: &[SimReading]| powers(&series[610..]);
+    let spread = |values: &[f64]| {
+        let steps = values.windows(2).map(|pair| pair[1] - pair[0]);
+        mean(steps.map(|step| step * step)).sqrt()
     };
-    let spread = |values: &dyn Fn() -> Vec<f64>| {
-        let steps: Vec<f64> = values().windows(2).map(|pair| pair[1] - pair[0]).collect();
-        mean(steps.iter().map(|step| step * step)).sqrt()
-    };
-    let more_w = mean(late(&faulty[1])()) - mean(late(&healthy[1])());
+    let mean_w = |series: &[SimReading]| mean(late(series).into_iter());
+    let more_w = mean_w(&faulty[1]) - mean_w(&healthy[1]);
     assert!((more_w - 0.8).abs() < 0.01, "{more_w}");
     let stuck = late(&faulty[2]);
-    let first_w = stuck().next();
-    assert!(stuck().all(|w| Some(w) == first_w));
-    assert!(
-        faulty[2][610..].iter().any(|reading| !reading.held),
-        "it claims to be fresh"
-    );
-    let (noisy, quiet) = (late(&faulty[3]), late(&healthy[3]));
-    let ratio = spread(&|| noisy().collect()) / spread(&|| quiet().collect());
+    assert!(stuck.iter().all(|w| *w == stuck[0]));
+    // It claims to be fresh.
+    assert!(faulty[2][610..].iter().any(|reading| !reading.held));
+    let ratio = spread(&late(&faulty[3])) / spread(&late(&healthy[3]));
     assert!(ratio > 1.5, "{ratio}");
-    let refused = Plant::new(8, 4)
-        .with_fault(4, Fault::StuckSensor, 0.0)
-        .err();
+    let refused = Plant::new(8, 4).with_fault(4, Fault::StuckSensor, 0.0);
+    let (robot, robots) = (4, 4);
     assert_eq!(
-        refused,
-        Some(PlantError::UnknownRobot {
-            robot: 4,
-            robots: 4
-        })
+        refused.err(),
+        Some(PlantError::UnknownRobot { robot, robots })
     );
 }
 
@@ -320,9 +255,7 @@ fn steps_that_are_not_positive_have_no_effect() {
 }
 
 fn values(trial: &Trial, column: Column) -> &[f64] {
-    trial
-        .column(column)
-        .expect("the plant records every column of the layout")
+    trial.column(column).expect("a column of the layout")
 }
 
 #[test]
@@ -332,39 +265,27 @@ fn the_six_trials_have_the_published_shape_and_stay_within_the_platform_limits()
         assert_eq!(trial.rows(), SAMPLES, "{protocol}");
         assert_eq!(trial.period_ns(), 33_000_000, "{protocol}");
         let notes = trial.notes();
-        assert!(
-            notes.gaps.is_empty() && notes.not_advancing.is_empty(),
-            "{protocol}"
-        );
+        assert_eq!((notes.gaps.len(), notes.not_advancing.len()), (0, 0));
         // Ten readings per second. Two equal ones in sequence look held.
         let fresh = SAMPLES - notes.held_readings;
         let polls = (SAMPLES as f64 * STEP_S * 10.0) as usize;
-        assert!(
-            (polls * 9 / 10..=polls + 1).contains(&fresh),
-            "{protocol}: {fresh} of {polls}"
-        );
+        let usual = polls * 9 / 10..=polls + 1;
+        assert!(usual.contains(&fresh), "{protocol}: {fresh} of {polls}");
         let (v, omega) = (values(&trial, Column::V), values(&trial, Column::Omega));
         for (v_mps, omega_radps) in v.iter().copied().zip(omega.iter().copied()) {
             let command = Command { v_mps, omega_radps };
-            let within = |speed_mps: &f64| speed_mps.abs() <= V_MAX_MPS + 1e-12;
-            assert!(
-                wheels_mps(command).iter().all(within),
-                "{protocol}: {command:?}"
-            );
+            let within = |speed_mps: f64| speed_mps.abs() <= V_MAX_MPS + 1e-12;
+            let [left, right] = wheels_mps(command).map(within);
+            assert!(left && right, "{protocol}: {command:?}");
         }
         for (column, half_m) in [(Column::X, HALF_ARENA_M.0), (Column::Y, HALF_ARENA_M.1)] {
             let inside = |at_m: &f64| at_m.abs() < half_m;
-            assert!(
-                values(&trial, column).iter().all(inside),
-                "{protocol} leaves the arena"
-            );
+            let mut places = values(&trial, column).iter();
+            assert!(places.all(inside), "{protocol} leaves the arena");
         }
         for power_w in values(&trial, Column::Power) {
-            let steps = power_w * 100.0;
-            assert!(
-                (steps - steps.round()).abs() < 1e-6,
-                "{protocol}: {power_w}"
-            );
+            let off = (power_w * 100.0 - (power_w * 100.0).round()).abs();
+            assert!(off < 1e-6, "{protocol}: {power_w}");
         }
     }
     for number in [0, 7] {
@@ -425,10 +346,8 @@ fn trials_are_written_in_the_published_layout_and_can_be_read() {
         assert_eq!(again.timestamp_s(), trial.timestamp_s());
         for column in Column::ALL.into_iter().take(9) {
             for (read, written) in values(&again, column).iter().zip(values(trial, column)) {
-                assert!(
-                    (read - written).abs() < 1e-12,
-                    "{column:?}: {read} {written}"
-                );
+                let off = (read - written).abs();
+                assert!(off < 1e-12, "{column:?}: {read} {written}");
             }
         }
     }
@@ -460,16 +379,14 @@ fn a_driven_robot_draws_what_its_monitor_shows() {
             }
         }
         assert!((moved - 6.0).abs() < 0.05, "{moved}");
+        let drawn_j = robot.drawn_j();
         assert!(
-            (shown_j / robot.drawn_j() - 1.0).abs() < 0.002,
-            "{shown_j} {}",
-            robot.drawn_j()
+            (shown_j / drawn_j - 1.0).abs() < 0.002,
+            "{shown_j} {drawn_j}"
         );
-        robot.drawn_j()
+        drawn_j
     };
     let (sound_j, faulty_j) = (shown(0.0), shown(2.0));
-    assert!(
-        (faulty_j - sound_j - 60.0).abs() < 1.0,
-        "{sound_j} {faulty_j}"
-    );
+    let more_j = faulty_j - sound_j;
+    assert!((more_j - 60.0).abs() < 1.0, "{sound_j} {faulty_j}");
 }

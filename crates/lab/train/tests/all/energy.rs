@@ -8,6 +8,18 @@ use joulebus_train::energy_model;
 
 const PERIOD_S: f32 = 0.1;
 
+fn commands<'a>(v_mps: &'a [f32], omega_radps: &'a [f32]) -> Commands<'a> {
+    Commands {
+        period_s: PERIOD_S,
+        v_mps,
+        omega_radps,
+    }
+}
+
+fn made(robots: &[Robot]) -> EnergyModel {
+    energy_model(&dataset(robots), FeatureSet::Full).expect("enough recordings")
+}
+
 /// A robot whose power is its own level times the power of its commands, with noise.
 struct Robot {
     level: f32,
@@ -22,10 +34,8 @@ impl Robot {
         let (mut command, mut drift) = ((0.0, 0.0), 0.0);
         for step in 0..steps {
             if step % 20 == 0 {
-                command = (
-                    noise.between(-0.2, 0.3) as f32,
-                    noise.between(-1.0, 1.0) as f32,
-                );
+                command.0 = noise.between(-0.2, 0.3) as f32;
+                command.1 = noise.between(-1.0, 1.0) as f32;
             }
             commands.push(command);
             drift = 0.9 * drift + 0.01 * noise.normal() as f32;
@@ -58,38 +68,23 @@ impl Robot {
         let mut state = EnergyState::new(0);
         for at in 0..=from {
             let (v_mps, omega_radps) = self.commands[at];
-            let power_w = if at == 0 {
-                f32::NAN
-            } else {
-                self.power_w[at - 1]
+            let before = at.checked_sub(1);
+            let sample = EnergySample {
+                power_w: before.map_or(f32::NAN, |before| self.power_w[before]),
+                elapsed_s: PERIOD_S,
+                v_mps,
+                omega_radps,
             };
-            state.observe(
-                model,
-                &EnergySample {
-                    power_w,
-                    elapsed_s: PERIOD_S,
-                    v_mps,
-                    omega_radps,
-                },
-            );
+            state.observe(model, &sample);
         }
         let plan: (Vec<f32>, Vec<f32>) = self.commands[from..from + steps].iter().copied().unzip();
-        let plan = Commands {
-            period_s: PERIOD_S,
-            v_mps: &plan.0,
-            omega_radps: &plan.1,
-        };
+        let plan = commands(&plan.0, &plan.1);
         let forecast = model.forecast(&state, plan);
-        let measured: f64 = self.power_w[from..from + steps]
-            .iter()
-            .map(|p| f64::from(p * PERIOD_S))
-            .sum();
+        let powers_w = self.power_w[from..from + steps].iter();
+        let measured: f64 = powers_w.map(|p| f64::from(p * PERIOD_S)).sum();
         let end = |p| f64::from(forecast.quantile_j(p).expect("a known horizon"));
-        (
-            forecast.energy_j.into(),
-            measured,
-            (end(0.05)..=end(0.95)).contains(&measured),
-        )
+        let inside = (end(0.05)..=end(0.95)).contains(&measured);
+        (forecast.energy_j.into(), measured, inside)
     }
 }
 
@@ -114,7 +109,7 @@ fn dataset(robots: &[Robot]) -> Dataset {
 }
 
 fn trained() -> EnergyModel {
-    energy_model(&dataset(&robots(0..16)), FeatureSet::Full).expect("enough recordings")
+    made(&robots(0..16))
 }
 
 #[test]
@@ -130,13 +125,10 @@ fn robots_of_other_levels_are_forecast_by_their_commands_and_intervals_hold() {
             count += 1;
         }
     }
-    let coverage = inside as f64 / f64::from(count);
-    println!(
-        "error {:.4}, coverage {coverage:.3} of {count}",
-        error / energy
-    );
+    let (error, coverage) = (error / energy, inside as f64 / f64::from(count));
+    println!("error {error:.4}, coverage {coverage:.3} of {count}");
     // The commands alone move the mean power of ten seconds by a tenth, levels by a quarter.
-    assert!(error / energy < 0.02, "{}", error / energy);
+    assert!(error < 0.02, "{error}");
     assert!((0.82..=0.96).contains(&coverage), "{coverage}");
 }
 
@@ -146,35 +138,20 @@ fn what_differs_between_robots_is_not_attributed_to_commands() {
     let mut robots = robots(0..16);
     for robot in &mut robots {
         let share = (1.5 - robot.level).max(0.1);
-        robot
-            .commands
-            .iter_mut()
-            .for_each(|(v, omega)| (*v, *omega) = (*v * share, *omega * share));
-        let powers = robot
-            .commands
-            .iter()
-            .map(|command| robot.level * true_w(*command));
-        robot.power_w = powers.collect();
+        for (v, omega) in &mut robot.commands {
+            (*v, *omega) = (*v * share, *omega * share);
+        }
+        let commands = robot.commands.iter();
+        robot.power_w = commands.map(|it| robot.level * true_w(*it)).collect();
     }
-    let model = energy_model(&dataset(&robots), FeatureSet::Full).expect("enough recordings");
+    let model = made(&robots);
     let (v_mps, omega_radps) = ([0.1f32; 50], [0.4f32; 50]);
-    let moving = Commands {
-        period_s: PERIOD_S,
-        v_mps: &v_mps,
-        omega_radps: &omega_radps,
-    };
-    let at_rest = Commands {
-        period_s: PERIOD_S,
-        v_mps: &[0.0; 50],
-        omega_radps: &[0.0; 50],
-    };
+    let moving = commands(&v_mps, &omega_radps);
+    let at_rest = commands(&[0.0; 50], &[0.0; 50]);
     let state = EnergyState::new(0);
     let ratio = model.forecast(&state, moving).energy_j / model.forecast(&state, at_rest).energy_j;
     let expected = true_w((0.1, 0.4)) / true_w((0.0, 0.0));
-    assert!(
-        (ratio / expected - 1.0).abs() < 0.1,
-        "{ratio}, expected {expected}"
-    );
+    assert!((ratio / expected - 1.0).abs() < 0.1, "{ratio}, {expected}");
 }
 
 /// Highest terms of two velocities or of a change in some recordings, by going through all rows.
@@ -190,7 +167,7 @@ fn combined(robots: &[Robot]) -> [f32; 5] {
 #[test]
 fn changes_of_commands_are_known_up_to_those_that_two_recordings_reached() {
     let mut robots = robots(0..16);
-    let sound = energy_model(&dataset(&robots), FeatureSet::Full).expect("enough recordings");
+    let sound = made(&robots);
     let reached = sound.combined.expect("known");
     for (term, reached) in reached.into_iter().enumerate() {
         let highest_of = |robot| combined(std::slice::from_ref(robot))[term];
@@ -200,18 +177,15 @@ fn changes_of_commands_are_known_up_to_those_that_two_recordings_reached() {
     }
     // A velocity of one recording is wrong for a moment.
     robots[3].commands[500].0 = 40.0;
-    let spoilt = energy_model(&dataset(&robots), FeatureSet::Full).expect("enough recordings");
+    let spoilt = made(&robots);
     let highest = combined(&robots);
     for (term, known) in spoilt.combined.expect("known").into_iter().enumerate() {
         assert!(known <= combined(&robots[..3])[term].max(combined(&robots[4..])[term]));
         assert!(known <= highest[term]);
     }
     let outside = |v_mps: &[f32]| {
-        let plan = Commands {
-            period_s: PERIOD_S,
-            v_mps,
-            omega_radps: &vec![0.0; v_mps.len()],
-        };
+        let at_rest = vec![0.0; v_mps.len()];
+        let plan = commands(v_mps, &at_rest);
         spoilt.forecast(&EnergyState::new(0), plan).steps_outside
     };
     assert_eq!(outside(&[0.0, 0.25, 0.25, 0.0]), 0);
@@ -231,13 +205,10 @@ fn the_same_rows_give_the_same_bits_and_a_model_that_passes_every_check() {
 fn horizons_that_no_recording_is_long_enough_for_are_not_calibrated() {
     // 120 s each.
     let model = trained();
-    assert!(
-        (100.0..300.0).contains(&model.longest_s()),
-        "{}",
-        model.longest_s()
-    );
+    let longest_s = model.longest_s();
+    assert!((100.0..300.0).contains(&longest_s), "{longest_s}");
     let short: Vec<Robot> = (0..16).map(|number| Robot::new(number, 1.0, 60)).collect();
-    let model = energy_model(&dataset(&short), FeatureSet::Full).expect("enough for three seconds");
+    let model = made(&short);
     assert!(model.longest_s() <= 3.0, "{}", model.longest_s());
 }
 

@@ -7,6 +7,7 @@ use joulebus_predictor::{
     FEATURES, FeatureSet, Features, Kernel, ModelCard, Network, ResidualStats, Scores,
 };
 use joulebus_sim::training_data::{SimulatedData, dataset_from_plant};
+use joulebus_testkit::says;
 use joulebus_train::{
     Epoch, TrainError, TrainSettings, Trained, Training, scored, settings_for_sim, train,
 };
@@ -39,8 +40,20 @@ fn tiny_settings(feature_set: FeatureSet) -> TrainSettings {
     }
 }
 
+fn made(data: &Dataset, settings: &TrainSettings) -> Trained {
+    train(data, settings, |_| ()).expect("sound data")
+}
+
+fn refused(data: &Dataset, settings: &TrainSettings) -> TrainError {
+    train(data, settings, |_| ()).expect_err("must be refused")
+}
+
+fn bytes(network: &Network) -> Vec<u8> {
+    network.to_safetensors().expect("valid")
+}
+
 fn tiny(feature_set: FeatureSet) -> Trained {
-    train(&tiny_data(), &tiny_settings(feature_set), |_| ()).expect("sound data")
+    made(&tiny_data(), &tiny_settings(feature_set))
 }
 
 #[test]
@@ -49,20 +62,18 @@ fn the_same_seed_gives_the_same_bytes_on_every_machine() {
         (FeatureSet::Full, FULL_HASH),
         (FeatureSet::PowerOnly, POWER_ONLY_HASH),
     ] {
-        let bytes = |trained: Trained| trained.network.to_safetensors().expect("valid");
-        assert_eq!(bytes(tiny(feature_set)), bytes(tiny(feature_set)));
-        let found = tiny(feature_set).network.hash();
-        assert_eq!(
-            found, hash,
-            "{found:#018x}: if plant or trainer were changed on purpose, update this hash and \
-             retrain the shipped models"
-        );
+        let [one, other] = [tiny(feature_set).network, tiny(feature_set).network];
+        assert_eq!(bytes(&one), bytes(&other));
+        let found = one.hash();
+        // If plant or trainer were changed on purpose: update this hash, and retrain the shipped
+        // models.
+        assert_eq!(found, hash, "{found:#018x}");
     }
     let settings = TrainSettings {
         seed: 13,
         ..tiny_settings(FeatureSet::Full)
     };
-    let other = train(&tiny_data(), &settings, |_| ()).expect("sound data");
+    let other = made(&tiny_data(), &settings);
     assert_ne!(other.network.hash(), FULL_HASH);
 }
 
@@ -87,80 +98,54 @@ fn training_stops_early_and_keeps_the_best_epoch() {
         dropout: 0.0,
         ..tiny_settings(FeatureSet::PowerOnly)
     };
-    let trained = train(&data, &settings, |_| ()).expect("sound data");
-    let best = trained
-        .epochs
-        .iter()
-        .rposition(|epoch| epoch.best)
-        .expect("the first is best");
-    assert_eq!(
-        trained.epochs.len(),
-        best + 3,
-        "two epochs without improvement stop it"
-    );
+    let trained = made(&data, &settings);
+    let best = trained.epochs.iter().rposition(|epoch| epoch.best);
+    let best = best.expect("the first is best");
+    // Two epochs without improvement stop it.
+    assert_eq!(trained.epochs.len(), best + 3);
     let (scores, _) = scored(&trained.network, &data.validation);
     let loss = (1.0 - f64::from(scores.network_r2)) * variance(&data.validation);
     let scale = f64::from(trained.network.parameters().normalisation.power_std_w);
     let expected = trained.epochs[best].validation_loss;
-    assert!(
-        (loss / (scale * scale) - expected).abs() < 1e-3 * expected,
-        "{loss} {expected}"
-    );
+    let off = (loss / (scale * scale) - expected).abs();
+    assert!(off < 1e-3 * expected, "{loss} {expected}");
 }
 
 fn variance(rows: &[Row]) -> f64 {
     let count = rows.len() as f64;
-    let mean = rows.iter().map(|row| f64::from(row.target_w)).sum::<f64>() / count;
-    rows.iter()
-        .map(|row| (f64::from(row.target_w) - mean).powi(2))
-        .sum::<f64>()
-        / count
+    let powers = rows.iter().map(|row| f64::from(row.target_w));
+    let mean = powers.clone().sum::<f64>() / count;
+    powers.map(|power| (power - mean).powi(2)).sum::<f64>() / count
 }
 
 #[test]
 fn unusable_data_is_refused_with_its_part_and_numbers() {
     let data = tiny_data();
-    let refused = |data: &Dataset, settings: &TrainSettings| {
-        train(data, settings, |_| ())
-            .expect_err("must be refused")
-            .to_string()
-    };
     let full = tiny_settings(FeatureSet::Full);
 
     let mut short = data.clone();
     short.training.truncate(1);
-    assert!(
-        refused(&short, &full).contains("training part has 1 usable rows (0 more"),
-        "{}",
-        refused(&short, &full)
+    says(
+        &refused(&short, &full),
+        ["training part has 1 usable rows (0 more"],
     );
 
     let mut poisoned = data.clone();
     for row in &mut poisoned.validation {
         row.features[1] = f32::NAN;
     }
-    let message = refused(&poisoned, &full);
     let unusable = poisoned.validation.len();
-    assert!(
-        message.contains(&format!("has 0 usable rows ({unusable} more have a NaN")),
-        "{message}"
-    );
-    let power_only = tiny_settings(FeatureSet::PowerOnly);
-    assert!(
-        train(&poisoned, &power_only, |_| ()).is_ok(),
-        "velocities are not read"
-    );
+    let part = format!("has 0 usable rows ({unusable} more have a NaN");
+    says(&refused(&poisoned, &full), [part]);
+    // Velocities are not read.
+    made(&poisoned, &tiny_settings(FeatureSet::PowerOnly));
 
     let mut constant = data.clone();
-    constant
-        .training
-        .iter_mut()
-        .for_each(|row| row.target_w = 3.0);
-    let result = train(&constant, &full, |_| ());
-    assert!(
-        matches!(result, Err(TrainError::ConstantPower { rows: 1_180, .. })),
-        "{result:?}"
-    );
+    let targets = constant.training.iter_mut();
+    targets.for_each(|row| row.target_w = 3.0);
+    let result = refused(&constant, &full);
+    let is_constant = matches!(result, TrainError::ConstantPower { rows: 1_180, .. });
+    assert!(is_constant, "{result:?}");
 
     type Spoil = fn(&mut TrainSettings);
     let spoiled: [(&str, Spoil); 9] = [
@@ -177,7 +162,7 @@ fn unusable_data_is_refused_with_its_part_and_numbers() {
     for (knob, spoil) in spoiled {
         let mut settings = full.clone();
         spoil(&mut settings);
-        assert!(refused(&data, &settings).contains(knob), "{settings:?}");
+        says(&refused(&data, &settings), [knob]);
     }
     let settings = TrainSettings {
         learning_rate: 1.0,
@@ -188,11 +173,8 @@ fn unusable_data_is_refused_with_its_part_and_numbers() {
     };
     let mut huge = data.clone();
     huge.training[0].target_w = 3e38;
-    let result = train(&huge, &settings, |_| ());
-    assert!(
-        result.is_err(),
-        "a loss that is not finite gives no network"
-    );
+    // A loss that is not finite gives no network.
+    refused(&huge, &settings);
 }
 
 #[test]
@@ -208,10 +190,7 @@ fn unusable_rows_are_left_out_counted_and_change_nothing_else() {
     spoiled.training.insert(300, bad(6, f32::INFINITY));
     spoiled.held_out.push(bad(10, f32::NAN));
     let settings = tiny_settings(FeatureSet::Full);
-    let (expected, found) = (
-        train(&clean, &settings, |_| ()).expect("sound data"),
-        train(&spoiled, &settings, |_| ()).expect("enough rows are left"),
-    );
+    let [expected, found] = [clean.clone(), spoiled].map(|data| made(&data, &settings));
     assert_eq!(found.findings.unusable_rows, [2, 0, 1]);
     assert_eq!(found.findings.training_rows, clean.training.len());
     assert_eq!(found.network.parameters(), expected.network.parameters());
@@ -230,18 +209,14 @@ fn a_constant_feature_and_a_tiny_dataset_are_worked_around_and_named() {
     for row in &mut data.training {
         row.features[1] = 0.25;
     }
-    let trained =
-        train(&data, &tiny_settings(FeatureSet::Full), |_| ()).expect("training succeeds");
+    let trained = made(&data, &tiny_settings(FeatureSet::Full));
     assert_eq!(trained.findings.constant_features, ["omega_radps"]);
     assert!(trained.findings.few_rows);
     let mut inputs = [data.held_out[0].features; 2];
     inputs[1][1] = -3.0;
     let mut forecasts_w = [0.0; 2];
     trained.network.predict(&inputs, &mut forecasts_w);
-    assert_eq!(
-        forecasts_w[0], forecasts_w[1],
-        "a constant feature has no effect"
-    );
+    assert_eq!(forecasts_w[0], forecasts_w[1], "it has no effect");
 }
 
 #[test]
@@ -262,13 +237,9 @@ fn any_number_of_threads_gives_the_same_bytes() {
             while !training.is_done() {
                 training.epoch().expect("it does not diverge");
             }
-            let network = training.finish().expect("sound").network;
-            network.to_safetensors().expect("valid")
+            bytes(&training.finish().expect("sound").network)
         });
-        assert!(
-            bytes[0] == bytes[1] && bytes[0] == bytes[2],
-            "batch {batch}"
-        );
+        assert!(bytes[0] == bytes[1] && bytes[0] == bytes[2], "{batch}");
     }
 }
 
@@ -276,10 +247,9 @@ fn any_number_of_threads_gives_the_same_bytes() {
 fn a_run_saved_after_any_epoch_resumes_to_the_same_bytes() {
     let data = tiny_data();
     let settings = tiny_settings(FeatureSet::Full);
-    let expected = train(&data, &settings, |_| ()).expect("sound data");
-    let mut saved = Training::new(&data, &settings, 1)
-        .expect("sound data")
-        .saved();
+    let expected = made(&data, &settings);
+    let training = Training::new(&data, &settings, 1).expect("sound data");
+    let mut saved = training.saved();
     for epochs in 0..settings.max_epochs as usize {
         let mut training = Training::resume(&data, &settings, 2, &saved).expect("its own file");
         assert_eq!(training.epochs(), &expected.epochs[..epochs]);
@@ -290,10 +260,7 @@ fn a_run_saved_after_any_epoch_resumes_to_the_same_bytes() {
     assert!(training.is_done());
     let trained = training.finish().expect("sound");
     assert_eq!(trained.epochs, expected.epochs);
-    assert_eq!(
-        trained.network.to_safetensors().expect("valid"),
-        expected.network.to_safetensors().expect("valid")
-    );
+    assert_eq!(bytes(&trained.network), bytes(&expected.network));
 }
 
 #[test]
@@ -319,15 +286,10 @@ fn a_saved_run_resumes_only_with_its_own_data_and_recipe() {
         max_epochs: 9,
         ..settings.clone()
     };
-    assert!(
-        Training::resume(&data, &longer, 1, &saved).is_ok(),
-        "the number of epochs may be raised"
-    );
+    // The number of epochs may be raised.
+    assert!(Training::resume(&data, &longer, 1, &saved).is_ok());
     for cut in (0..saved.len()).step_by(97) {
-        assert!(
-            !refused(&data, &settings, &saved[..cut]).is_empty(),
-            "cut at {cut}"
-        );
+        refused(&data, &settings, &saved[..cut]);
     }
     let mut poisoned = saved.clone();
     let end = poisoned.len();
@@ -353,11 +315,8 @@ fn a_row_pairs_the_command_and_readings_of_a_tick_with_the_next_reading() {
         assert_eq!(row.target_w, window[5].power_w);
         assert_eq!(row.features[0], window[4].v_mps);
         assert_eq!(row.features[1], window[4].omega_radps);
-        let lag_w: Vec<f32> = window[..5]
-            .iter()
-            .rev()
-            .map(|reading| reading.power_w)
-            .collect();
+        let before = window[..5].iter().rev();
+        let lag_w: Vec<f32> = before.map(|reading| reading.power_w).collect();
         assert_eq!(row.features[6..FEATURES], lag_w);
     }
 }
@@ -376,8 +335,7 @@ fn usable(dataset: &Dataset, feature_set: FeatureSet) -> Dataset {
         training: known(&dataset.training),
         validation: known(&dataset.validation),
         held_out: known(&dataset.held_out),
-        description: dataset.description.clone(),
-        period_s: dataset.period_s,
+        ..dataset.clone()
     }
 }
 
@@ -398,50 +356,26 @@ fn the_shipped_models_state_that_they_come_from_this_simulation() {
         assert_eq!(card.source, "simulation");
         assert_eq!(card.seed, SHIPPED_SEED);
         assert_eq!(card.training_data, expected.description);
-        assert_eq!(
-            card.training_data_sha256,
-            expected.sha256(feature_set),
-            "{name} is older than the plant"
-        );
+        let digest = expected.sha256(feature_set);
+        assert_eq!(card.training_data_sha256, digest, "{name} is too old");
         let (scores, residual) = scored(&network, &expected.held_out);
         // The card was written by earlier kernels: their last bits may change, the model's may not.
         let close = |(found, stated): (f32, f32)| (found - stated).abs() <= 1e-5 * stated.abs();
         let figures = |scores: Scores, residual: ResidualStats| {
-            let Scores {
-                rows,
-                network_r2,
-                network_mae_w,
-                persistence_r2,
-                persistence_mae_w,
-            } = scores;
             let ResidualStats {
                 std_w,
                 q05_w,
                 q95_w,
             } = residual;
-            let scores = [network_r2, network_mae_w, persistence_r2, persistence_mae_w];
-            (
-                rows,
-                scores
-                    .into_iter()
-                    .chain([std_w, q05_w, q95_w])
-                    .collect::<Vec<f32>>(),
-            )
+            let network = [scores.network_r2, scores.network_mae_w];
+            let persistence = [scores.persistence_r2, scores.persistence_mae_w];
+            [&network[..], &persistence, &[std_w, q05_w, q95_w]].concat()
         };
-        let (found, stated) = (
-            figures(scores, residual),
-            figures(card.scores, card.residual),
-        );
-        assert_eq!(found.0, stated.0);
-        assert!(
-            found
-                .1
-                .iter()
-                .copied()
-                .zip(stated.1.iter().copied())
-                .all(close),
-            "{found:?} {stated:?}"
-        );
+        assert_eq!(scores.rows, card.scores.rows);
+        let found = figures(scores, residual);
+        let stated = figures(card.scores, card.residual);
+        let mut pairs = found.iter().copied().zip(stated.iter().copied());
+        assert!(pairs.all(close), "{found:?} {stated:?}");
     }
 }
 
@@ -450,7 +384,7 @@ fn the_shipped_models_are_reproduced_by_the_documented_command() {
     let dataset = dataset_from_plant(SimulatedData::shipped(SHIPPED_SEED));
     for (name, feature_set) in SHIPPED {
         let settings = settings_for_sim(SHIPPED_SEED, feature_set);
-        let made = train(&dataset, &settings, |_| ()).expect("sound data");
+        let made = made(&dataset, &settings);
         assert_eq!(made.network.hash(), shipped(name).hash(), "{name}");
     }
 }
@@ -491,15 +425,10 @@ fn trained_weights_keep_every_kernel_within_3e_6_of_double_precision() {
             let mut forecasts_w = vec![0.0; inputs.len()];
             network.predict(&inputs, &mut forecasts_w);
             for (row, forecast_w) in inputs.iter().zip(forecasts_w) {
-                assert_eq!(
-                    forecast_w.to_bits(),
-                    network.predict_reference_f32(row).to_bits()
-                );
-                let error_w = f64::from(forecast_w) - network.predict_reference_f64(row);
-                assert!(
-                    error_w.abs() <= 3e-6 * scale_w,
-                    "{kernel:?} {name} {error_w:e}"
-                );
+                let expected = network.predict_reference_f32(row);
+                assert_eq!(forecast_w.to_bits(), expected.to_bits());
+                let error_w = (f64::from(forecast_w) - network.predict_reference_f64(row)).abs();
+                assert!(error_w <= 3e-6 * scale_w, "{kernel:?} {name} {error_w:e}");
             }
         }
     }
@@ -538,12 +467,10 @@ fn a_network_with_reading_age_learns_when_the_next_reading_comes() {
             max_epochs: 30,
             ..TrainSettings::new("swinging", "made up", set, 3)
         };
-        train(&data, &settings, |_| ()).expect("sound data")
+        made(&data, &settings)
     };
-    let (plain, fresh) = (
-        trained(FeatureSet::PowerOnly),
-        trained(FeatureSet::PowerFreshness),
-    );
+    let plain = trained(FeatureSet::PowerOnly);
+    let fresh = trained(FeatureSet::PowerFreshness);
     // Until two measurements have been seen the reading age is unknown: six rows per robot, of
     // those with a full window.
     assert_eq!(plain.findings.unusable_rows, [0; 3]);
@@ -552,9 +479,8 @@ fn a_network_with_reading_age_learns_when_the_next_reading_comes() {
     println!("R²: {} without, {} with", r2(&plain), r2(&fresh));
     assert!(r2(&plain) < 0.8 && r2(&fresh) > 0.97);
 
-    let bytes = |trained: Trained| trained.network.to_safetensors().expect("valid");
     let again = trained(FeatureSet::PowerFreshness);
-    assert_eq!(bytes(again), bytes(fresh), "the same bytes every time");
+    assert_eq!(bytes(&again.network), bytes(&fresh.network));
 }
 
 /// Hashes of the tiny networks, from this trainer on x86-64.

@@ -106,8 +106,7 @@ proptest! {
         let (mut there, mut source) = (world::fleet(CAPACITY), Source::new(1, 1));
         for step in 0..30 {
             let now_ns = START_NS + step * PERIOD_NS;
-            source.send(&mut there, &[healthy(3, step, now_ns, PERIOD_NS)], now_ns);
-            there.tick(now_ns, false);
+            source.tick(&mut there, &[healthy(3, step, now_ns, PERIOD_NS)], now_ns);
         }
         let before = there.ledger(3).expect("it has begun");
         let stamp_ns = before.stamp_ns().expect("it has begun");
@@ -118,8 +117,7 @@ proptest! {
         here.restore_state(&state).expect("the same settings and models");
         let now_ns = 1 + later_ns;
         let sample = healthy(3, 31, now_ns, PERIOD_NS).with(sample_flag::DISCONTINUITY);
-        source.send(&mut here, &[sample], now_ns);
-        here.tick(now_ns, false);
+        source.tick(&mut here, &[sample], now_ns);
         let after = here.ledger(3).expect("it goes on");
         let time_ns = |ledger: joulebus_fleet::Ledger| ledger.metered_ns + ledger.unmetered_ns;
         prop_assert_eq!(time_ns(after), time_ns(before) + behind_ns + later_ns);

@@ -5,28 +5,12 @@ use joulebus_ros_messages::RosType;
 /// Maximum length of a topic, bytes. DDS allows 256 with its prefix.
 const MAX_BYTES: usize = 250;
 
-/// The types that are read: their names in ROS 2 and in DDS.
-const TYPES: [(RosType, &str, &str); 4] = [
-    (
-        RosType::BatteryState,
-        "sensor_msgs/msg/BatteryState",
-        "sensor_msgs::msg::dds_::BatteryState_",
-    ),
-    (
-        RosType::Twist,
-        "geometry_msgs/msg/Twist",
-        "geometry_msgs::msg::dds_::Twist_",
-    ),
-    (
-        RosType::TwistStamped,
-        "geometry_msgs/msg/TwistStamped",
-        "geometry_msgs::msg::dds_::TwistStamped_",
-    ),
-    (
-        RosType::Odometry,
-        "nav_msgs/msg/Odometry",
-        "nav_msgs::msg::dds_::Odometry_",
-    ),
+/// The types that are read, and their names in ROS 2.
+const TYPES: [(RosType, &str); 4] = [
+    (RosType::BatteryState, "sensor_msgs/msg/BatteryState"),
+    (RosType::Twist, "geometry_msgs/msg/Twist"),
+    (RosType::TwistStamped, "geometry_msgs/msg/TwistStamped"),
+    (RosType::Odometry, "nav_msgs/msg/Odometry"),
 ];
 
 /// Why a topic or a type is refused.
@@ -44,9 +28,9 @@ pub(crate) enum NameError {
 /// The type called `name`; `msg/` may be left out.
 pub(crate) fn read_type(name: &str) -> Result<RosType, NameError> {
     let is_it = |usual: &str| usual == name || usual.replacen("/msg/", "/", 1) == name;
-    let found = TYPES.iter().find(|(_, usual, _)| is_it(usual));
-    found.map(|(kind, ..)| *kind).ok_or_else(|| {
-        let all: Vec<&str> = TYPES.iter().map(|(_, name, _)| *name).collect();
+    let found = TYPES.iter().find(|(_, usual)| is_it(usual));
+    found.map(|(kind, _)| *kind).ok_or_else(|| {
+        let all: Vec<&str> = TYPES.iter().map(|(_, name)| *name).collect();
         NameError::Type {
             allowed: all.join(", "),
         }
@@ -55,14 +39,13 @@ pub(crate) fn read_type(name: &str) -> Result<RosType, NameError> {
 
 /// The name of a type in ROS 2.
 pub(crate) fn ros_type(kind: RosType) -> &'static str {
-    let found = TYPES.iter().find(|(other, ..)| *other == kind);
-    found.map_or("", |(_, name, _)| name)
+    let found = TYPES.iter().find(|(other, _)| *other == kind);
+    found.map_or("", |(_, name)| name)
 }
 
 /// The name of a type in DDS.
-pub(crate) fn dds_type(kind: RosType) -> &'static str {
-    let found = TYPES.iter().find(|(other, ..)| *other == kind);
-    found.map_or("", |(.., dds)| dds)
+pub(crate) fn dds_type(kind: RosType) -> String {
+    format!("{}_", ros_type(kind).replace("/msg/", "::msg::dds_::"))
 }
 
 /// The name of a topic in DDS.
@@ -115,15 +98,11 @@ mod tests {
 
     #[test]
     fn types_have_one_name_in_dds() {
+        let battery = "sensor_msgs::msg::dds_::BatteryState_";
+        let twist = "geometry_msgs::msg::dds_::TwistStamped_";
         for (name, dds) in [
-            (
-                "sensor_msgs/msg/BatteryState",
-                "sensor_msgs::msg::dds_::BatteryState_",
-            ),
-            (
-                "geometry_msgs/TwistStamped",
-                "geometry_msgs::msg::dds_::TwistStamped_",
-            ),
+            ("sensor_msgs/msg/BatteryState", battery),
+            ("geometry_msgs/TwistStamped", twist),
         ] {
             assert_eq!(dds_type(read_type(name).unwrap()), dds);
         }

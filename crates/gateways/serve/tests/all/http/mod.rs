@@ -15,7 +15,7 @@ use std::process::Command;
 
 use client::{Events, get, get_json, send, what_if};
 use fleet::Fleet;
-use joulebus_testkit::{PATIENCE, end_signals, eventually};
+use joulebus_testkit::{PATIENCE, end_signals, eventually, says};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 
@@ -398,10 +398,7 @@ fn another_address_needs_a_token_and_clients_must_send_it() {
         (303, Some("/"))
     );
     let cookie = entered.header("set-cookie").unwrap();
-    assert!(
-        cookie.contains("HttpOnly") && cookie.contains("SameSite=Strict"),
-        "{cookie}"
-    );
+    says(&cookie, ["HttpOnly", "SameSite=Strict"]);
     let cookie = cookie.split(';').next().unwrap();
     for header in [
         format!("Cookie: {cookie}"),

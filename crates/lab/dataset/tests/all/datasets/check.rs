@@ -1,13 +1,15 @@
 //! Faults of a recording are found, counted and reported with file and row; sound recordings have
 //! none.
 
+use std::ops::Range;
 use std::path::PathBuf;
 
 use joulebus_dataset::inspect::{
-    Check, FindError, FindingKind, Limits, Range, check_files, check_trial, describe, find, holds,
+    self, Check, FindError, FindingKind, Limits, check_files, check_trial, describe, find, holds,
 };
 use joulebus_dataset::trial::{ColumnMap, Trial};
 use joulebus_testkit::recordings::trials;
+use joulebus_testkit::says;
 use joulebus_testkit::trials::{Files, csv, npy_f8};
 
 /// Sound rows at 10 Hz: all columns, every reading new, power the product of voltage and current.
@@ -72,141 +74,71 @@ fn a_sound_recording_has_no_fault_in_any_form() {
 
 #[test]
 fn each_fault_is_found_with_its_row_and_nothing_else_is() {
-    type Spoil = fn(&mut [[f64; 11]]);
-    let cases: [(&str, Spoil, FindingKind, &[usize], &str); 13] = [
-        (
-            "again",
-            |rows| rows[30..].iter_mut().for_each(|row| row[1] -= 0.1),
-            FindingKind::TimeRepeated,
-            &[31],
-            "as row 30",
-        ),
-        (
-            "back",
-            |rows| {
-                rows[30..].iter_mut().for_each(|row| row[1] -= 0.1);
-                rows[30][1] -= 0.01;
-            },
-            FindingKind::TimeBackward,
-            &[31],
-            "before row 30",
-        ),
-        (
-            "gap",
-            |rows| rows[30..].iter_mut().for_each(|row| row[1] += 0.4),
-            FindingKind::Gap,
-            &[31],
-            "0.500 s",
-        ),
-        (
-            "lost",
-            |rows| rows[9][10] = f64::NAN,
-            FindingKind::MissingReading,
-            &[10],
-            "power_mW",
-        ),
-        (
-            "hole",
-            |rows| rows[9][3] = f64::NAN,
-            FindingKind::MissingValue,
-            &[10],
-            "v_cmd_mps",
-        ),
-        (
-            "fast",
-            |rows| rows[9][3] = 12.0,
-            FindingKind::OutOfRange,
-            &[10],
-            "12 in SI units",
-        ),
-        (
-            "negative",
-            |rows| rows[9][8] *= -1.0,
-            FindingKind::OutOfRange,
-            &[10],
-            "voltage_mV",
-        ),
-        (
-            "spike",
-            |rows| rows[9][10] *= 1.2,
-            FindingKind::PowerMismatch,
-            &[10],
-            "voltage times current",
-        ),
-        (
-            "watt",
-            |rows| rows.iter_mut().for_each(|row| row[10] /= 1e3),
-            FindingKind::Unit,
-            &[],
-            "mW",
-        ),
-        (
-            "volt",
-            |rows| rows.iter_mut().for_each(|row| row[8] /= 1e3),
-            FindingKind::Unit,
-            &[],
-            "mV",
-        ),
-        (
-            "ampere",
-            |rows| rows.iter_mut().for_each(|row| row[9] /= 1e3),
-            FindingKind::Unit,
-            &[],
-            "voltage times current",
-        ),
-        (
-            "ms",
-            |rows| rows.iter_mut().for_each(|row| row[1] *= 1e3),
-            FindingKind::Unit,
-            &[],
-            "seconds?",
-        ),
-        (
-            "stuck",
-            |rows| {
-                for row in 100..230 {
-                    let (first, other) = rows.split_at_mut(row);
-                    other[0][8..].copy_from_slice(&first[99][8..]);
-                }
-            },
-            FindingKind::Stuck,
-            &[100],
-            "131 rows",
-        ),
+    use FindingKind::{
+        Gap, MissingReading, MissingValue, OutOfRange, PowerMismatch, Stuck, TimeBackward,
+        TimeRepeated, Unit,
+    };
+    type Spoil = fn(&mut [f64; 11]);
+    const ALL: Range<usize> = 0..260;
+    const NAN: f64 = f64::NAN;
+    let cases: [(FindingKind, &[usize], &str, Range<usize>, Spoil); 11] = [
+        (TimeRepeated, &[31], "as row 30", 30..260, |row| {
+            row[1] -= 0.1
+        }),
+        (Gap, &[31], "0.500 s", 30..260, |row| row[1] += 0.4),
+        (MissingReading, &[10], "power_mW", 9..10, |row| {
+            row[10] = NAN
+        }),
+        (MissingValue, &[10], "v_cmd_mps", 9..10, |row| row[3] = NAN),
+        (OutOfRange, &[10], "12 in SI units", 9..10, |row| {
+            row[3] = 12.0
+        }),
+        (OutOfRange, &[10], "voltage_mV", 9..10, |row| row[8] *= -1.0),
+        (PowerMismatch, &[10], "times current", 9..10, |row| {
+            row[10] *= 1.2
+        }),
+        (Unit, &[], "mW", ALL, |row| row[10] /= 1e3),
+        (Unit, &[], "mV", ALL, |row| row[8] /= 1e3),
+        (Unit, &[], "voltage times current", ALL, |row| row[9] /= 1e3),
+        (Unit, &[], "seconds?", ALL, |row| row[1] *= 1e3),
     ];
-    for (name, spoil, kind, rows, words) in cases {
+    for (kind, at, words, rows, spoil) in cases {
         let mut table = sound(260);
-        spoil(&mut table);
-        for (name, bytes) in [
-            (format!("{name}.npy"), npy_f8(&table)),
-            (format!("{name}.csv"), csv(&table).into_bytes()),
-        ] {
-            let found = check(&name, &bytes);
-            let others: Vec<_> = faults(&found)
-                .into_iter()
-                .filter(|fault| fault.0 != kind)
-                .collect();
-            assert!(others.is_empty(), "{name}: {others:?}");
-            let finding = found
-                .finding(kind)
-                .unwrap_or_else(|| panic!("{name}: {found:?}"));
-            assert!(finding.fault && finding.count >= 1 && !found.is_sound());
-            let at: Vec<usize> = finding
-                .places
-                .iter()
-                .filter_map(|place| place.row)
-                .collect();
-            assert_eq!(at, rows, "{name}");
-            let message = finding
-                .places
-                .iter()
-                .map(ToString::to_string)
-                .collect::<String>();
-            assert!(
-                message.contains(words) && message.contains(&name),
-                "{name}: {message}"
-            );
-        }
+        table[rows].iter_mut().for_each(spoil);
+        assert_only(kind, at, words, &table);
+    }
+    let mut table = sound(260);
+    table[30..].iter_mut().for_each(|row| row[1] -= 0.1);
+    table[30][1] -= 0.01;
+    assert_only(TimeBackward, &[31], "before row 30", &table);
+    let mut table = sound(260);
+    for row in 100..230 {
+        let (first, other) = table.split_at_mut(row);
+        other[0][8..].copy_from_slice(&first[99][8..]);
+    }
+    assert_only(Stuck, &[100], "131 rows", &table);
+}
+
+/// The table has this fault at these rows, in words, and no other, in either form.
+fn assert_only(kind: FindingKind, rows: &[usize], words: &str, table: &[[f64; 11]]) {
+    for (name, bytes) in [
+        ("spoiled.npy", npy_f8(table)),
+        ("spoiled.csv", csv(table).into_bytes()),
+    ] {
+        let found = check(name, &bytes);
+        let others: Vec<_> = faults(&found)
+            .into_iter()
+            .filter(|fault| fault.0 != kind)
+            .collect();
+        assert!(others.is_empty(), "{kind:?}: {others:?}");
+        let finding = found.finding(kind);
+        let finding = finding.unwrap_or_else(|| panic!("{kind:?}: {found:?}"));
+        assert!(finding.fault && finding.count >= 1 && !found.is_sound());
+        let places = finding.places.iter();
+        let at: Vec<usize> = places.clone().filter_map(|place| place.row).collect();
+        assert_eq!(at, rows, "{kind:?}");
+        let message: String = places.map(ToString::to_string).collect();
+        says(&message, [words, name]);
     }
 }
 
@@ -262,7 +194,7 @@ fn a_platform_narrows_the_allowed_ranges() {
     let files = Files::new();
     let trial = Trial::read(files.write("a.npy", &npy_f8(&sound(60)))).unwrap();
     let limits = Limits {
-        power_w: Range {
+        power_w: inspect::Range {
             least: 0.0,
             greatest: 3.3,
         },

@@ -43,33 +43,16 @@ fn no_real_recording_is_implausible() {
 /// The thresholds were chosen on simulated recordings; these are real ones.
 #[test]
 fn what_is_planted_in_real_recordings_is_found() {
-    for (what, map, kind, least) in [
-        (
-            "the other sign",
-            ColumnMap::default().discharge_negative(true),
-            Kind::Sign,
-            [1.0; 3],
-        ),
-        (
-            "the other sign of power",
-            mapped("power_mW=-power_mW"),
-            Kind::Sign,
-            [1.0; 3],
-        ),
-        // The rover has neither voltage nor current: 12 W or 12 kW.
-        (
-            "mW read as W",
-            mapped("power_W=power_mW"),
-            Kind::Unit,
-            [1.0, 1.0, 0.0],
-        ),
-        (
-            "mW read as kW",
-            mapped("power_kW=power_mW"),
-            Kind::Unit,
-            [1.0; 3],
-        ),
-    ] {
+    // The rover has neither voltage nor current: 12 W or 12 kW.
+    let columns = [
+        ("power_mW=-power_mW", Kind::Sign, [1.0; 3]),
+        ("power_W=power_mW", Kind::Unit, [1.0, 1.0, 0.0]),
+        ("power_kW=power_mW", Kind::Unit, [1.0; 3]),
+    ];
+    let columns = columns.map(|(what, kind, least)| (what, mapped(what), kind, least));
+    let turned = ColumnMap::default().discharge_negative(true);
+    let turned = ("the other sign", turned, Kind::Sign, [1.0; 3]);
+    for (what, map, kind, least) in columns.into_iter().chain([turned]) {
         for (platform, least) in PLATFORMS.into_iter().zip(least) {
             let Some(paths) = trials(platform) else {
                 return;

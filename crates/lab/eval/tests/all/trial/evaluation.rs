@@ -1,11 +1,14 @@
 //! Offline evaluation against a slow oracle computed from the table's columns, and against a mixed
 //! fleet.
 
+use std::ops::Range;
+
 use joulebus_dataset::trial::{Column, Playback, Trial, TrialFleet};
 use joulebus_eval::evaluate::{EvaluateError, RobotEvaluation, Step, evaluate, evaluate_trial};
 use joulebus_fleet::Fleet;
 use joulebus_predictor::{FeatureSet, LAGS, Model, features};
 use joulebus_testkit::recordings::trials;
+use joulebus_testkit::says;
 use joulebus_testkit::trials::{Files, npy_f8, timed};
 use joulebus_wire::{
     DropReason, InvalidReason, Quality, SCHEMA_VERSION, SampleHeader, diagnostic_flag,
@@ -17,11 +20,8 @@ use super::model::{HUSKY, ROBOTINO, ROVER, network, networks, persistence, setti
 fn some(platform: &str, first: u32, every: usize) -> Option<Vec<(u32, Trial)>> {
     let paths = trials(platform)?;
     let read = |path| Trial::read(path).unwrap_or_else(|error| panic!("{error}"));
-    Some(
-        (first..)
-            .zip(paths.iter().step_by(every).map(read))
-            .collect(),
-    )
+    let each = paths.iter().step_by(every).map(read);
+    Some((first..).zip(each).collect())
 }
 
 fn all_platforms(every: usize) -> Option<Vec<(u32, Trial)>> {
@@ -39,19 +39,15 @@ fn all_platforms(every: usize) -> Option<Vec<(u32, Trial)>> {
 
 fn period_ns(robot: u32) -> u64 {
     let settings = settings();
-    let platform = settings
-        .platforms
-        .iter()
-        .find(|platform| platform.robots[0].contains(&robot));
-    platform.unwrap().period_ns
+    let mut platforms = settings.platforms.iter();
+    let own = platforms.find(|platform| platform.robots[0].contains(&robot));
+    own.unwrap().period_ns
 }
 
 fn is_gap_free(robot: u32, trial: &Trial) -> bool {
     let longest_ns = period_ns(robot) as i64 * 3 / 2;
-    let steps = trial.offset_ns().windows(2).map(|pair| pair[1] - pair[0]);
-    steps
-        .into_iter()
-        .all(|step_ns| 0 < step_ns && step_ns <= longest_ns)
+    let mut steps = trial.offset_ns().windows(2).map(|pair| pair[1] - pair[0]);
+    steps.all(|step_ns| 0 < step_ns && step_ns <= longest_ns)
         && trial.notes().missing_readings == 0
         && trial.period_ns() as i64 <= longest_ns
 }
@@ -63,19 +59,10 @@ fn bits(value: Option<f32>) -> Option<u32> {
 /// Forecasts after each row, computed directly from the columns in one batch.
 fn oracle(model: &Model, trial: &Trial) -> Vec<Option<f32>> {
     let n = trial.rows();
-    let column = |column| -> Vec<f32> {
-        let values = trial.column(column).map(<[f64]>::to_vec);
-        values
-            .unwrap_or_else(|| vec![f64::NAN; n])
-            .iter()
-            .map(|value| *value as f32)
-            .collect()
-    };
-    let (v, omega, power) = (
-        column(Column::V),
-        column(Column::Omega),
-        column(Column::Power),
-    );
+    let [v, omega, power] = [Column::V, Column::Omega, Column::Power].map(|column| {
+        let value = |row: usize| trial.column(column).map_or(f32::NAN, |all| all[row] as f32);
+        (0..n).map(value).collect::<Vec<f32>>()
+    });
     let time_ns = trial.offset_ns();
     let (mut owners, mut rows) = (Vec::new(), Vec::new());
     for t in LAGS - 1..n {
@@ -111,52 +98,32 @@ fn assert_equals_oracle(found: &RobotEvaluation, model: &Model, trial: &Trial) {
         let reading_w = power[t] as f32;
         let residual_w = t.checked_sub(1).and_then(|before| expected[before]);
         let residual_w = residual_w.map(|forecast_w| reading_w - forecast_w);
-        assert_eq!(
-            bits(step.power_w),
-            bits(expected[t]),
-            "{context}: forecast after row {t}"
-        );
-        assert_eq!(
-            bits(step.residual_w),
-            bits(residual_w),
-            "{context}: residual of row {t}"
-        );
-        assert_eq!(
-            (step.accepted, step.scored),
-            (true, residual_w.is_some()),
-            "{context}: {t}"
-        );
+        let (found, wanted) = (bits(step.power_w), bits(expected[t]));
+        assert_eq!(found, wanted, "{context}: forecast after row {t}");
+        let (found, wanted) = (bits(step.residual_w), bits(residual_w));
+        assert_eq!(found, wanted, "{context}: residual of row {t}");
+        assert!(step.accepted, "{context}: {t}");
+        assert_eq!(step.scored, residual_w.is_some(), "{context}: {t}");
         if let (Some(lo_w), Some(hi_w)) = (step.lo_w, step.hi_w) {
             assert!(lo_w <= hi_w, "{context}: {t}");
         }
-        assert_eq!(
-            step.lo_w.is_some(),
-            step.power_w.is_some(),
-            "{context}: {t}"
-        );
+        let has_interval = step.lo_w.is_some();
+        assert_eq!(has_interval, step.power_w.is_some(), "{context}: {t}");
         if let Some(residual_w) = residual_w {
-            scored.push((
-                f64::from(reading_w),
-                f64::from(residual_w),
-                f64::from(power[t - 1] as f32),
-            ));
+            let row = [reading_w, residual_w, power[t - 1] as f32].map(f64::from);
+            scored.push(<(f64, f64, f64)>::from(row));
         }
     }
     let n = scored.len() as f64;
     let mean = scored.iter().map(|row| row.0).sum::<f64>() / n;
     let total = scored.iter().map(|row| (row.0 - mean).powi(2)).sum::<f64>();
     let error = scored.iter().map(|row| row.1.powi(2)).sum::<f64>();
-    let step = scored
-        .iter()
-        .map(|row| (row.0 - row.2).powi(2))
-        .sum::<f64>();
+    let step: f64 = scored.iter().map(|row| (row.0 - row.2).powi(2)).sum();
     let near = |found: f64, wanted: f64| (found - wanted).abs() <= 1e-8 * (1.0 + wanted.abs());
     assert_eq!(found.scores.count, scored.len() as u64, "{context}");
     assert!(near(found.scores.r2(), 1.0 - error / total), "{context}");
-    assert!(
-        near(found.scores.persistence_r2(), 1.0 - step / total),
-        "{context}"
-    );
+    let persistence_r2 = found.scores.persistence_r2();
+    assert!(near(persistence_r2, 1.0 - step / total), "{context}");
     assert!(near(found.scores.skill(), 1.0 - error / step), "{context}");
 }
 
@@ -169,10 +136,7 @@ fn on_gap_free_trials_the_tick_equals_one_batch_over_the_columns_to_the_bit() {
     let power_only = network(9, FeatureSet::PowerOnly, 30.0);
     let fleets = [networks(), vec![persistence(); 3], vec![power_only; 3]];
     let mut compared = [0; 3];
-    for (robot, trial) in trials
-        .iter()
-        .filter(|(robot, trial)| is_gap_free(*robot, trial))
-    {
+    for (robot, trial) in trials.iter().filter(|it| is_gap_free(it.0, &it.1)) {
         let kind = (*robot / 1_000 - 1) as usize;
         for models in &fleets {
             let found = evaluate_trial(&settings, models, *robot, trial).unwrap();
@@ -244,18 +208,11 @@ fn a_mixed_fleet_gives_the_bits_of_each_robot_alone_for_any_frame_length() {
         assert_eq!(fleet.drops().total(), 0);
         for alone in &evaluation.robots {
             assert_eq!(fleet.scores(alone.robot), Some(alone.scores));
-            let account = |ledger: &joulebus_fleet::Ledger| {
-                (
-                    ledger.drawn_uj,
-                    ledger.drawn_remainder,
-                    ledger.metered_ns,
-                    ledger.unmetered_ns,
-                )
-            };
-            assert_eq!(
-                fleet.ledger(alone.robot).as_ref().map(account),
-                Some(account(&alone.ledger))
-            );
+            let (found, alone) = (fleet.ledger(alone.robot).unwrap(), &alone.ledger);
+            assert_eq!(found.drawn_uj, alone.drawn_uj);
+            assert_eq!(found.drawn_remainder, alone.drawn_remainder);
+            assert_eq!(found.metered_ns, alone.metered_ns);
+            assert_eq!(found.unmetered_ns, alone.unmetered_ns);
         }
     }
 }
@@ -274,16 +231,11 @@ fn without_commands_a_model_that_needs_them_makes_the_rover_invalid() {
             assert_eq!((step.power_w, step.residual_w), (None, None));
         }
         assert_eq!(robot.scores.count, 0);
-        assert!(
-            robot.ledger.drawn_uj > 0,
-            "its energy is metered nevertheless"
-        );
+        // Its energy is metered nevertheless.
+        assert!(robot.ledger.drawn_uj > 0);
     }
     let report = evaluation.report().to_string();
-    assert!(
-        report.contains("samples without forecast: Invalid(NoCommand)"),
-        "{report}"
-    );
+    says(&report, ["samples without forecast: Invalid(NoCommand)"]);
 }
 
 #[test]
@@ -300,10 +252,8 @@ fn pooled_persistence_on_all_robotino_trials_scores_as_published() {
     assert_eq!(pooled.accepted, 264_476);
     // The published .819 was measured on the held-out 30 %.
     let r2 = pooled.scores.persistence_r2;
-    println!(
-        "pooled persistence: R² {r2:.4}, {} scored",
-        pooled.scores.scored
-    );
+    let count = pooled.scores.scored;
+    println!("pooled persistence: R² {r2:.4}, {count} scored");
     assert!((0.78..0.86).contains(&r2), "{r2}");
     // The model is persistence too; residuals are f32, the baseline's errors f64.
     assert!((pooled.scores.r2 - r2).abs() < 1e-7);
@@ -314,46 +264,34 @@ fn pooled_persistence_on_all_robotino_trials_scores_as_published() {
 fn a_robot_that_leaves_during_its_recording_comes_back_and_every_scored_reading_counts() {
     /// Changes the time, s, and the power, mW, of a row.
     type Change = fn(usize, &mut (f64, f64));
-    let kinds: [(&str, Change); 6] = [
-        ("a gap that ingest takes", |row, (time_s, _)| {
-            *time_s += if row < 1_500 { 0.0 } else { 59.0 };
+    let kinds: [(&str, Range<usize>, Change); 6] = [
+        ("a gap that ingest takes", 1_500..3_000, |_, row| {
+            row.0 += 59.0
         }),
-        ("a gap of a day", |row, (time_s, _)| {
-            *time_s += if row < 1_500 { 0.0 } else { 86_400.0 };
+        ("a gap of a day", 1_500..3_000, |_, row| row.0 += 86_400.0),
+        ("impossible values for 40 s", 300..1_500, |_, row| {
+            row.1 = -1e9
         }),
-        (
-            "values that are impossible, for 40 s",
-            |row, (_, power_mw)| {
-                if (300..1_500).contains(&row) {
-                    *power_mw = -1e9;
-                }
-            },
-        ),
-        (
-            "values that are impossible, at first",
-            |row, (_, power_mw)| {
-                if row < 1_500 {
-                    *power_mw = 1e12;
-                }
-            },
-        ),
-        ("a stamp of a day later", |row, (time_s, _)| {
-            *time_s += if row == 700 { 86_400.0 } else { 0.0 };
+        ("impossible values at first", 0..1_500, |_, row| {
+            row.1 = 1e12
         }),
-        ("a day after each row", |row, (time_s, _)| {
-            *time_s = 86_400.0 * row as f64;
+        ("a stamp of a day later", 700..701, |_, row| {
+            row.0 += 86_400.0
+        }),
+        ("a day after each row", 0..3_000, |number, row| {
+            row.0 = 86_400.0 * number as f64
         }),
     ];
     let files = Files::new();
     let mut settings = settings();
     settings.intake.leave_after_ns = 30_000_000_000;
     settings.intake.max_jump_ns = 60_000_000_000;
-    for (place, (kind, change)) in kinds.into_iter().enumerate() {
+    for (place, (kind, changed, change)) in kinds.into_iter().enumerate() {
         let mut rows: Vec<(f64, f64)> = (0..3_000)
             .map(|row| (f64::from(row) / 30.0, 5_000.0 + f64::from(row % 7)))
             .collect();
-        for (row, values) in rows.iter_mut().enumerate() {
-            change(row, values);
+        for row in changed {
+            change(row, &mut rows[row]);
         }
         let file = format!("{place}.npy");
         let trial = Trial::read(files.write(&file, &npy_f8(&timed(&rows)))).unwrap();
@@ -362,11 +300,8 @@ fn a_robot_that_leaves_during_its_recording_comes_back_and_every_scored_reading_
             let of =
                 |is: fn(&Step) -> bool| found.steps.iter().filter(|step| is(step)).count() as u64;
             assert_eq!(found.steps.len(), rows.len(), "{kind}");
-            assert_eq!(
-                found.accepted + found.drops.total(),
-                rows.len() as u64,
-                "{kind}"
-            );
+            let seen = found.accepted + found.drops.total();
+            assert_eq!(seen, rows.len() as u64, "{kind}");
             assert_eq!(found.accepted, of(|step| step.accepted), "{kind}");
             let scored = of(|step| step.scored && step.residual_w.is_some());
             assert_eq!(found.scores.count, scored, "{kind}");
@@ -395,15 +330,10 @@ fn samples_refused_by_ingest_are_empty_steps_and_counted() {
     for (t, step) in found.steps.iter().enumerate() {
         assert_eq!(step.accepted, t != 6 && t != 9, "{t}");
         if !step.accepted {
-            assert!(
-                matches!(step.quality, Quality::Invalid(_)),
-                "{t}: {:?}",
-                step.quality
-            );
-            assert_eq!(
-                (step.power_w, step.residual_w, step.scored),
-                (None, None, false)
-            );
+            let quality = step.quality;
+            assert!(matches!(quality, Quality::Invalid(_)), "{t}: {quality:?}");
+            assert_eq!((step.power_w, step.residual_w), (None, None));
+            assert!(!step.scored);
         }
     }
 }
@@ -415,22 +345,13 @@ fn invalid_evaluations_are_refused_with_their_numbers() {
         Trial::read(files.write("two.npy", &npy_f8(&timed(&[(0.0, 1.0), (1.0, 1.0)])))).unwrap();
     let (settings, models) = (settings(), vec![persistence(); 3]);
     let twice = [(ROVER, trial.clone()), (ROVER, trial.clone())];
-    let unknown = EvaluateError::UnknownRobot {
-        robot: 7,
-        platforms: 3,
-    };
-    assert_eq!(
-        evaluate(&settings, &models, &[]).unwrap_err(),
-        EvaluateError::NoTrial
-    );
-    assert_eq!(
-        evaluate(&settings, &models, &[(7, trial.clone())]).unwrap_err(),
-        unknown
-    );
-    assert_eq!(
-        evaluate(&settings, &models, &twice).unwrap_err(),
-        EvaluateError::DuplicateRobot { robot: ROVER }
-    );
+    let refused = |trials: &[(u32, Trial)]| evaluate(&settings, &models, trials).unwrap_err();
+    assert_eq!(refused(&[]), EvaluateError::NoTrial);
+    let (robot, platforms) = (7, 3);
+    let unknown = EvaluateError::UnknownRobot { robot, platforms };
+    assert_eq!(refused(&[(7, trial.clone())]), unknown);
+    let robot = ROVER;
+    assert_eq!(refused(&twice), EvaluateError::DuplicateRobot { robot });
     let few = evaluate(&settings, &models[..1], &[(ROVER, trial)]).unwrap_err();
     assert!(matches!(few, EvaluateError::Settings(_)), "{few}");
 }
@@ -457,14 +378,8 @@ fn the_report_states_the_evaluation_in_text_and_json() {
     assert_eq!(json["robots"][0]["scored"], 35);
     assert_eq!(json["platforms"][0]["platform"], "rover");
     let text = report.to_string();
-    for part in [
-        "saw.npy",
-        "random 3",
-        "2 trials",
-        &format!("{:.4}", robot.scores.r2()),
-    ] {
-        assert!(text.contains(part), "{part:?} not in\n{text}");
-    }
+    let r2 = format!("{:.4}", robot.scores.r2());
+    says(&text, ["saw.npy", "random 3", "2 trials", &r2]);
     // The samples' drawn energy. Their last stamp is one period after the last row.
     let drawn_j = robot.ledger.drawn_uj as f64 / 1e6;
     let metered_s = robot.ledger.metered_ns as f64 / 1e9;

@@ -1,6 +1,7 @@
 //! Scores against slow references and published figures, and without leakage.
 
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
+use std::sync::LazyLock;
 
 use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_dataset::split::{By, Source, Split, split};
@@ -9,14 +10,15 @@ use joulebus_dataset::trial::Trial;
 use joulebus_eval::energy::EnergyScores;
 use joulebus_eval::evaluate;
 use joulebus_eval::score::{
-    Comparison, Contents, Design, Options, Recording, Role, ScoreError, ScoreReport, Scored,
-    ScoredRows, Subject, Verdict, compare, recorded_platform, score,
+    Comparison, Contents, Design, ForecasterScore, Options, Part, Recording, Role, ScoreError,
+    ScoreReport, Scored, ScoredRows, Subject, Verdict, compare, recorded_platform, score,
 };
 use joulebus_predictor::{FeatureSet, LAGS, Model, ModelCard, Network};
 use joulebus_settings::{FleetSettings, IntervalSettings, Platform};
-use joulebus_statistics::bootstrap::Bootstrap;
+use joulebus_statistics::bootstrap::{Bootstrap, Estimate};
 use joulebus_statistics::metrics::{ResidualQuantiles, sorted, tally};
 use joulebus_testkit::recordings::trials;
+use joulebus_testkit::says;
 use joulebus_testkit::trials::{Files, npy_f8};
 use joulebus_train::linear::{Linear, Terms};
 use proptest::prelude::*;
@@ -41,19 +43,10 @@ fn contents(recording: &Recording) -> &Contents {
 
 /// A row of a robot that drives, at a time (s), with a command (m/s, rad/s) and a power (mW).
 fn driven(time_s: f64, v: f64, omega: f64, power_mw: f64) -> [f64; 11] {
-    [
-        1.0,
-        time_s,
-        0.0,
-        v,
-        omega,
-        0.0,
-        0.0,
-        0.0,
-        12_000.0,
-        f64::NAN,
-        power_mw,
-    ]
+    let mut row = [0.0; 11];
+    (row[0], row[1], row[3], row[4]) = (1.0, time_s, v, omega);
+    (row[8], row[9], row[10]) = (12_000.0, f64::NAN, power_mw);
+    row
 }
 
 /// Two groups of synthetic recordings with drifts, gaps and missing readings.
@@ -69,30 +62,21 @@ fn made_up_of(lengths: &[u32]) -> Vec<Recording> {
         let mut time_s = 0.0;
         for row in 0..rows {
             let phase = f64::from(row) * 0.1 + f64::from(trial);
-            time_s += if row % 90 == 89 {
-                0.2
-            } else {
-                0.0333 + 0.0002 * f64::from(row % 3)
+            time_s += match row % 90 {
+                89 => 0.2,
+                _ => 0.0333 + 0.0002 * f64::from(row % 3),
             };
             let noise = f64::from(row * 7919 % 101) / 101.0;
-            let power = if row % 71 == 70 {
-                f64::NAN
-            } else {
-                30_000.0 + 9_000.0 * phase.sin() + 4_000.0 * noise + 900.0 * f64::from(trial)
+            let power = match row % 71 {
+                70 => f64::NAN,
+                _ => 30e3 + 9e3 * phase.sin() + 4e3 * noise + 900.0 * f64::from(trial),
             };
             let (v, omega) = (0.1 + 0.05 * phase.cos(), f64::from(row / 40 % 3) * 0.3);
             table.push(driven(time_s, v, omega, power));
         }
-        let group = if trial.is_multiple_of(2) {
-            "even"
-        } else {
-            "odd"
-        };
-        let name = format!("{group}_{trial:02}.npy");
-        Recording::new(
-            trial,
-            Trial::read(files.write(&name, &npy_f8(&table))).unwrap(),
-        )
+        let group = ["even", "odd"][trial as usize % 2];
+        let file = files.write(&format!("{group}_{trial:02}.npy"), &npy_f8(&table));
+        Recording::new(trial, Trial::read(file).unwrap())
     };
     (0..).zip(lengths.iter().copied()).map(recording).collect()
 }
@@ -109,15 +93,23 @@ fn quick() -> Options {
     }
 }
 
-fn run(recordings: &[Recording], models: &[Model], design: &Design, options: &Options) -> Scored {
-    let subject = Subject {
-        settings: &settings(),
+fn subject<'a>(
+    recordings: &'a [Recording],
+    models: &'a [Model],
+    design: &'a Design,
+) -> Subject<'a> {
+    static SETTINGS: LazyLock<FleetSettings> = LazyLock::new(settings);
+    Subject {
+        settings: &SETTINGS,
         platform: None,
         models,
         recordings,
         design,
-    };
-    score(subject, options).unwrap()
+    }
+}
+
+fn run(recordings: &[Recording], models: &[Model], design: &Design, options: &Options) -> Scored {
+    score(subject(recordings, models, design), options).unwrap()
 }
 
 /// Same as [`run`], with the network's forecasts published unchanged.
@@ -134,13 +126,18 @@ fn run_network(
         ..recorded_platform(0, &contents(&recordings[0]).trial)
     };
     let subject = Subject {
-        settings: &settings(),
         platform: Some(&platform),
-        models,
-        recordings,
-        design,
+        ..subject(recordings, models, design)
     };
     score(subject, options).unwrap()
+}
+
+/// A split of these units, otherwise the usual one.
+fn split_by(by: By) -> Split {
+    Split {
+        by,
+        ..Split::default()
+    }
 }
 
 fn near(found: f64, wanted: f64) -> bool {
@@ -175,49 +172,35 @@ fn persistence_velocities_and_ar5_on_robotino_score_as_its_readme_states() {
     };
     let draws: Vec<_> = (0..9).map(draw).collect();
     assert_eq!(draws[0].all.trials, 194, "30 % of 648");
-    for (place, (name, stated)) in [
+    let stated = [
         ("persistence", 0.819),
         ("velocities", 0.03),
         ("AR(5) + velocities", 0.860),
-    ]
-    .into_iter()
-    .enumerate()
-    {
+    ];
+    for (place, (name, stated)) in stated.into_iter().enumerate() {
         let found = sorted(draws.iter().map(|report| {
             let found = &report.all.forecasters[1 + place];
             assert_eq!(found.name, name);
             found.r2.value
         }));
         println!("{name}: R² {found:.3?}, stated {stated}");
-        assert!(
-            found[0] - 0.005 <= stated && stated <= found[8] + 0.005,
-            "{name}: {found:?}"
-        );
+        let (lo, hi) = (found[0] - 0.005, found[8] + 0.005);
+        assert!((lo..=hi).contains(&stated), "{name}: {found:?}");
         assert!(found[8] - found[0] < 0.06, "{name}: {found:?}");
     }
     for report in &draws {
         let [_, persistence, velocities, line] = report.all.forecasters.as_slice() else {
             panic!("a model and three baselines");
         };
-        assert!(
-            line.skill[0].skill.value > 0.1,
-            "the linear baseline is better than persistence"
-        );
-        assert!(
-            velocities.skill[0].skill.value < -3.0,
-            "velocities alone are far worse"
-        );
+        // Better than persistence; velocities alone are far worse.
+        assert!(line.skill[0].skill.value > 0.1);
+        assert!(velocities.skill[0].skill.value < -3.0);
         assert_eq!(persistence.count, report.all.rows);
     }
     let dropped = &draws[0].baselines[1].line.as_ref().unwrap().dropped;
     let dropped: Vec<&str> = dropped.iter().map(|one| one.0).collect();
-    for constant in [
-        "omega_radps",
-        "dv_mps2",
-        "domega_radps2",
-        "abs_v_mps",
-        "abs_omega_radps",
-    ] {
+    let constants = "omega_radps dv_mps2 domega_radps2 abs_v_mps abs_omega_radps";
+    for constant in constants.split(' ') {
         assert!(dropped.contains(&constant), "{constant} of {dropped:?}");
     }
 }
@@ -253,45 +236,30 @@ fn corrected_scores_equal_the_formulas_over_the_rows() {
         tables.push((cell, rows_of(&|one| one.name == cell.name)));
     }
     for (cell, rows) in tables {
-        assert_eq!(
-            (cell.rows, cell.unscored),
-            (rows.len() as u64, 0),
-            "{}",
-            cell.name
-        );
+        let counts = (cell.rows, cell.unscored);
+        assert_eq!(counts, (rows.len() as u64, 0), "{}", cell.name);
         let readings: Vec<f64> = rows.iter().map(|row| row.0.target_w.into()).collect();
-        for (at, of) in [
-            &(|row: &Row| predict(&model, row)) as &dyn Fn(&Row) -> f64,
-            &|row| row.features[NEWEST].into(),
-        ]
-        .into_iter()
-        .enumerate()
-        {
+        let forecasters: [Forecast<'_>; 2] = [&|row| predict(&model, row), &|row| {
+            row.features[NEWEST].into()
+        }];
+        for (at, of) in forecasters.into_iter().enumerate() {
             let forecasts: Vec<f64> = rows.iter().map(|row| of(&row.0)).collect();
             let wanted = tally(&readings, &forecasts, 1.0);
             let found = &cell.forecasters[at];
-            let residuals = readings
-                .iter()
-                .zip(&forecasts)
-                .map(|(reading, forecast)| reading - forecast);
-            let quantiles = ResidualQuantiles::of(residuals);
-            let energy = |powers: &[f64]| {
-                powers
-                    .iter()
-                    .zip(&rows)
-                    .map(|(power, row)| power * row.1)
-                    .sum::<f64>()
+            let pairs = readings.iter().zip(&forecasts);
+            let quantiles = ResidualQuantiles::of(pairs.map(|(reading, of)| reading - of));
+            let energy = |powers: &[f64]| -> f64 {
+                let steps = powers.iter().zip(&rows);
+                steps.map(|(power, row)| power * row.1).sum()
             };
+            let error = energy(&forecasts) / energy(&readings) - 1.0;
             for (found, wanted) in [
                 (found.r2.value, wanted.r2()),
                 (found.rmse_w.value, wanted.rmse_w()),
                 (found.mae_w.value, wanted.mae_w()),
                 (found.mape, wanted.mape()),
                 (found.bias_w.value, wanted.bias_w()),
-                (
-                    found.energy_error.value,
-                    energy(&forecasts) / energy(&readings) - 1.0,
-                ),
+                (found.energy_error.value, error),
             ] {
                 assert!(near(found, wanted), "{}: {found}, not {wanted}", cell.name);
             }
@@ -310,12 +278,8 @@ fn intervals_and_live_scores_equal_the_live_path() {
     let (mut inside, mut count, mut width_w) = (0, 0, 0.0);
     for (recording, live) in recordings.iter().zip(&scored.live[0].robots) {
         assert_eq!(live.accepted, recording.trial_rows() as u64);
-        for (seq, row) in contents(recording)
-            .rows
-            .sample_seq
-            .iter()
-            .zip(&contents(recording).rows.rows)
-        {
+        let rows = &contents(recording).rows;
+        for (seq, row) in rows.sample_seq.iter().zip(&rows.rows) {
             let step = &live.steps[*seq as usize];
             let (lo_w, hi_w) = (step.lo_w.unwrap(), step.hi_w.unwrap());
             inside += u32::from(lo_w <= row.target_w && row.target_w <= hi_w);
@@ -325,14 +289,11 @@ fn intervals_and_live_scores_equal_the_live_path() {
     }
     let interval = scored.report.all.forecasters[0].interval.unwrap();
     assert!((interval.scores.nominal - 0.9).abs() < 1e-6);
-    assert!(near(
-        interval.scores.coverage,
-        f64::from(inside) / f64::from(count)
-    ));
+    let share = f64::from(inside) / f64::from(count);
+    assert!(near(interval.scores.coverage, share));
     assert!(near(interval.scores.width_w, width_w / f64::from(count)));
-    assert!(
-        interval.inside.lo <= interval.inside.value && interval.inside.value <= interval.inside.hi
-    );
+    let Estimate { value, lo, hi } = interval.inside;
+    assert!([lo, value, hi].is_sorted());
 }
 
 type Forecast<'a> = &'a dyn Fn(&Row) -> f64;
@@ -376,10 +337,8 @@ fn the_open_loop_equals_rollouts_one_by_one() {
             // Rows are counted through all recordings.
             let mut number = 0;
             for recording in &recordings {
-                let (rows, seqs) = (
-                    &contents(recording).rows.rows,
-                    &contents(recording).rows.sample_seq,
-                );
+                let Contents { rows, step_s, .. } = contents(recording);
+                let (rows, seqs) = (&rows.rows, &rows.sample_seq);
                 let begins = |at: usize| at == 0 || seqs[at] != seqs[at - 1] + 1;
                 for start in 0..rows.len() {
                     let end = start + ticks;
@@ -392,7 +351,7 @@ fn the_open_loop_equals_rollouts_one_by_one() {
                     let (last, all) = rolled(&rows[start..], ticks, forecast);
                     readings.push(f64::from(rows[end - 1].target_w));
                     forecasts.push(last);
-                    let steps = &contents(recording).step_s[start..end];
+                    let steps = &step_s[start..end];
                     let sum = |powers: &mut dyn Iterator<Item = f64>| -> f64 {
                         powers.zip(steps).map(|(power, step)| power * step).sum()
                     };
@@ -404,22 +363,16 @@ fn the_open_loop_equals_rollouts_one_by_one() {
             let horizon = &scored.report.open_loop.horizons[place];
             let found = &horizon.forecasters[at];
             assert_eq!(horizon.origins, readings.len() as u64, "{ticks} ticks");
+            let energy_mape = energies.iter().sum::<f64>() / energies.len() as f64;
             for (found, wanted) in [
                 (found.r2.value, wanted.r2()),
                 (found.mae_w.value, wanted.mae_w()),
                 (found.rmse_w.value, wanted.rmse_w()),
                 (found.bias_w, wanted.bias_w()),
-                (
-                    found.energy_mape,
-                    energies.iter().sum::<f64>() / energies.len() as f64,
-                ),
+                (found.energy_mape, energy_mape),
             ] {
                 let near = (found - wanted).abs() <= 1e-5 * (1.0 + wanted.abs());
-                assert!(
-                    near,
-                    "{} at {ticks}: {found}, not {wanted}",
-                    horizon.forecasters[at].name
-                );
+                assert!(near, "{at} at {ticks}: {found}, not {wanted}");
             }
         }
     }
@@ -464,13 +417,8 @@ fn no_part_of_a_recording_is_the_start_of_a_rollout_more_often_than_another() {
         origins_every: 10,
         ..quick()
     };
-    let report = run(
-        &recordings,
-        &[persistence()],
-        &Design::folds(&recordings),
-        &options,
-    )
-    .report;
+    let design = Design::folds(&recordings);
+    let report = run(&recordings, &[persistence()], &design, &options).report;
     let rows: usize = recordings.iter().map(|one| one.rows()).sum();
     // The first 24 of a run's 33 rows reach the horizon.
     assert_eq!(rows, 60 * 33);
@@ -498,10 +446,8 @@ fn all_different(trials: u32, rows: u32) -> Vec<Recording> {
         };
         let table: Vec<_> = (0..rows).map(row).collect();
         let name = format!("{}_{trial:02}.npy", ["a", "b", "c"][trial as usize % 3]);
-        Recording::new(
-            trial,
-            Trial::read(files.write(&name, &npy_f8(&table))).unwrap(),
-        )
+        let file = files.write(&name, &npy_f8(&table));
+        Recording::new(trial, Trial::read(file).unwrap())
     };
     (1..=trials).map(recording).collect()
 }
@@ -510,16 +456,7 @@ fn all_different(trials: u32, rows: u32) -> Vec<Recording> {
 fn baselines_never_see_a_reading_that_is_evaluated() {
     let several = all_different(11, 120);
     let single = all_different(1, 200);
-    let split = |by| {
-        Design::held_out(
-            &several,
-            Split {
-                by,
-                ..Split::default()
-            },
-        )
-        .unwrap()
-    };
+    let split = |by| Design::held_out(&several, split_by(by)).unwrap();
     for (recordings, design, fitted_everywhere) in [
         (&several, Design::folds(&several), false),
         (&single, Design::folds(&single), false),
@@ -527,34 +464,22 @@ fn baselines_never_see_a_reading_that_is_evaluated() {
         (&several, split(By::Group), true),
         (&several, split(By::Time), true),
     ] {
-        let mut evaluated_rows = 0;
+        let (mut evaluated_rows, what) = (0, &design.description);
         for fold in &design.folds {
-            let of = |parts: &[(usize, std::ops::Range<usize>)]| -> Vec<Row> {
+            let of = |parts: &[Part]| -> Vec<Row> {
                 let rows = parts
                     .iter()
                     .flat_map(|(at, rows)| &contents(&recordings[*at]).rows.rows[rows.clone()]);
                 rows.copied().collect()
             };
             let (evaluated, fitted) = (of(&fold.evaluated), of(&fold.fitted));
-            assert!(
-                !evaluated.is_empty() && !fitted.is_empty(),
-                "{}",
-                design.description
-            );
-            assert!(
-                readings(&evaluated).is_disjoint(&readings(&fitted)),
-                "{}",
-                design.description
-            );
+            assert!(!evaluated.is_empty() && !fitted.is_empty(), "{what}");
+            let (seen, used) = (readings(&evaluated), readings(&fitted));
+            assert!(seen.is_disjoint(&used), "{what}");
             evaluated_rows += evaluated.len();
         }
-        let all: usize = recordings.iter().map(|one| one.rows()).sum();
-        assert_eq!(
-            evaluated_rows < all,
-            fitted_everywhere,
-            "{}",
-            design.description
-        );
+        let is_part = evaluated_rows < rows_of(recordings);
+        assert_eq!(is_part, fitted_everywhere, "{what}");
     }
 }
 
@@ -565,12 +490,9 @@ fn a_duplicate_recording_is_not_fitted_on_where_it_is_evaluated() {
     copy.name = "copy".to_owned();
     recordings.push(copy);
     for fold in Design::folds(&recordings).folds {
-        let of = |parts: &[(usize, std::ops::Range<usize>)]| {
-            readings(
-                parts
-                    .iter()
-                    .flat_map(|part| &contents(&recordings[part.0]).rows.rows),
-            )
+        let of = |parts: &[Part]| {
+            let rows = |part: &Part| &contents(&recordings[part.0]).rows.rows;
+            readings(parts.iter().flat_map(rows))
         };
         assert!(!fold.evaluated.is_empty());
         assert!(of(&fold.evaluated).is_disjoint(&of(&fold.fitted)));
@@ -580,16 +502,12 @@ fn a_duplicate_recording_is_not_fitted_on_where_it_is_evaluated() {
 #[test]
 fn scoring_and_training_hold_out_the_same_rows() {
     let recordings = all_different(9, 120);
-    let sources = recordings
-        .iter()
-        .map(|one| Source::of(&contents(one).trial));
-    let sources: Vec<_> = sources.collect();
+    let sources = sources(&recordings);
     for by in [By::Trial, By::Group, By::Time] {
         let wanted = Split {
-            by,
             seed: 3,
             held_out: 0.25,
-            ..Split::default()
+            ..split_by(by)
         };
         let (dataset, summary) = split(&sources, wanted, "").unwrap();
         let design = Design::held_out(&recordings, wanted).unwrap();
@@ -601,19 +519,12 @@ fn scoring_and_training_hold_out_the_same_rows() {
             .iter()
             .flat_map(|(at, rows)| &contents(&recordings[*at]).rows.rows[rows.clone()]);
         let mut found: Vec<u32> = rows.map(|row| row.target_w.to_bits()).collect();
-        let mut held_out: Vec<u32> = dataset
-            .held_out
-            .iter()
-            .map(|row| row.target_w.to_bits())
-            .collect();
+        let held_out = dataset.held_out.iter();
+        let mut held_out: Vec<u32> = held_out.map(|row| row.target_w.to_bits()).collect();
         found.sort_unstable();
         held_out.sort_unstable();
         assert_eq!(found, held_out, "{by}");
-        assert!(
-            design.description.contains(&format!("by {by}")),
-            "{}",
-            design.description
-        );
+        says(&design.description, [&*format!("by {by}")]);
         assert_eq!(summary.pause_rows > 0, by == By::Time);
     }
 }
@@ -621,30 +532,16 @@ fn scoring_and_training_hold_out_the_same_rows() {
 #[test]
 fn named_groups_are_left_out_and_nothing_of_them_is_fitted() {
     let recordings = all_different(9, 80);
-    let wanted = Split {
-        by: By::Group,
-        ..Split::default()
-    };
+    let wanted = split_by(By::Group);
     let design = Design::leaving_out(&recordings, wanted, &["b".to_owned()]).unwrap();
-    let groups = |parts: &[(usize, std::ops::Range<usize>)]| -> HashSet<String> {
-        parts
-            .iter()
-            .map(|part| recordings[part.0].group.clone())
-            .collect()
+    let groups = |parts: &[Part]| -> BTreeSet<&str> {
+        let group = |part: &Part| recordings[part.0].group.as_str();
+        parts.iter().map(group).collect()
     };
-    assert_eq!(
-        groups(&design.folds[0].evaluated),
-        HashSet::from(["b".to_owned()])
-    );
-    assert_eq!(
-        groups(&design.folds[0].fitted),
-        HashSet::from(["a".to_owned(), "c".to_owned()])
-    );
-    assert!(
-        design.description.contains("b held out"),
-        "{}",
-        design.description
-    );
+    let fold = &design.folds[0];
+    assert_eq!(groups(&fold.evaluated), BTreeSet::from(["b"]));
+    assert_eq!(groups(&fold.fitted), BTreeSet::from(["a", "c"]));
+    says(&design.description, ["b held out"]);
     let unknown = Design::leaving_out(&recordings, wanted, &["ice".to_owned()]).unwrap_err();
     assert!(unknown.to_string().contains("\"ice\""), "{unknown}");
 }
@@ -654,10 +551,8 @@ fn the_number_of_threads_changes_nothing() {
     let recordings = made_up(8, 250);
     let models = [network(5, FeatureSet::Full, 30.0)];
     let on = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .unwrap();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads);
+        let pool = pool.build().unwrap();
         let scored =
             pool.install(|| run(&recordings, &models, &Design::folds(&recordings), &quick()));
         serde_json::to_string(&scored.report).unwrap()
@@ -727,18 +622,11 @@ fn rows_without_a_forecast_are_left_out_for_all_and_counted() {
     ];
     let report = run(&recordings, &models, &Design::folds(&recordings), &quick()).report;
     let all = &report.all;
-    assert!(
-        all.unscored > 200 && all.rows > 300,
-        "{} of {}",
-        all.unscored,
-        all.rows
-    );
+    let counts = (all.unscored, all.rows);
+    assert!(counts.0 > 200 && counts.1 > 300, "{counts:?}");
     assert_eq!(all.rows + all.unscored, recordings[0].rows() as u64);
-    assert!(
-        all.forecasters
-            .iter()
-            .all(|one| one.count == all.rows || one.name.contains("velocities"))
-    );
+    let is_whole = |one: &ForecasterScore| one.count == all.rows || one.name.contains("velocities");
+    assert!(all.forecasters.iter().all(is_whole));
     assert!(all.forecasters[1].skill[0].skill.value.is_finite());
     assert!(report.open_loop.horizons[1].unscored > 0);
     let text = report.to_string();
@@ -766,6 +654,11 @@ fn trained_on(recordings: Option<&[Recording]>) -> Model {
         ..network.card().clone()
     };
     Model::Network(Network::new(network.parameters().clone(), card).unwrap())
+}
+
+fn sources(recordings: &[Recording]) -> Vec<Source> {
+    let trials = recordings.iter().map(|one| &contents(one).trial);
+    trials.map(Source::of).collect()
 }
 
 fn rows_of(recordings: &[Recording]) -> usize {
@@ -809,26 +702,18 @@ fn rows_that_a_model_was_trained_on_are_scored_apart_in_every_table() {
     };
     assert!(warning.contains("scored apart"), "{warning}");
     let text = report.to_string();
-    for said in [
-        "rows that no model was trained on",
-        "on rows that a model was trained on",
-    ] {
-        assert!(text.contains(said), "{said}: {text}");
-    }
+    let parts = "rows that no model was trained on | on rows that a model was trained on";
+    says(&text, parts.split(" | "));
 }
 
 #[test]
 fn parts_of_a_recording_that_were_trained_on_are_scored_apart() {
     let recordings = made_up(3, 600);
     let wanted = Split {
-        by: By::Time,
         held_out: 0.3,
-        ..Split::default()
+        ..split_by(By::Time)
     };
-    let sources = recordings
-        .iter()
-        .map(|one| Source::of(&contents(one).trial));
-    let sources: Vec<_> = sources.collect();
+    let sources = sources(&recordings);
     let (dataset, _) = split(&sources, wanted, "").unwrap();
     let Model::Network(network) = trained_on(None) else {
         panic!("a network");
@@ -888,14 +773,7 @@ fn a_comparison_is_on_rows_that_neither_model_was_trained_on() {
     let design = Design::folds(&recordings)
         .hold_apart(&recordings, &models)
         .unwrap();
-    let subject = Subject {
-        settings: &settings(),
-        platform: None,
-        models: &models,
-        recordings: &recordings,
-        design: &design,
-    };
-    let found = compare(subject, &quick()).unwrap();
+    let found = compare(subject(&recordings, &models, &design), &quick()).unwrap();
     assert_eq!(found.all.rows, rows_of(&recordings[4..]) as u64);
     assert_eq!(found.scored_rows, ScoredRows::NotTrainedOn);
     assert_eq!(found.warnings.len(), 2, "{:?}", found.warnings);
@@ -943,14 +821,7 @@ fn the_forecast_that_is_scored_is_named_and_its_members_are_beside_it() {
 
 fn compared(recordings: &[Recording], models: &[Model]) -> Comparison {
     let design = Design::folds(recordings);
-    let subject = Subject {
-        settings: &settings(),
-        platform: None,
-        models,
-        recordings,
-        design: &design,
-    };
-    compare(subject, &quick()).unwrap()
+    compare(subject(recordings, models, &design), &quick()).unwrap()
 }
 
 #[test]
@@ -980,14 +851,9 @@ fn a_comparison_states_which_model_is_better_and_where() {
 fn invalid_evaluations_are_refused_with_a_reason() {
     let recordings = made_up(2, 100);
     let run = |models: &[Model], recordings: &[Recording], options: &Options| {
-        let subject = Subject {
-            settings: &settings(),
-            platform: None,
-            models,
-            recordings,
-            design: &Design::folds(recordings),
-        };
-        score(subject, options).map(|_| ()).unwrap_err()
+        let design = Design::folds(recordings);
+        let scored = score(subject(recordings, models, &design), options);
+        scored.map(|_| ()).unwrap_err()
     };
     let models = [persistence()];
     assert_eq!(run(&models, &[], &quick()), ScoreError::NoRecording);
@@ -1008,66 +874,30 @@ fn invalid_evaluations_are_refused_with_a_reason() {
         origins_every: 0,
         ..quick()
     };
-    assert!(
-        run(&models, &recordings, &options)
-            .to_string()
-            .contains("origins_every is 0")
-    );
+    says(&run(&models, &recordings, &options), ["origins_every is 0"]);
     let files = Files::new();
-    let without = [[
-        1.0,
-        0.0,
-        0.0,
-        f64::NAN,
-        f64::NAN,
-        0.0,
-        0.0,
-        0.0,
-        1.0,
-        1.0,
-        5.0,
-    ]; 40];
-    let mut table = without;
-    for (row, values) in table.iter_mut().enumerate() {
-        values[1] = row as f64 * 0.033;
-    }
-    let blind = [Recording::new(
-        0,
-        Trial::read(files.write("blind.npy", &npy_f8(&table))).unwrap(),
-    )];
+    let row = |row: u32| driven(0.033 * f64::from(row), f64::NAN, f64::NAN, 5.0);
+    let table: Vec<_> = (0..40).map(row).collect();
+    let file = files.write("blind.npy", &npy_f8(&table));
+    let blind = [Recording::new(0, Trial::read(file).unwrap())];
     let needs_command = [network(1, FeatureSet::Full, 5.0)];
     let error = run(&needs_command, &blind, &quick());
     assert!(matches!(error, ScoreError::NoRows { .. }), "{error}");
-    let subject = Subject {
-        settings: &settings(),
-        platform: None,
-        models: &models,
-        recordings: &blind,
-        design: &Design::folds(&recordings),
-    };
-    let foreign = score(subject, &quick())
-        .map(|_| ())
-        .unwrap_err()
-        .to_string();
-    assert!(
-        foreign.contains("design belongs to other recordings"),
-        "{foreign}"
-    );
-    let refused = FleetSettings {
+    let refused = |subject| score(subject, &quick()).map(|_| ()).unwrap_err();
+    let foreign = Design::folds(&recordings);
+    let foreign = refused(subject(&blind, &models, &foreign));
+    says(&foreign, ["design belongs to other recordings"]);
+    let wrong = FleetSettings {
         interval: IntervalSettings {
             coverage: 1.5,
             rate: 0.05,
         },
         ..settings()
     };
-    let subject = Subject {
-        settings: &refused,
-        design: &Design::folds(&blind),
-        ..subject
-    };
-    let refused = score(subject, &quick())
-        .map(|_| ())
-        .unwrap_err()
-        .to_string();
-    assert!(refused.contains("interval coverage is 1.5"), "{refused}");
+    let design = Design::folds(&blind);
+    let wrong = refused(Subject {
+        settings: &wrong,
+        ..subject(&blind, &models, &design)
+    });
+    says(&wrong, ["interval coverage is 1.5"]);
 }

@@ -1,0 +1,16 @@
+//! What a text has to say.
+
+use std::fmt::Display;
+
+/// Checks that a text has all of these parts.
+///
+/// # Panics
+/// It lacks one.
+#[track_caller]
+pub fn says(text: &(impl Display + ?Sized), parts: impl IntoIterator<Item: AsRef<str>>) {
+    let text = text.to_string();
+    for part in parts {
+        let part = part.as_ref();
+        assert!(text.contains(part), "{part:?} is not in {text}");
+    }
+}
