@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use joulebus_settings::NO_BATTERY;
 use joulebus_wire::InvalidReason;
 use serde::Serialize;
 
@@ -165,7 +166,7 @@ impl fmt::Display for Unknown {
                 write!(out, "the robot's state does not fit this version or config")
             }
             Self::NoLevel => write!(out, "no power of the robot has been metered yet"),
-            Self::NoBattery => write!(out, "its platform has no `[battery]` in the config"),
+            Self::NoBattery => write!(out, "{NO_BATTERY}"),
             Self::BatteryUnknown => write!(
                 out,
                 "the energy in its battery is unknown, or less is measured than was counted"

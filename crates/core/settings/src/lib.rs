@@ -11,4 +11,4 @@ mod platform;
 
 pub use error::SettingsError;
 pub use fleet::{AlarmSettings, FleetSettings, Intake, IntervalSettings, Policy};
-pub use platform::{AlarmLimits, Battery, ChargeReading, OpenCircuit, Platform};
+pub use platform::{AlarmLimits, Battery, ChargeReading, NO_BATTERY, OpenCircuit, Platform};
