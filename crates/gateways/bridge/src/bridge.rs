@@ -14,6 +14,7 @@ use joulebus_config::Config;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
+use joulebus_settings::NO_BATTERY;
 use serde::Serialize;
 use serde_json::json;
 
@@ -177,6 +178,13 @@ impl Bridge {
             bridge.connections.push(thread);
         }
         let (fleet, robots) = (config.fleet(), settings.robots.len());
+        for platform in &config.settings().platforms {
+            let mut ids = settings.robots.iter().map(|(id, _)| id);
+            let bridged = ids.any(|id| platform.robots.iter().any(|range| range.contains(&id)));
+            if bridged && platform.battery.is_none() && settings.writes_budgets() {
+                say(&format!("platform {}: {NO_BATTERY}", platform.name));
+            }
+        }
         say(&format!("bridging {robots} robots of fleet {fleet}"));
         Ok(bridge)
     }
