@@ -100,6 +100,7 @@ const ENDS: &[&str] = &[
     "model compare",
     "completions",
     "man",
+    "new",
 ];
 
 /// The command of a row, with its input files created.
