@@ -179,7 +179,7 @@ fn project_in_rust(fleet: &Fleet, kind: &str) -> Value {
 }
 
 /// The robots of a fleet, as `joulebus watch` shows them; none while no worker runs.
-fn robots(fleet: &Fleet, config: &Path) -> Vec<Value> {
+fn robots(config: &Path) -> Vec<Value> {
     let watch = joulebus(["watch", "--once", "--format", "json", "--config"])
         .arg(config)
         .output();
@@ -211,7 +211,7 @@ fn projects_in_rust_run_as_printed_beside_a_worker_without_an_alarm() {
     eventually(
         "all robots have forecasts, and batteries for twelve seconds",
         || {
-            let seen = robots(&fleet, &config);
+            let seen = robots(&config);
             let is_number = |robot: &Value, name: &str| robot[name].is_number();
             let are_known =
                 seen.len() == 20 && seen.iter().all(|robot| is_number(robot, "power_w"));
