@@ -29,6 +29,7 @@ use crate::outbound::{self, Sink};
 use crate::publishing::{self, PublishedRecord};
 use crate::ros2::{Counts, Ros2};
 use crate::shared::Shared;
+use crate::usual;
 
 /// Interval between checks for a stop.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
@@ -95,7 +96,15 @@ struct RosCheckReport {
 pub(crate) fn run(args: &BridgeArguments, output: Output) -> anyhow::Result<Outcome> {
     let stop = Stop::on_signals()?;
     let config = args.config.load()?;
-    let settings = Settings::load(&args.file, &config)?;
+    let usual = usual::mapping(args)?;
+    let settings = match &usual {
+        Some(mapping) => Settings::parse(mapping, &args.file, &config)?,
+        None => Settings::load(&args.file, &config)?,
+    };
+    if let (Some(mapping), Some(path)) = (&usual, &args.write) {
+        return usual::write_new(mapping, path);
+    }
+    usual.as_deref().inspect(|mapping| usual::print(mapping));
     if args.check {
         output.report(&checked(&config, &settings))?;
         return Ok(Outcome::Done);

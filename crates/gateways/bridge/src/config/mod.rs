@@ -52,10 +52,18 @@ impl Settings {
             let path = path.to_owned();
             ConfigError::Read { path, source }
         })?;
+        Self::parse(&text, path, config)
+    }
+
+    /// Checks the text of a bridge's file. `path` is its name in messages, and names its folder.
+    ///
+    /// # Errors
+    /// [`ConfigError`] with all problems, if it is refused.
+    pub(crate) fn parse(text: &str, path: &Path, config: &Config) -> Result<Self, ConfigError> {
         let mut check = Check {
             file: path.display().to_string(),
             folder: path.parent().unwrap_or(Path::new("")).to_owned(),
-            text: &text,
+            text,
             fleet: config.fleet(),
             problems: Vec::new(),
         };
