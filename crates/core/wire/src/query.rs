@@ -9,6 +9,7 @@
 //! | [`QueryKind::WhatIf`] | the robot's id; then candidate by candidate, step by step: v in m/s, ω in rad/s |
 //! | [`QueryKind::Idle`] | ids of the robots |
 //! | [`QueryKind::Follow`] | ids of the robots; then for each point x in m, y in m, and the speed towards it in m/s |
+//! | [`QueryKind::Acknowledge`] | the robot's id; the alarm's code; then the characters of the person's name |
 
 use crate::declare::ZeroCopySend;
 use crate::layout::bits;
@@ -36,6 +37,8 @@ pub enum QueryKind {
     Idle,
     /// The energy of a path, and of returning; of several robots, the best first.
     Follow,
+    /// No question: a person acknowledges an alarm.
+    Acknowledge,
 }
 
 impl QueryKind {
@@ -52,6 +55,7 @@ impl QueryKind {
             1 => Self::WhatIf,
             2 => Self::Idle,
             3 => Self::Follow,
+            4 => Self::Acknowledge,
             _ => return None,
         })
     }
@@ -98,7 +102,7 @@ rows! {
         pub robots: u32,
         /// Number of candidates, at most [`QUERY_CANDIDATES`]; 0 unless they are asked about.
         pub candidates: u32,
-        /// Steps of each candidate, or points of the path.
+        /// Steps of each candidate, points of the path, or characters of a name.
         pub steps: u32,
         /// Coverage of the intervals, 0.5 to 0.999.
         pub coverage: f32,
@@ -263,11 +267,13 @@ pub enum QueryRefusal {
     ClientGone,
     /// The answer could not be sent.
     Unsent,
+    /// The alarm to be acknowledged is not raised.
+    NotRaised,
 }
 
 impl QueryRefusal {
     /// All reasons; the position is the index into [`QueryCounts::refused`].
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::Schema,
         Self::Fleet,
         Self::Kind,
@@ -281,6 +287,7 @@ impl QueryRefusal {
         Self::Ending,
         Self::ClientGone,
         Self::Unsent,
+        Self::NotRaised,
     ];
 
     /// The code in shared memory.
@@ -313,6 +320,7 @@ impl QueryRefusal {
             Self::Ending => "Ending",
             Self::ClientGone => "ClientGone",
             Self::Unsent => "Unsent",
+            Self::NotRaised => "NotRaised",
         }
     }
 }
@@ -512,11 +520,11 @@ mod tests {
         for reason in QueryRefusal::ALL {
             assert_eq!(QueryRefusal::decode(reason.code()), Some(reason));
         }
-        for code in [0, 14, u32::MAX] {
+        for code in [0, 15, u32::MAX] {
             assert_eq!(QueryRefusal::decode(code), None);
         }
-        for kind in [QueryKind::WhatIf, QueryKind::Idle, QueryKind::Follow] {
-            assert_eq!(QueryKind::decode(kind.code()), Some(kind));
+        for code in 1..=4 {
+            assert_eq!(QueryKind::decode(code).map(QueryKind::code), Some(code));
         }
         assert_eq!(QueryKind::decode(0), None);
     }
