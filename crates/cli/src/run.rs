@@ -173,7 +173,11 @@ impl fmt::Display for RunReport {
         let alarms = &self.alarms;
         if alarms.raised > 0 {
             let (raised, ended) = (alarms.raised, alarms.ended);
-            writeln!(out, "alarms: {raised} raised, {ended} ended")?;
+            write!(out, "alarms: {raised} raised, {ended} ended")?;
+            match alarms.acknowledged {
+                0 => writeln!(out)?,
+                acknowledged => writeln!(out, ", {acknowledged} acknowledged")?,
+            }
         }
         if alarms.ticks_missed > 0 {
             let missed = alarms.ticks_missed;

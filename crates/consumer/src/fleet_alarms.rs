@@ -5,7 +5,7 @@ use std::fmt;
 use joulebus_bus::clock;
 use joulebus_config::Config;
 use joulebus_connect::ConnectError;
-use joulebus_wire::{AlarmCard, Level};
+use joulebus_wire::{Acknowledgement, AlarmCard, Level};
 
 use crate::{AlarmChange, AlarmFeed, AlarmHistory, Change, Event, ReadError, Subscriber};
 
@@ -25,14 +25,16 @@ pub struct FleetAlarm {
     pub at_ns: u64,
     /// When it was raised, monotonic ns; later than that if it was when the program began.
     pub raised_ns: u64,
+    /// Who has acknowledged it since it was raised.
+    pub acknowledged: Option<Acknowledgement>,
 }
 
 impl FleetAlarm {
-    /// From the raise to the end, s; `None` for a raise.
+    /// From the raise to the end, s; `None` while it is raised.
     #[must_use]
     pub fn lasted_s(&self) -> Option<f64> {
         let lasted_ns = self.at_ns.saturating_sub(self.raised_ns);
-        (self.change != Change::Raised).then_some(lasted_ns as f64 * 1e-9)
+        matches!(self.change, Change::Cleared | Change::Left).then_some(lasted_ns as f64 * 1e-9)
     }
 }
 
@@ -45,6 +47,7 @@ impl From<AlarmChange> for FleetAlarm {
             change: change.change,
             at_ns: change.at_ns,
             raised_ns: change.raised_ns,
+            acknowledged: change.acknowledged,
         }
     }
 }
@@ -105,6 +108,7 @@ impl FleetAlarms {
                 change,
                 at_ns,
                 raised_ns,
+                acknowledged: None,
             });
         };
         if let Some(ended) = self.worker.take() {

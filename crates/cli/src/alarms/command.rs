@@ -113,6 +113,10 @@ fn run_once(command: &str, line: &Line, most: Duration) -> Result<(), String> {
         .env("JOULEBUS_CHANGE", line.0.change)
         .env("JOULEBUS_STAMP_NS", line.0.stamp_ns.to_string())
         .env(
+            "JOULEBUS_BY",
+            shown(line.0.acknowledged.as_ref().map(|it| it.by.clone())),
+        )
+        .env(
             "JOULEBUS_LASTED_S",
             shown(line.0.lasted_s.map(|s| s.to_string())),
         )
@@ -153,7 +157,7 @@ fn kill(child: &mut Child) {
 
 #[cfg(test)]
 mod tests {
-    use joulebus_board::AlarmRecord;
+    use joulebus_board::{AcknowledgedRecord, AlarmRecord};
 
     use super::*;
 
@@ -166,6 +170,10 @@ mod tests {
             level: "warn",
             change: "cleared",
             lasted_s: Some(2.5),
+            acknowledged: Some(AcknowledgedRecord {
+                by: "ann".to_owned(),
+                at_unix_ns: 1,
+            }),
             card: None,
         })
     }
@@ -174,8 +182,8 @@ mod tests {
     fn a_command_has_the_change_in_its_environment_and_its_failure_is_told() {
         let long = Duration::from_secs(60);
         let all = "$JOULEBUS_FLEET $JOULEBUS_ROBOT $JOULEBUS_ALARM $JOULEBUS_LEVEL $JOULEBUS_CHANGE \
-                   $JOULEBUS_STAMP_NS $JOULEBUS_LASTED_S";
-        let expected = "lab 7 BiasHigh warn cleared 1700000000123000000 2.5";
+                   $JOULEBUS_STAMP_NS $JOULEBUS_LASTED_S $JOULEBUS_BY";
+        let expected = "lab 7 BiasHigh warn cleared 1700000000123000000 2.5 ann";
         let compare = format!("test \"{all}\" = '{expected}'");
         assert_eq!(run_once(&compare, &line(), long), Ok(()));
         let mut of_worker = line();

@@ -24,6 +24,8 @@ const LOOK_EVERY: Duration = Duration::from_millis(5);
 pub(crate) struct AlarmReport {
     /// Alarms that were raised.
     pub(crate) raised: u64,
+    /// Alarms that a person acknowledged.
+    pub(crate) acknowledged: u64,
     /// Alarms that ended, those of robots that left included.
     pub(crate) ended: u64,
     /// Ticks without diagnostics: alarms that were raised and cleared within them are not known.
@@ -125,6 +127,7 @@ impl Steps for Logging {
             match change.change {
                 Change::Raised => report.raised += 1,
                 Change::Cleared | Change::Left => report.ended += 1,
+                Change::Acknowledged => report.acknowledged += 1,
             }
         });
         let (missed, pause) = (feed.history().ticks_missed(), feed.look_every());
@@ -154,6 +157,14 @@ fn log(change: &AlarmChange) {
         }
         (Change::Raised, _) => {
             tracing::warn!(target: ALARMS, robot, alarm, level = level_name, change = what, "alarm raised");
+        }
+        (Change::Acknowledged, _) => {
+            let by = change
+                .acknowledged
+                .as_ref()
+                .map(|row| row.by())
+                .unwrap_or_default();
+            tracing::info!(target: ALARMS, robot, alarm, level = level_name, change = what, by, "alarm acknowledged by {by}");
         }
         (Change::Cleared | Change::Left, _) => {
             let lasted_s = FleetAlarm::from(*change).lasted_s().unwrap_or_default();

@@ -203,6 +203,11 @@ impl Program {
         }
     }
 
+    /// Its lines on stdout so far.
+    pub(crate) fn shown(&mut self) -> Vec<String> {
+        self.0.lines(0, std::time::Duration::ZERO)
+    }
+
     pub(crate) fn signal(&mut self, signal: Signal) {
         self.0.signal(signal);
     }

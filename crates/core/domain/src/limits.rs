@@ -151,7 +151,7 @@ impl Limits {
             FrameRows::Robots => self.capacity,
             FrameRows::Taken => self.listed_frames(),
             FrameRows::Bytes => self.state_piece_bytes(),
-            FrameRows::Words(words) => words,
+            FrameRows::UpTo(rows) => rows,
         }
     }
 

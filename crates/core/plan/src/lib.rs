@@ -42,6 +42,7 @@ pub use error::{AskError, Differs, PathError, QuestionError, Refused};
 pub use fleet::Fleet;
 pub use follower::{Path, Point};
 pub use limits::MAX_STEPS;
+pub use payload::{decode_acknowledgement, encode_acknowledgement};
 pub use platform::{Frames, Platform, RobotRows};
 pub use question::{Plan, Question, Reply, Row};
 pub use robot::Robot;

@@ -4,9 +4,9 @@
 //! follow from the declaration.
 
 use crate::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
-    PlanStateHeader, QueriesHeader, RECORD_WORDS, Row, Sample, SampleHeader, Service, StateHeader,
-    TakenFrame, TickHeader,
+    Acknowledgement, AcknowledgementHeader, Budget, BudgetHeader, Diagnostic, DiagnosticHeader,
+    Forecast, ForecastHeader, MAX_ACKNOWLEDGED, PlanState, PlanStateHeader, QueriesHeader,
+    RECORD_WORDS, Row, Sample, SampleHeader, Service, StateHeader, TakenFrame, TickHeader,
 };
 
 /// A service of shared memory through which frames go.
@@ -64,8 +64,8 @@ pub enum FrameRows {
     Taken,
     /// Bytes of a piece of a keyframe.
     Bytes,
-    /// Words, at most so many.
-    Words(usize),
+    /// Others, at most so many.
+    UpTo(usize),
 }
 
 /// Where a frame stands among those of its channel.
@@ -192,5 +192,9 @@ channels! {
         u8, Flow::Recorders { queued: 8, history: 0 }, FrameRows::Bytes;
     /// Records of questions and answers: a reader that comes later needs the newest counts.
     Queries: "queries", QueriesHeader { place: begun_ns, sent_ns; sent: sent_ns; },
-        u64, Flow::Recorders { queued: 6, history: 1 }, FrameRows::Words(RECORD_WORDS);
+        u64, Flow::Recorders { queued: 6, history: 1 }, FrameRows::UpTo(RECORD_WORDS);
+    /// All alarms that are acknowledged: a reader that comes later needs the newest at once.
+    Acknowledgements: "acknowledgements", AcknowledgementHeader {
+            place: server_epoch, number; sent: sent_ns, sent_unix_ns;
+        }, Acknowledgement, Flow::Planners { kept: 0, history: 1 }, FrameRows::UpTo(MAX_ACKNOWLEDGED);
 }

@@ -106,6 +106,8 @@ pub enum FieldRole {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FieldType {
+    /// A byte; an array of them is text ([`crate::text`]).
+    U8,
     /// 16 bits, unsigned.
     U16,
     /// 32 bits, unsigned.
@@ -169,6 +171,7 @@ macro_rules! described {
 }
 
 described!(
+    u8 => FieldType::U8,
     u16 => FieldType::U16,
     u32 => FieldType::U32,
     u64 => FieldType::U64,

@@ -9,6 +9,7 @@
 //! | [`QueryKind::WhatIf`] | the robot's id; then v in m/s, ω in rad/s for each candidate's steps |
 //! | [`QueryKind::Idle`] | ids of the robots |
 //! | [`QueryKind::Follow`] | ids of the robots; then x in m, y in m, speed to it in m/s per point |
+//! | [`QueryKind::Acknowledge`] | the robot's id; the alarm's code; then the characters of a name |
 
 use crate::declare::ZeroCopySend;
 use crate::layout::{bits, names};
@@ -36,6 +37,8 @@ pub enum QueryKind {
     Idle,
     /// The energy of a path, and of returning; of several robots, the best first.
     Follow,
+    /// No question: a person acknowledges an alarm.
+    Acknowledge,
 }
 
 impl QueryKind {
@@ -52,6 +55,7 @@ impl QueryKind {
             1 => Self::WhatIf,
             2 => Self::Idle,
             3 => Self::Follow,
+            4 => Self::Acknowledge,
             _ => return None,
         })
     }
@@ -98,7 +102,7 @@ rows! {
         pub robots: u32,
         /// Number of candidates, at most [`QUERY_CANDIDATES`]; 0 unless they are asked about.
         pub candidates: u32,
-        /// Steps of each candidate, or points of the path.
+        /// Steps of each candidate, points of the path, or characters of a name.
         pub steps: u32,
         /// Coverage of the intervals, 0.5 to 0.999.
         pub coverage: f32,
@@ -263,13 +267,15 @@ pub enum QueryRefusal {
     ClientGone,
     /// The answer could not be sent.
     Unsent,
+    /// The alarm to be acknowledged is not raised.
+    NotRaised,
 }
 
 names! {
     /// All reasons; the position is the index into [`QueryCounts::refused`].
     pub QueryRefusal:
         Schema Fleet Kind TooLarge Length UnknownRobot Question Deadline NoFrame Busy Ending
-        ClientGone Unsent
+        ClientGone Unsent NotRaised
 }
 
 impl QueryRefusal {
@@ -481,11 +487,11 @@ mod tests {
         for reason in QueryRefusal::ALL {
             assert_eq!(QueryRefusal::decode(reason.code()), Some(reason));
         }
-        for code in [0, 14, u32::MAX] {
+        for code in [0, 15, u32::MAX] {
             assert_eq!(QueryRefusal::decode(code), None);
         }
-        for kind in [QueryKind::WhatIf, QueryKind::Idle, QueryKind::Follow] {
-            assert_eq!(QueryKind::decode(kind.code()), Some(kind));
+        for code in 1..=4 {
+            assert_eq!(QueryKind::decode(code).map(QueryKind::code), Some(code));
         }
         assert_eq!(QueryKind::decode(0), None);
     }

@@ -89,7 +89,8 @@ fn every_time_of_a_frame_is_an_instant_a_run_or_known_to_mean_the_same_everywher
         .chain(fields::<PlanStates>())
         .chain(fields::<Ticks>())
         .chain(fields::<State>())
-        .chain(fields::<Queries>());
+        .chain(fields::<Queries>())
+        .chain(fields::<Acknowledgements>());
     for (of, field) in all {
         let role = match field.name {
             name if durations.contains(&name) || name.ends_with("_unix_ns") => FieldRole::Value,

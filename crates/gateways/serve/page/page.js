@@ -43,7 +43,7 @@ const robotView = new RobotView({ close: () => closeRobot() });
 const alarmsView = new AlarmsView();
 const workerView = new WorkerView();
 const whatIf = new WhatIf();
-showCards();
+showCards(board);
 
 const stream = new Stream({
   onMessage: (kind, message) => {

@@ -443,6 +443,7 @@ mod tests {
                 level: "stale",
                 change: "raised",
                 lasted_s: None,
+                acknowledged: None,
                 card: None,
             };
             records.send(record).unwrap();

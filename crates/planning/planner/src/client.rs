@@ -8,8 +8,8 @@ pub use joulebus_bus::QueryError;
 use joulebus_bus::{Bus, QueryClient, clock};
 use joulebus_config::Config;
 use joulebus_connect::{ConnectError, join};
-use joulebus_plan::{Question, Refused, Reply};
-use joulebus_wire::{AnswerHeader, QueryHeader, fnv1a};
+use joulebus_plan::{Question, Refused, Reply, encode_acknowledgement};
+use joulebus_wire::{Alarm, AnswerHeader, QueryHeader, fnv1a};
 
 /// A client of the thread of `joulebus run` that answers questions about plans. Loads no models,
 /// and needs no more memory than a question and an answer. Belongs to one thread.
@@ -84,6 +84,27 @@ impl PlanClient {
         let (asked, header, values) = self.begin(question, timeout)?;
         let (answer, words) = self.client.ask(header, &values)?;
         asked.answered(&answer, &words)
+    }
+
+    /// Acknowledges an alarm of a robot in the name of the person `by`, until the alarm ends.
+    /// Returns when the worker has taken it, which is after its next diagnostics.
+    ///
+    /// # Errors
+    /// [`ClientError`]: among others, the alarm is not raised, or the name is none
+    /// ([`joulebus_wire::Acknowledgement::new`]).
+    pub fn acknowledge(
+        &mut self,
+        robot: u32,
+        alarm: Alarm,
+        by: &str,
+        timeout: Duration,
+    ) -> Result<(), ClientError> {
+        let (mut header, values) = encode_acknowledgement(robot, alarm, by, self.fleet)?;
+        let asked = Asked::now(timeout);
+        header.deadline_ns = asked.deadline_ns;
+        self.asked = None;
+        let (answer, words) = self.client.ask(header, &values)?;
+        asked.answered(&answer, &words).map(drop)
     }
 
     /// As [`PlanClient::ask`], without waiting: [`PlanClient::poll`] returns the answer. Gives up

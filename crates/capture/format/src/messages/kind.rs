@@ -1,8 +1,8 @@
 //! The kinds of messages of all channels.
 
 use joulebus_wire::{
-    Budgets, Channel, Diagnostics, Forecasts, PlanStates, Queries, Row, Samples, State, Ticks,
-    records,
+    Acknowledgements, Budgets, Channel, Diagnostics, Forecasts, PlanStates, Queries, Row, Samples,
+    State, Ticks, records,
 };
 
 use super::descriptors;
@@ -47,6 +47,7 @@ channels! {
     [] Ticks,
     [] State,
     [] Queries,
+    [] Acknowledgements,
 }
 
 impl MessageKind {
