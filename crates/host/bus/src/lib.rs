@@ -24,6 +24,7 @@
 
 mod bus;
 mod cleanup;
+mod description;
 mod directory;
 mod iceoryx_config;
 mod iceoryx_log;

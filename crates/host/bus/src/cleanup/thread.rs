@@ -116,16 +116,16 @@ impl Shared {
                 }
             }
             if round % DEAD_NODES_EVERY == 0 {
-                self.remove_dead_nodes(domain, config);
+                self.remove_dead_nodes(config);
             }
         }
         None
     }
 
-    fn remove_dead_nodes(&self, domain: &Domain, config: &Config) {
+    fn remove_dead_nodes(&self, config: &Config) {
         let mut report = SweepReport::default();
         let _section = fork::enter();
-        remove_dead_nodes(domain, config, &mut report);
+        remove_dead_nodes(config, &mut report);
         self.dead_nodes
             .fetch_add(report.dead_nodes, Ordering::Relaxed);
         self.failed_nodes
