@@ -3,13 +3,12 @@
 use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{SyncSender, sync_channel};
-use std::thread::{self, JoinHandle};
+use std::sync::mpsc::sync_channel;
+use std::thread;
 use std::time::Duration;
 
 use crate::arguments::BridgeArguments;
-use anyhow::{Context as _, anyhow};
-use joulebus_bus::yield_to_the_worker;
+use joulebus_bus::{Background, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
@@ -143,7 +142,7 @@ fn ros_checked(ros2: &Ros2Settings) -> RosCheckReport {
     }
 }
 
-type Thread<T> = JoinHandle<anyhow::Result<T>>;
+type Thread<T> = Background<anyhow::Result<T>>;
 
 /// The running threads.
 struct Bridge {
@@ -180,9 +179,10 @@ impl Bridge {
         }
         bridge.start_outbound(config, settings, sides)?;
         if let Some(connection) = connection {
-            let thread = spawn("joulebus-mqtt", move || {
+            let (thread, ()) = Background::run("joulebus-mqtt", move |thread| {
                 yield_to_the_worker(NICE);
-                connection.run().map_err(Into::into)
+                thread.joined(());
+                connection.run().map_err(anyhow::Error::from)
             })?;
             bridge.connections.push(thread);
         }
@@ -202,20 +202,12 @@ impl Bridge {
         if !settings.is_source() {
             return Ok(());
         }
-        let (ready, joined) = sync_channel(1);
         let (config, shared) = (config.clone(), Arc::clone(&self.shared));
         let (name, robots) = (settings.name.clone(), settings.robots.clone());
-        let thread = spawn("joulebus-publish", move || {
-            publishing::run(&config, &name, &robots, &shared, || {
-                // The caller waits for this.
-                let _ = ready.send(());
-            })
+        let (thread, ()) = Background::run("joulebus-publish", move |thread| {
+            publishing::run(&config, &name, &robots, &shared, thread)
         })?;
-        if joined.recv().is_err() {
-            join(thread)?;
-        } else {
-            self.publishing = Some(thread);
-        }
+        self.publishing = Some(thread);
         Ok(())
     }
 
@@ -226,21 +218,16 @@ impl Bridge {
         ros2: &Ros2Settings,
         sides: &mut Vec<Box<dyn Sink>>,
     ) -> anyhow::Result<()> {
-        let (ready, opened) = sync_channel(1);
         let (fleet, name) = (config.fleet().to_owned(), settings.name.clone());
         let (ros2, robots) = (ros2.clone(), settings.robots.clone());
         let (shared, counts) = (Arc::clone(&self.shared), Arc::clone(&self.ros2));
-        let thread = spawn("joulebus-ros2", move || {
+        let (thread, sink) = Background::run("joulebus-ros2", move |thread| {
             yield_to_the_worker(NICE);
             let of = (fleet.as_str(), name.as_str());
             let (connection, sink) = Ros2::open(&ros2, of, &robots, &shared, &counts)?;
-            // The caller waits for this.
-            let _ = ready.send(sink);
-            connection.run().map_err(Into::into)
+            thread.joined(sink);
+            connection.run().map_err(anyhow::Error::from)
         })?;
-        let Ok(sink) = opened.recv() else {
-            return join(thread);
-        };
         self.connections.push(thread);
         if sink.has_topics() {
             sides.push(Box::new(sink));
@@ -283,8 +270,9 @@ impl Bridge {
         if whats.any(|what| what == What::AlarmChanges) {
             let (config, name) = (config.clone(), settings.name.clone());
             let (shared, lost) = (Arc::clone(&self.shared), Arc::clone(&self.lost));
-            let thread = spawn("joulebus-alarms", move || {
+            let (thread, ()) = Background::run("joulebus-alarms", move |thread| {
                 yield_to_the_worker(NICE);
+                thread.joined(());
                 read_alarms(&config, &name, &changes, &shared, &lost)
             })?;
             self.others.push(thread);
@@ -304,28 +292,10 @@ impl Bridge {
         let (config, name) = (config.clone(), settings.name.clone());
         let shared = Arc::clone(&self.shared);
         let every = settings.publish_interval();
-        self.start_joining("joulebus-tell", move |ready| {
-            outbound::run(&config, (&name, every), &shared, &mut sides, || {
-                // The caller waits for this.
-                let _ = ready.send(());
-            })
-        })
-    }
-
-    /// Starts a thread, and waits until it has joined the fleet.
-    fn start_joining(
-        &mut self,
-        name: &str,
-        work: impl FnOnce(SyncSender<()>) -> anyhow::Result<()> + Send + 'static,
-    ) -> anyhow::Result<()> {
-        let (ready, joined) = sync_channel(1);
-        let thread = spawn(name, move || {
+        let (thread, ()) = Background::run("joulebus-tell", move |thread| {
             yield_to_the_worker(NICE);
-            work(ready)
+            outbound::run(&config, (&name, every), &shared, &mut sides, thread)
         })?;
-        if joined.recv().is_err() {
-            return join(thread);
-        }
         self.others.push(thread);
         Ok(())
     }
@@ -334,17 +304,18 @@ impl Bridge {
     fn is_over(&self) -> bool {
         let publishing = self.publishing.as_ref();
         let mut others = self.others.iter().chain(&self.connections);
-        publishing.is_some_and(JoinHandle::is_finished) || others.any(JoinHandle::is_finished)
+        publishing.is_some_and(Background::has_ended) || others.any(Background::has_ended)
     }
 
     /// Ends all threads. The connections end last, after the messages that the other threads have
     /// handed to them.
     fn finish(&mut self, config: &Config, settings: &Settings) -> anyhow::Result<BridgeReport> {
         self.shared.stop();
-        let published = self.publishing.take().map(join);
-        let mut ended: Vec<anyhow::Result<()>> = self.others.drain(..).map(join).collect();
+        let published = self.publishing.take().map(Background::join);
+        let others = self.others.drain(..).map(Background::join);
+        let mut ended: Vec<anyhow::Result<()>> = others.collect();
         self.shared.close();
-        ended.extend(self.connections.drain(..).map(join));
+        ended.extend(self.connections.drain(..).map(Background::join));
         ended.into_iter().collect::<anyhow::Result<()>>()?;
         let outlet = self.outlet.as_ref();
         // Guards in one expression would wait for each other.
@@ -367,20 +338,12 @@ impl Bridge {
     }
 }
 
-fn spawn<T: Send + 'static>(
-    name: &str,
-    work: impl FnOnce() -> anyhow::Result<T> + Send + 'static,
-) -> anyhow::Result<Thread<T>> {
-    let thread = thread::Builder::new().name(name.to_owned());
-    thread
-        .spawn(work)
-        .with_context(|| format!("cannot start the thread {name}"))
-}
-
-fn join<T>(thread: Thread<T>) -> anyhow::Result<T> {
-    thread
-        .join()
-        .map_err(|_| anyhow!("a thread of the bridge panicked"))?
+/// Threads that run are waited for, also where a later one could not be started.
+impl Drop for Bridge {
+    fn drop(&mut self) {
+        self.shared.stop();
+        self.shared.close();
+    }
 }
 
 impl fmt::Display for BridgeReport {

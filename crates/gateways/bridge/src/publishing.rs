@@ -3,10 +3,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
-use std::thread;
 use std::time::Duration;
 
-use joulebus_bus::clock;
+use joulebus_bus::{Running, clock};
 use joulebus_config::Config;
 use joulebus_program::output::say;
 use joulebus_publisher::{Grid, PublishError, Publisher};
@@ -41,7 +40,7 @@ struct Group {
     robots: Vec<u32>,
 }
 
-/// Publishes until the bridge stops. Calls `ready` when the fleet is joined.
+/// Publishes until the bridge stops. Says when the fleet is joined.
 ///
 /// # Errors
 /// The fleet cannot be joined, or its files were removed.
@@ -50,10 +49,10 @@ pub(crate) fn run(
     name: &str,
     robots: &Robots,
     shared: &Arc<Shared>,
-    ready: impl FnOnce(),
+    thread: &Running,
 ) -> anyhow::Result<PublishedRecord> {
     let mut publisher = Publisher::with_config(config, name)?;
-    ready();
+    thread.joined(());
     let mut groups = groups(config, robots, clock::monotonic_ns());
     let (mut record, mut states) = (PublishedRecord::default(), Vec::new());
     let mut news_ns = clock::monotonic_ns();
@@ -63,7 +62,7 @@ pub(crate) fn run(
         let due_ns = groups.iter().map(|group| group.grid.due_ns()).min();
         let wait_ns = due_ns.map_or(POLL_INTERVAL_NS, |due_ns| due_ns.saturating_sub(now_ns));
         if wait_ns > 0 {
-            thread::sleep(Duration::from_nanos(wait_ns.min(POLL_INTERVAL_NS)));
+            std::thread::sleep(Duration::from_nanos(wait_ns.min(POLL_INTERVAL_NS)));
             continue;
         }
         states.clear();

@@ -24,6 +24,7 @@
 
 mod bus;
 mod cleanup;
+mod description;
 mod directory;
 mod iceoryx_config;
 mod iceoryx_log;
@@ -52,7 +53,7 @@ pub use liveness::peer_watch::PeerWatch;
 pub use liveness::presence::FilesRemoved;
 pub use liveness::worker_lock::{WorkerLock, WorkerLockError, WorkerOwner};
 pub use membership::JoinError;
-pub use os::background::{Background, Panicked, Steps};
+pub use os::background::{Background, Panicked, Running, Steps};
 pub use os::clock;
 pub use os::memory::touch_own_memory;
 pub use os::process_id;

@@ -80,14 +80,13 @@ impl PlannerPorts {
                 diagnostics,
                 budgets,
             };
-            Ok::<_, String>(State {
+            Ok(State {
                 ports: Some(open),
                 frames: HashMap::new(),
                 next: 0,
             })
         };
         let thread = py.detach(|| PortThread::start(open))?;
-        let thread = thread.map_err(ConnectError::new_err)?;
         Ok(Self { thread })
     }
 

@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyFloat};
 
 use crate::array::{Ids, Numbers, shape_error};
-use crate::error::{ConnectError, PublishError};
+use crate::error::PublishError;
 use crate::port_thread::PortThread;
 
 /// Frames sent, samples sent, capacity, connections that failed.
@@ -33,10 +33,9 @@ impl PublisherPort {
         let open = move || {
             let config = Config::load(config).map_err(|error| error.to_string())?;
             let port = Port::with_config(&config, &name).map_err(|error| error.to_string())?;
-            Ok::<_, String>(Some(port))
+            Ok(Some(port))
         };
         let thread = py.detach(|| PortThread::start(open))?;
-        let thread = thread.map_err(ConnectError::new_err)?;
         Ok(Self {
             thread,
             warned: Mutex::default(),

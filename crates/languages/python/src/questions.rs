@@ -14,7 +14,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::array::{Doubles, Ids, Numbers, array, shape_error};
-use crate::error::{ConnectError, ReadError, of_read};
+use crate::error::{ReadError, of_read};
 use crate::planner::{SLICE, deadline};
 use crate::port_thread::PortThread;
 
@@ -43,10 +43,9 @@ impl QuestionPorts {
             let config = Config::load(config).map_err(|error| error.to_string())?;
             let planner =
                 Planner::with_config(&config, &name).map_err(|error| error.to_string())?;
-            Ok::<_, String>(Some(planner))
+            Ok(Some(planner))
         };
         let thread = py.detach(|| PortThread::start(open))?;
-        let thread = thread.map_err(ConnectError::new_err)?;
         let fleet =
             |planner: &mut Option<Planner>| planner.as_ref().map(|planner| planner.fleet().clone());
         let fleet = py.detach(|| thread.ask(fleet))?.ok_or_else(closed)?;

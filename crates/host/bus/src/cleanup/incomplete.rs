@@ -4,17 +4,17 @@
 //! object from one that is being created (#1771, #364). The kernel can: a process that creates or
 //! uses an object has its file open.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::BTreeMap;
 use std::fs;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
 use super::objects::{
-    Identity, OWNER_READ, Object, is_of, is_of_node, list_own, named, objects, open_files,
+    Identity, OWNER_READ, Object, is_of, is_of_node, list, list_own, objects, open_files,
 };
-use super::turn::Turn;
 use crate::directory::{NODES, SERVICES};
 use crate::os::memory::SHM_DIR;
+use crate::os::process::lock_holders;
 use crate::{Domain, RootError, clock};
 
 /// A static description (of a service, a node, a port of a node) loses this permission once it is
@@ -141,14 +141,10 @@ impl Candidates {
         let open = open_files();
         let mut removed = 0;
         objects.retain(|object| !open.contains(&object.identity));
-        for object in objects {
-            // It may have been completed in the meantime.
-            let still = Object::new(object.path).is_some_and(|object| {
-                object.is_incomplete() && fs::remove_file(&object.path).is_ok()
-            });
-            removed += u64::from(still);
+        descriptions.retain(|file| !open.contains(&file.identity));
+        for object in objects.into_iter().chain(descriptions) {
+            removed += u64::from(object.remove());
         }
-        removed += remove_unless_open(descriptions, &open);
         for node in nodes {
             if !node.files.iter().any(|file| open.contains(&file.identity)) {
                 removed += u64::from(node.remove());
@@ -183,7 +179,8 @@ impl Abandoned {
         let open = open_files();
         services.retain(|service| {
             let text = fs::read_to_string(&service.path).unwrap_or_default();
-            let is_empty = service.mode & OWNER_WRITE == 0 && !has_ports(domain, &text);
+            let is_empty =
+                service.mode & OWNER_WRITE == 0 && !has_ports(domain.shm_prefix(), &text);
             is_empty || !open.contains(&service.identity)
         });
         let now_ns = clock::monotonic_ns();
@@ -197,17 +194,23 @@ impl Abandoned {
             }
             since_ns.is_some_and(|since_ns| now_ns - since_ns >= ABANDONED_AFTER_NS)
         });
-        if services.is_empty() {
-            return 0;
-        }
-        let _turn = Turn::take(domain);
-        remove_unless_open(services, &HashSet::new())
+        services.into_iter().map(|it| u64::from(it.remove())).sum()
     }
 }
 
+/// The processes that have descriptions of services locked, as far as they are visible here: those
+/// that make or remove a service. After some time they are stopped.
+pub(crate) fn holders(domain: &Domain) -> Vec<u32> {
+    let files = services(domain).into_iter();
+    let files = files.filter_map(|service| fs::File::open(service.path).ok());
+    files
+        .flat_map(|file| lock_holders(&file, None).unwrap_or_default())
+        .collect()
+}
+
 /// True if the list of ports of a service with this description exists, as far as the description
-/// tells.
-fn has_ports(domain: &Domain, description: &str) -> bool {
+/// tells. `prefix`: that of the domain's objects in shared memory.
+pub(crate) fn has_ports(prefix: &str, description: &str) -> bool {
     let half = |key: &str| -> Option<u128> {
         let line = description.lines().find_map(|line| line.strip_prefix(key));
         line?.strip_prefix(" = ")?.trim().parse().ok()
@@ -215,16 +218,11 @@ fn has_ports(domain: &Domain, description: &str) -> bool {
     let (Some(low), Some(high)) = (half("payload_value"), half("unique_value")) else {
         return true;
     };
-    !named(domain, &(high << 64 | low).to_string(), &[".dynamic"]).is_empty()
-}
-
-fn remove_unless_open(files: Vec<Object>, open: &HashSet<Identity>) -> u64 {
-    let abandoned = files
-        .into_iter()
-        .filter(|file| !open.contains(&file.identity));
-    abandoned
-        .filter(|file| fs::remove_file(&file.path).is_ok())
-        .count() as u64
+    let ports = format!("_{}.dynamic", high << 64 | low);
+    list(Path::new(SHM_DIR)).iter().any(|path| {
+        let name = path.file_name().and_then(|name| name.to_str());
+        name.is_some_and(|name| name.starts_with(prefix) && name.ends_with(&ports))
+    })
 }
 
 fn services(domain: &Domain) -> Vec<Object> {

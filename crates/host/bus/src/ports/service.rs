@@ -20,10 +20,11 @@ use iceoryx2::service::port_factory::request_response::PortFactory as RequestRes
 use joulebus_wire::{AnswerHeader, Channel, QueryHeader, Service, WakeEvent, service_name};
 
 use crate::cleanup::dead_nodes::remove_dead_nodes;
-use crate::cleanup::incomplete::{Abandoned, remove_incomplete};
+use crate::cleanup::incomplete::{Abandoned, holders, remove_incomplete};
 use crate::cleanup::objects::named;
 use crate::ipc::Ipc;
 use crate::liveness::presence::Need;
+use crate::os::fork;
 use crate::preflight::{PORT_BYTES, check_left};
 use crate::reserved::take_shortage;
 use crate::{Bus, CapacityError, FilesRemoved, Limits, SweepReport, clock};
@@ -150,18 +151,28 @@ fn retry<S, E: Debug>(
     let limit_ns = clock::monotonic_ns() + OPEN_LIMIT_NS;
     let mut abandoned = Abandoned::default();
     loop {
+        // A child has what a thread has locked, and keeps it locked if this process is killed.
+        let section = fork::enter();
         let error = match open() {
             Err(error) if is_transient(&error) => error,
             result => return result,
         };
         let is_full = check_left(PORT_BYTES).is_err();
         if is_full || clock::monotonic_ns() > limit_ns {
+            let pids = holders(bus.domain());
+            if !pids.is_empty() {
+                tracing::warn!(
+                    ?pids,
+                    "these processes make or remove a service for long: are they stopped?"
+                );
+            }
             return Err(error);
         }
         let mut report = SweepReport::default();
-        remove_dead_nodes(bus.domain(), &bus.member.config, &mut report);
+        remove_dead_nodes(&bus.member.config, &mut report);
         report.incomplete = remove_incomplete(bus.domain()).unwrap_or(0)
             + abandoned.remove(bus.domain(), name.as_str());
+        drop(section);
         tracing::info!(
             service = name.as_str(),
             ?error,
@@ -189,7 +200,7 @@ pub(super) fn create<P, E>(
             result => return result,
         }
         let mut report = SweepReport::default();
-        let is_any_dead = remove_dead_nodes(bus.domain(), &bus.member.config, &mut report);
+        let is_any_dead = remove_dead_nodes(&bus.member.config, &mut report);
         if !is_any_dead || clock::monotonic_ns() > limit_ns {
             // Another member may have removed them meanwhile.
             return port();
