@@ -5,8 +5,8 @@ use joulebus_program::described::Verb;
 use joulebus_program::options::GlobalOptions;
 
 use crate::{
-    alarms, ask, completions, config, demo, doctor, external, info, man, publish, record, recover,
-    replay, run, watch,
+    alarms, ask, completions, config, demo, doctor, external, info, man, new, publish, record,
+    recover, replay, run, watch,
 };
 
 /// Power forecasts for robot fleets over shared memory: one worker, any number of sources and
@@ -22,6 +22,7 @@ use crate::{
         joulebus run --config configs/fleet.toml    the worker\n  \
         joulebus publish sim --robots 20            a simulated fleet for it\n  \
         joulebus watch                              the forecasts, live\n  \
+        joulebus new controller my-controller       a program of your own for it\n  \
         joulebus record -o run.mcap                 record everything into a file\n  \
         joulebus doctor                             diagnose problems\n\n\
         Results go to stdout, the rest to stderr. Units are SI and stand in the names: power_w, \
@@ -41,6 +42,7 @@ pub(crate) struct Cli {
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
     Demo(demo::Args),
+    New(new::Args),
     Run(run::Args),
     Publish(publish::Args),
     Record(record::Args),
@@ -73,7 +75,7 @@ pub(crate) enum Command {
 
 /// The verbs by what they are for, in the order of the help.
 const GROUPS: [(&str, &[&str]); 6] = [
-    ("To begin", &["demo", "config", "doctor"]),
+    ("To begin", &["demo", "new", "config", "doctor"]),
     ("A running fleet", &["run", "publish", "bridge", "link"]),
     ("What to know of it", &["watch", "ask", "alarms", "serve"]),
     (

@@ -15,6 +15,7 @@ mod external;
 mod info;
 mod keys;
 mod man;
+mod new;
 mod other_users;
 mod publish;
 mod record;
@@ -63,6 +64,7 @@ fn default_demo() -> Result<demo::Args, clap::Error> {
 fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
     match command {
         Command::Demo(args) => demo::run(args, output),
+        Command::New(args) => new::run(args, output),
         Command::Run(args) => run::run(args, output),
         Command::Publish(args) => publish::run(args, output),
         Command::Record(args) => record::run(args, output),

@@ -57,7 +57,7 @@ fn config(name: &str, root: &Path) -> Config {
     let text = format!(
         "[fleet]\nname = \"{name}\"\ncapacity = 16\n\
          [domain]\nroot = \"{}\"\nprefix = \"jcap_\"\n\
-         [intake]\nbuffer_frames = 64\n\
+         [intake]\nbuffer_frames = 64\n[ledger]\ncheckpoint = \"\"\n\
          [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-15\"]\n",
         root.display()
     );

@@ -39,7 +39,7 @@ const PATIENCE: Duration = Duration::from_secs(3);
     x_m,y_m,speed_mps\n    0,0,\n    2,0,0.2\n    2,1.5,0.1\n\n\
     Verdicts: yes, the upper end of the energy at the asked coverage fits into the lower bound of what the \
     battery can spare above its reserve, on every leg; tight, the expected energy fits, but not so surely, \
-    or something weakens the answer (it is listed); no, it does not fit; unknown, with the reason. \
+    or the robot's state is weak (it is listed); no, it does not fit; unknown, with the reason. \
     Computed in this process, unless --through worker says otherwise, from the worker's state in shared \
     memory and the models of the config, which must be the worker's: no queue, no load on the worker, and \
     paths of any length. --through worker needs no models here, and asks what programs in other languages \

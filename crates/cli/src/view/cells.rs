@@ -85,6 +85,12 @@ pub(crate) fn cells(robot: u32, row: &Row) -> [String; 13] {
     ]
 }
 
+/// Whether the config describes no battery of the robot.
+pub(crate) fn lacks_battery(row: &Row) -> bool {
+    row.budget
+        .is_some_and(|budget| budget.flags & budget_flag::BATTERY == 0)
+}
+
 fn or_unknown(text: Option<String>) -> String {
     text.unwrap_or_else(|| UNKNOWN.to_owned())
 }

@@ -17,8 +17,6 @@ fn fleet() -> Fleet {
     assert!(text.contains(robots), "{text}");
     let battery = "[platform.battery]\ncapacity_wh = 5.0\ninitial_soc_lo = 0.95\n";
     let text = text.replace(robots, &format!("{robots}{battery}"));
-    // Nothing is saved for the next test.
-    let text = text.replace("[intake]", "[ledger]\ncheckpoint = \"\"\n[intake]");
     fs::write(fleet.config(), text).unwrap();
     let path = "x_m,y_m,speed_mps\n0,0,\n1.5,0,0.15\n1.5,0.5,0.1\n";
     fs::write(fleet.path("p.csv"), path).unwrap();

@@ -11,6 +11,10 @@ use crate::fleet::{Fleet, code, is_built, joulebus, output, stderr, stdout};
 /// Arguments of a subcommand, and the exit code. Words in capitals are files: see [`file`].
 const CASES: &[(i32, &str)] = &[
     (2, "demo --robots 0"),
+    (0, "new controller NEW"),
+    (1, "new planner /proc/new"),
+    (2, "new planner THERE"),
+    (2, "new bridge NEW"),
     (2, "run --config /nowhere.toml"),
     (2, "run --config JUNK"),
     (0, "publish sim --config FLEET --robots 1 --duration 0.1"),

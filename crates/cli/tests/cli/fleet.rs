@@ -98,6 +98,7 @@ impl Fleet {
             "[fleet]\nname = \"cli\"\ncapacity = 20\n\
              [domain]\nroot = \"{}\"\nprefix = \"jbcli_\"\n\
              [intake]\nmax_sources = 4\n[readers]\nmax_planners = 4\n\
+             [ledger]\ncheckpoint = \"\"\n\
              [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n\
              [[platform]]\nfile = \"builtin:rover\"\nrobots = [\"100-109\"]\n",
             root.display()

@@ -60,7 +60,7 @@ const COMPUTES: &[&str] = &[
 /// their codes.
 const ENDS: &str = "ask, info, cat, recover, import, data info, data check, data convert, doctor, export, \
     config init, config check, config show, config explain, analyze, eval, calibrate, \
-    model info, model import, model export, model compare, completions, man";
+    model info, model import, model export, model compare, completions, man, new";
 
 /// The command of a row, with its input files created.
 fn command(fleet: &Fleet, row: &str) -> Command {

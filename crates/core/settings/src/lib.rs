@@ -13,4 +13,4 @@ mod platform;
 pub use admission::RefusedSample;
 pub use error::SettingsError;
 pub use fleet::{AlarmSettings, FleetSettings, Intake, IntervalSettings, Policy};
-pub use platform::{AlarmLimits, Battery, ChargeReading, OpenCircuit, Platform};
+pub use platform::{AlarmLimits, Battery, ChargeReading, NO_BATTERY, OpenCircuit, Platform};

@@ -14,6 +14,7 @@ use joulebus_config::Config;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
+use joulebus_settings::NO_BATTERY;
 use serde::Serialize;
 use serde_json::json;
 
@@ -28,6 +29,7 @@ use crate::outbound::{self, Sink};
 use crate::publishing::{self, PublishedRecord};
 use crate::ros2::{Counts, Ros2};
 use crate::shared::Shared;
+use crate::usual;
 
 /// Interval between checks for a stop.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
@@ -94,7 +96,15 @@ struct RosCheckReport {
 pub(crate) fn run(args: &BridgeArguments, output: Output) -> anyhow::Result<Outcome> {
     let stop = Stop::on_signals()?;
     let config = args.config.load()?;
-    let settings = Settings::load(&args.file, &config)?;
+    let usual = usual::mapping(args)?;
+    let settings = match &usual {
+        Some(mapping) => Settings::parse(mapping, &args.file, &config)?,
+        None => Settings::load(&args.file, &config)?,
+    };
+    if let (Some(mapping), Some(path)) = (&usual, &args.write) {
+        return usual::write_new(mapping, path);
+    }
+    usual.as_deref().inspect(|mapping| usual::print(mapping));
     if args.check {
         output.report(&checked(&config, &settings))?;
         return Ok(Outcome::Done);
@@ -177,6 +187,13 @@ impl Bridge {
             bridge.connections.push(thread);
         }
         let (fleet, robots) = (config.fleet(), settings.robots.len());
+        for platform in &config.settings().platforms {
+            let mut ids = settings.robots.iter().map(|(id, _)| id);
+            let bridged = ids.any(|id| platform.robots.iter().any(|range| range.contains(&id)));
+            if bridged && platform.battery.is_none() && settings.writes_budgets() {
+                say(&format!("platform {}: {NO_BATTERY}", platform.name));
+            }
+        }
         say(&format!("bridging {robots} robots of fleet {fleet}"));
         Ok(bridge)
     }

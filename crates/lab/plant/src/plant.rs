@@ -91,6 +91,16 @@ impl Plant {
         }))
     }
 
+    /// The same fleet, whose robots from `robot` on drive their protocols as fast as their wheels
+    /// turn: [`V_MAX_MPS`](crate::arena::V_MAX_MPS) forwards and backwards, as fast on the spot.
+    #[must_use]
+    pub fn at_full_speed_from(mut self, robot: usize) -> Self {
+        for robot in self.robots.iter_mut().skip(robot) {
+            robot.driver = robot.driver.clone().at_full_speed();
+        }
+        self
+    }
+
     fn of(robots: impl Iterator<Item = Robot>) -> Self {
         let robots: Vec<Robot> = robots.collect();
         let readings = robots.iter().enumerate();
