@@ -13,8 +13,8 @@ use crate::captures::capture;
 use crate::exits::{below, subcommands};
 use crate::fleet::{Exits as _, Fleet, Program, code, joulebus, json, output, stderr, stdout};
 
-/// Subcommands that go on until a signal, and what they say once they run. Their exit code is 0, but
-/// for training: the model is not made, the checkpoint is. Words in capitals are files.
+/// Subcommands that go on until a signal, and a line that they print once they run. Their exit code
+/// is 0, but for training: the model is not made, the checkpoint is. Words in capitals are files.
 const RUNS: [(&str, &str); 18] = [
     ("demo --robots 2 --no-capture --format json", "  samples "),
     ("run --config FLEET", "ready:"),

@@ -32,8 +32,8 @@ pub struct SimulatedData {
 }
 
 impl SimulatedData {
-    /// The data of the shipped models: 12 robots for training and 8 at full speed, 4 for validation,
-    /// 8 held out, one whole trial each.
+    /// The data of the shipped models: 12 robots for training and 8 at full speed, 4 for
+    /// validation, 8 held out, one whole trial each.
     pub fn shipped(seed: u64) -> SimulatedData {
         SimulatedData {
             seed,
