@@ -63,3 +63,28 @@ impl Drop for Claim {
         let _ = flock(&self.file, FlockOperation::Unlock);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_process_at_a_time_claims_a_file_and_one_that_replaced_it_is_kept() {
+        let path = std::env::temp_dir().join(format!("joulebus-claim-{}", std::process::id()));
+        fs::write(&path, "").unwrap();
+        let claim = Claim::take(path.clone()).unwrap();
+        assert!(Claim::take(path.clone()).is_none());
+        // As a child made by `fork` has one.
+        let copy = claim.file.try_clone().unwrap();
+        drop(claim);
+        assert!(Claim::take(path.clone()).is_some());
+        drop(copy);
+
+        let found = Object::new(path.clone()).unwrap();
+        fs::write(path.with_extension("new"), "").unwrap();
+        fs::rename(path.with_extension("new"), &path).unwrap();
+        assert!(!found.remove());
+        assert!(Object::new(path.clone()).unwrap().remove());
+        assert!(!path.exists());
+    }
+}
