@@ -174,8 +174,8 @@ impl AlarmHistory {
         }
     }
 
-    /// Takes what is acknowledged, sent or received at `at_ns`, and calls `each` for every raised alarm that newly is.
-    /// Frames earlier than one that was taken are passed over.
+    /// Takes what is acknowledged, sent or received at `at_ns`, and calls `each` for every raised
+    /// alarm that newly is. Frames earlier than one that was taken are passed over.
     pub fn acknowledge(
         &mut self,
         header: &AcknowledgementHeader,

@@ -55,7 +55,8 @@ pub struct Verification {
     pub queries: u64,
     /// Questions whose answer was computed again.
     pub queries_verified: u64,
-    /// Questions refused for reasons of time (a deadline, a client that ended, a worker that ended), and acknowledgements.
+    /// Questions refused for reasons of time (a deadline, a client that ended, a worker that
+    /// ended), and acknowledgements.
     pub queries_by_time: u64,
     /// Questions about ticks before the first or after the last that was computed.
     pub queries_outside: u64,

@@ -240,7 +240,8 @@ fn acknowledge(fleet: &Fleet, arguments: &[&str]) -> (i32, String) {
     (code(&ended), stdout(&ended) + &stderr(&ended))
 }
 
-/// What the verb has shown of robot 1 being silent so far: each change, and by whom it is acknowledged.
+/// What the verb has shown of robot 1 being silent so far: each change, and by whom it is
+/// acknowledged.
 fn of_robot_1(program: &mut Program) -> Vec<String> {
     let lines = program.shown();
     let lines = lines

@@ -10,10 +10,10 @@
 //! ```
 //!
 //! each within the platform's limits. Where the caller does not ask for a speed, they are also
-//! within what the model has learned of commands: with an infinite speed, while the robot turns, and
-//! backwards. Samples may have any command that the platform takes. A point is reached within 5 cm.
-//! The next one is then followed. The robot therefore slows down before each point, turns while it
-//! drives, and drives backwards if the point is behind it. The gains are those of the Robotarium
+//! within what the model has learned of commands: with an infinite speed, while the robot turns,
+//! and backwards. Samples may have any command that the platform takes. A point is reached within 5
+//! cm. The next one is then followed. The robot therefore slows down before each point, turns while
+//! it drives, and drives backwards if the point is behind it. The gains are those of the Robotarium
 //! simulator's position controllers.
 
 use std::f64::consts::PI;

@@ -1,7 +1,7 @@
 //! Alarms that persons have acknowledged.
 //!
-//! A client asks with [`crate::QueryKind::Acknowledge`]. The worker publishes what is acknowledged on
-//! [`crate::Acknowledgements`].
+//! A client asks with [`crate::QueryKind::Acknowledge`]. The worker publishes what is acknowledged
+//! on [`crate::Acknowledgements`].
 
 use crate::declare::ZeroCopySend;
 use crate::{Alarm, rows};
@@ -28,7 +28,8 @@ rows! {
         pub by: [u8; MAX_NAME_BYTES],
     }
 
-    /// Header of a frame of all alarms that are acknowledged. Sent at every change, and once a second.
+    /// Header of a frame of all alarms that are acknowledged. Sent at every change, and once a
+    /// second.
     #[derive(Eq)]
     pub struct AcknowledgementHeader: "joulebus.AcknowledgementHeader.v1", 40 {
         /// [`crate::SCHEMA_VERSION`].
@@ -49,7 +50,8 @@ rows! {
 }
 
 impl Acknowledgement {
-    /// Of one alarm. `None` if the name is empty, longer than [`MAX_NAME_BYTES`] or has control characters.
+    /// Of one alarm. `None` if the name is empty, longer than [`MAX_NAME_BYTES`] or has control
+    /// characters.
     #[must_use]
     pub fn new(robot: u32, alarm: Alarm, at_ns: u64, name: &str) -> Option<Self> {
         let mut by = [0; MAX_NAME_BYTES];

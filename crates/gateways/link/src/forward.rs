@@ -21,8 +21,8 @@ use crate::refusals::Refusals;
 /// Maximum sleep: the delay until a request or a stop is noticed.
 const POLL_INTERVAL_NS: u64 = 20_000_000;
 
-/// Sends the samples published here to the links `to`, to each those of its shard, until it is told to end.
-/// Says when the fleet is joined.
+/// Sends the samples published here to the links `to`, to each those of its shard, until it is told
+/// to end. Says when the fleet is joined.
 ///
 /// # Errors
 /// The fleet cannot be joined, its files were removed, or the network is refused.

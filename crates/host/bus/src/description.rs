@@ -5,8 +5,8 @@
 //! name may be that of a service made anew. A cleanup may also find the description of a service
 //! whose ports are just being made, and take the service for a corrupt one. Here a creator has the
 //! description locked ([`Claim`]) until the service has its list of ports. A description is removed
-//! under that lock alone, and only if there is no such list. So a cleanup may be as slow as it likes
-//! and take place beside any other, and nobody waits for one. Files and layout are those of
+//! under that lock alone, and only if there is no such list. So a cleanup may be as slow as it
+//! likes and take place beside any other, and nobody waits for one. Files and layout are those of
 //! iceoryx2 0.10.0.
 #![allow(unsafe_code)] // The traits of iceoryx2 have functions that are unsafe to call.
 

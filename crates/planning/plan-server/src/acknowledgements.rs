@@ -48,8 +48,8 @@ impl Table {
         Ok(())
     }
 
-    /// Drops the alarms that have ended as of these diagnostics, and those of robots that have left.
-    /// Returns whether there were any.
+    /// Drops the alarms that have ended as of these diagnostics, and those of robots that have
+    /// left. Returns whether there were any.
     fn follow(&mut self, robots: &[Diagnostic]) -> bool {
         let mut raised = [false; MAX_ACKNOWLEDGED];
         for robot in robots.iter().filter(|robot| robot.alarms != 0) {
@@ -78,7 +78,8 @@ pub(crate) struct Acknowledged {
 }
 
 impl Acknowledged {
-    /// Opens the port for a table from before any loss of ports. `begun_ns` is when the thread began.
+    /// Opens the port for a table from before any loss of ports. `begun_ns` is when the thread
+    /// began.
     pub(crate) fn open(
         bus: &Bus,
         limits: &Limits,
@@ -98,8 +99,8 @@ impl Acknowledged {
         self.table.clone()
     }
 
-    /// Takes the diagnostics that have arrived. Returns, if there are any, which of the alarms `asked`
-    /// about are raised.
+    /// Takes the diagnostics that have arrived. Returns, if there are any, which of the alarms
+    /// `asked` about are raised.
     pub(crate) fn look(
         &mut self,
         (bus, limits): (&Bus, &Limits),

@@ -57,8 +57,8 @@ impl<J> Running<J> {
 }
 
 impl Background {
-    /// Starts a thread of the name `name`, waits until `open` has returned in it, and lets it repeat
-    /// its steps.
+    /// Starts a thread of the name `name`, waits until `open` has returned in it, and lets it
+    /// repeat its steps.
     ///
     /// # Errors
     /// That of `open`, or that of the system if the thread could not be started.
@@ -158,7 +158,8 @@ impl<T> Background<T> {
         self.thread = None;
     }
 
-    /// Lets the thread do its last step, and waits for it. Returns what it ended with the first time.
+    /// Lets the thread do its last step, and waits for it. Returns what it ended with the first
+    /// time.
     ///
     /// # Errors
     /// [`Panicked`].

@@ -479,7 +479,8 @@ fn signalled(place: &Place, signal: &str, call: &str, number: u32) -> Member {
     member_under(place, "strace", &options)
 }
 
-/// The answer of a traced member, which goes on where it was stopped, if for a moment by the tracer.
+/// The answer of a traced member, which goes on where it was stopped, if for a moment by the
+/// tracer.
 fn answer_of(traced: &mut Member) -> String {
     let mut answer = None;
     eventually("it answers", || {
