@@ -573,7 +573,9 @@ impl<'a> Decoded<'a> {
             }
             Form::Text(size) => {
                 let found = str::from_utf8(data.bytes(wire)?).map_err(|_| Wrong::Text)?;
-                let found = &found.as_bytes()[..found.floor_char_boundary(*size)];
+                let mut ends = (0..=found.len().min(*size)).rev();
+                let end = ends.find(|end| found.is_char_boundary(*end)).unwrap_or(0);
+                let found = &found.as_bytes()[..end];
                 into[..*size].fill(0);
                 into[..found.len()].copy_from_slice(found);
             }
