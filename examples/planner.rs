@@ -1,5 +1,6 @@
-//! A planner waits for forecasts, and is notified at once when the worker ends: `cargo run -p
-//! joulebus-examples --example planner configs/fleet.toml`
+//! A planner waits for forecasts, and is notified at once when the worker ends.
+//!
+//! Arguments: the fleet's config, and the number of frames. Without a number it runs until Ctrl-C.
 
 use std::path::Path;
 use std::time::Duration;
@@ -7,9 +8,13 @@ use std::time::Duration;
 use joulebus_consumer::{Event, Subscriber, wire::Forecast};
 
 fn main() -> anyhow::Result<()> {
-    let config = std::env::args().nth(1);
+    let mut arguments = std::env::args().skip(1);
+    let config = arguments.next();
     let config = config.as_deref().unwrap_or("configs/fleet.toml");
-    run(config.as_ref(), 60)
+    let frames = arguments
+        .next()
+        .map_or(Ok(u64::MAX), |number| number.parse())?;
+    run(config.as_ref(), frames)
 }
 
 /// Prints `frames` frames of forecasts, and changes of the worker's state.
@@ -30,7 +35,7 @@ pub(crate) fn run(config: &Path, frames: u64) -> anyhow::Result<()> {
             Event::Gone(end) => println!("the worker is gone ({end:?}): forecasts are invalid"),
             Event::Stale { age_ns } => println!("nothing new for {} ms", age_ns / 1_000_000),
             Event::Interrupted => break,
-            _ => println!("waiting for the worker"),
+            _ => println!("no forecasts: does a worker run, and does a controller publish?"),
         }
     }
     Ok(())

@@ -14,6 +14,7 @@ fn main() -> anyhow::Result<()> {
         training_robots: 8,
         validation_robots: 2,
         held_out_robots: 4,
+        full_speed_robots: 0,
         ticks: 300,
     });
     // The paper's recipe trains up to 100 epochs; three are enough for an example.

@@ -16,13 +16,13 @@ else
     [ -n "$program" ] || cargo build --quiet --locked --package joulebus
     from=$target/debug
 fi
-program=${program:-$target/debug/joulebus}
+joulebus=$(realpath "${program:-$target/debug/joulebus}")
 work=$(mktemp -d)
 # A prefix has at most eight characters, a pid up to seven digits.
 mark=$(($$ % 1000000))
-worker= source=
+worker= source= planner=
 cleanup() {
-    for process in $source $worker; do kill "$process" 2>/dev/null && wait "$process" || true; done
+    for process in $planner $source $worker; do kill "$process" 2>/dev/null && wait "$process" || true; done
     rm -rf "$work" /dev/shm/jbc$$.d /dev/shm/c${mark}_*
 }
 trap cleanup EXIT
@@ -67,9 +67,9 @@ robots = ["0-99"]
 capacity_wh = 5.0
 initial_soc_lo = 0.95
 TOML
-XDG_STATE_HOME=$work/state "$program" run --config "$work/fleet.toml" >"$work/worker.log" 2>&1 &
+XDG_STATE_HOME=$work/state "$joulebus" run --config "$work/fleet.toml" >"$work/worker.log" 2>&1 &
 worker=$!
-# The examples wait ten seconds for a frame.
+# So that the planners find it at once.
 until grep -q 'ready: fleet' "$work/worker.log"; do
     kill -0 "$worker" || { cat "$work/worker.log" >&2; exit 1; }
     sleep 0.1
@@ -139,3 +139,42 @@ fi
 kill "$source" && wait "$source"
 kill "$worker" && wait "$worker"
 source= worker=
+
+# Projects of `joulebus new`, by the commands that it prints, but for the library, which is installed already.
+has cmake || exit 0
+mkdir "$work/home"
+ln -s "$prefix" "$work/home/.local"
+for kind in planner controller; do
+    "$joulebus" new $kind --lang cpp "$work/$kind" >"$work/$kind.txt"
+    sed -i "s|^\[\[platform\]\]|[domain]\nroot = \"/dev/shm/jbc$$.d\"\nprefix = \"c${mark}_\"\n&|" "$work/$kind/configs/fleet.toml"
+done
+printed() { # kind, beginning of the command: this shell becomes it
+    local command
+    command=$(grep -F "  cd $work/$1 && $2" "$work/$1.txt")
+    HOME=$work/home XDG_STATE_HOME=$work/state exec bash -c "${command%"$2"*}exec $2${command##*"$2"}"
+}
+said() { # file, text, process
+    until grep -q "$2" "$1"; do
+        kill -0 "$3" || { cat "$1" >&2; exit 1; }
+        sleep 0.1
+    done
+}
+for kind in planner controller; do (printed $kind cmake) >>"$work/cmake.log"; done
+(printed planner build/planner) >"$work/planner.log" 2>&1 &
+planner=$!
+said "$work/planner.log" 'no forecasts' $planner
+(printed planner "$joulebus run") >"$work/worker.log" 2>&1 &
+worker=$!
+said "$work/worker.log" 'ready: fleet' $worker
+(printed controller build/controller) >"$work/source.log" 2>&1 &
+source=$!
+said "$work/planner.log" 'a trip of' $planner
+# 3: ticks were missed. Others than these alarms depend on being scheduled.
+"$joulebus" alarms --config "$work/planner/configs/fleet.toml" --format json --duration 15 >"$work/alarms" || [ $? = 3 ]
+if grep -vE '"alarm":"(NoData|HeldTooLong|DeadlineMissed|WatchdogStop|WorkerStale|WorkerGone)"' "$work/alarms"; then
+    echo 'a project of joulebus new raises alarms' >&2
+    exit 1
+fi
+for process in planner source worker; do kill "${!process}" && wait "${!process}"; done
+source= worker= planner=
+echo "joulebus new --lang cpp: $(grep -c '^tick' "$work/planner.log") frames, $(grep '^tick' "$work/planner.log" | cut -d: -f2 | sort -u | wc -l) different"

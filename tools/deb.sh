@@ -12,7 +12,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
 export CARGO_TARGET_DIR=$target
-programs=(joulebus joulebus-bench joulebus-bridge joulebus-lab joulebus-link joulebus-rosbag joulebus-serve)
+mapfile -t programs < <(tools/programs.sh)
 cargo_deb_version=3.8.0
 
 fail() { echo "tools/deb.sh: $1" >&2; exit 1; }

@@ -94,7 +94,7 @@ MUTATIONS = [
      "header.samples_before.saturating_add(samples)", "(header.samples_before + samples)"),
     # Of questions.
     ("connections of clients that left are kept", "bus/src/ports/worn.rs",
-     "self.left >= MOST_LEFT || (self.left > 0", "self.left >= usize::MAX || (self.left == usize::MAX"),
+     "self.left >= MAX_LEFT || (self.left > 0", "self.left >= usize::MAX || (self.left == usize::MAX"),
     ("answers state another tick", "planner/src/planner.rs",
      "answer.tick = states.tick;", "answer.tick = states.tick + 1_000;"),
     ("answers are not counted", "plan-server/src/server.rs",

@@ -28,6 +28,8 @@ capacity = {capacity}
 [domain]
 root = "/dev/shm/jbload-{number}"
 prefix = "jbload_"
+[ledger]
+checkpoint = ""
 [worker]
 priority = {priority}
 cpus = "{cpus}"

@@ -17,7 +17,7 @@ pub(crate) const BATCHES: [usize; 7] = [1, 7, 20, 100, 1_000, 10_000, 100_000];
 /// Minimum batch size that is also measured on several threads.
 const WORTH_SHARING: usize = 1_000;
 /// Maximum batch size of a kernel without vector instructions, which would take seconds per call.
-const MOST_SLOW: usize = 1_000;
+const MAX_SLOW: usize = 1_000;
 
 /// Measures each kernel on each batch, interleaved with the peak.
 ///
@@ -118,7 +118,7 @@ enum Layout {
 fn layouts(kernel: Kernel, batches: &[usize]) -> Vec<(Layout, usize)> {
     let slow = isa(kernel).is_none() && kernel != Kernel::best();
     let worth = |layout: Layout, batch: usize| match layout {
-        Layout::Rows => !slow || batch <= MOST_SLOW,
+        Layout::Rows => !slow || batch <= MAX_SLOW,
         Layout::Columns | Layout::RowsBatchMajor => !slow,
     };
     [Layout::Rows, Layout::Columns, Layout::RowsBatchMajor]

@@ -122,11 +122,11 @@ fn measure(benchmark: Benchmark, options: &BenchOptions) -> anyhow::Result<Vec<R
 }
 
 /// Maximum size of a file of figures, bytes.
-const MOST_FIGURES_BYTES: u64 = 16 << 20;
+const MAX_FIGURES_BYTES: u64 = 16 << 20;
 
 fn read(path: &Path) -> anyhow::Result<Suite> {
     let shown = path.display();
-    let text = joulebus_files::read_to_string(path, MOST_FIGURES_BYTES)
+    let text = joulebus_files::read_to_string(path, MAX_FIGURES_BYTES)
         .with_context(|| format!("cannot read {shown}"))?;
     serde_json::from_str(&text)
         .with_context(|| format!("{shown} has no figures: write it with --json"))

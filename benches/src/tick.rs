@@ -23,7 +23,7 @@ const ROBOTS: [usize; 5] = [100, 1_000, 10_000, 100_000, 300_000];
 /// settled.
 const WARM_UP: usize = 40;
 /// Maximum number of back-to-back rounds.
-const MOST: usize = 1_000;
+const MAX_REPETITIONS: usize = 1_000;
 /// Seed of counted work.
 const SEED: u64 = 7;
 /// Minimum fleet size whose memory is reported; smaller ones are lost in that of the process.
@@ -124,7 +124,7 @@ fn back_to_back(bench: &mut Bench, options: &BenchOptions) -> Vec<Round> {
     for _ in 0..WARM_UP {
         bench.tick_in_one();
     }
-    let most = options.repetitions().clamp(1, MOST);
+    let most = options.repetitions().clamp(1, MAX_REPETITIONS);
     let mut rounds = Vec::new();
     let start = std::time::Instant::now();
     while rounds.len() < most && (rounds.len() < 5 || start.elapsed() < options.each()) {

@@ -2,6 +2,7 @@
 //
 //     ./controller fleet.toml [FRAMES]          without FRAMES until Ctrl-C
 #include <chrono>
+#include <cmath>
 #include <csignal>
 #include <cstdlib>
 #include <iostream>
@@ -11,7 +12,12 @@
 
 namespace {
 volatile std::sig_atomic_t stop = 0;
+
+// Up to 0.15 m/s: the built-in model was trained to 0.16.
+float speed_mps(std::uint32_t robot, unsigned long frame) {
+    return 0.1f + 0.05f * std::sin(0.02f * static_cast<float>(frame) + static_cast<float>(robot));
 }
+} // namespace
 
 int main(int count, char **arguments) {
     if (count < 2) {
@@ -32,9 +38,11 @@ int main(int count, char **arguments) {
     for (unsigned long frame = 0; stop == 0 && (frames == 0 || frame < frames); frame++) {
         std::vector<joulebus::RobotState> robots;
         for (std::uint32_t robot = 0; robot < 8; robot++) {
-            // What you commanded, and what your power monitor says.
-            const float power_w = 4.0f + 0.02f * static_cast<float>((frame + robot) % 7);
-            robots.push_back(joulebus::RobotState(robot).command(0.1f, 0.0f).reading(power_w));
+            // What you commanded, and what your power monitor says. It measures at every third
+            // frame, and repeats its reading in between.
+            const float power_w = 2.8f + 9.0f * speed_mps(robot, frame - frame % 3);
+            auto state = joulebus::RobotState(robot).command(speed_mps(robot, frame), 0.0f);
+            robots.push_back(frame % 3 == 0 ? state.reading(power_w) : state.held_reading(power_w));
         }
         const auto due_ns = std::chrono::nanoseconds(due.time_since_epoch()).count();
         auto sent = publisher->publish(robots, static_cast<std::uint64_t>(due_ns));

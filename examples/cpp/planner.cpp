@@ -1,6 +1,6 @@
 // A planner: reads forecasts where the worker has written them, and asks what a plan costs before it moves.
 //
-//     ./planner fleet.toml [FRAMES]     ends after so many frames, by Ctrl-C, or when nothing has come for ten seconds
+//     ./planner fleet.toml [FRAMES]             without FRAMES until Ctrl-C
 #include <chrono>
 #include <csignal>
 #include <cstdlib>
@@ -11,6 +11,8 @@
 using namespace std::chrono_literals;
 
 namespace {
+
+volatile std::sig_atomic_t stop = 0;
 
 /// What it costs robot 7 to drive for three seconds, at three speeds.
 void ask(joulebus::Questions &questions) {
@@ -54,9 +56,8 @@ int main(int count, char **arguments) {
         return 2;
     }
     const unsigned long frames = count > 2 ? std::strtoul(arguments[2], nullptr, 10) : 0;
-    // Nothing to do: a signal ends the wait, and the wait says so.
-    std::signal(SIGINT, [](int) {});
-    std::signal(SIGTERM, [](int) {});
+    std::signal(SIGINT, [](int) { stop = 1; });
+    std::signal(SIGTERM, [](int) { stop = 1; });
     auto planner = joulebus::Subscriber::open(arguments[1]);
     auto questions = joulebus::Questions::open(arguments[1]);
     if (!planner || !questions) {
@@ -64,8 +65,8 @@ int main(int count, char **arguments) {
         return EXIT_FAILURE;
     }
     unsigned long seen = 0;
-    while (frames == 0 || seen < frames) {
-        auto event = planner->wait(10s);
+    while (stop == 0 && (frames == 0 || seen < frames)) {
+        auto event = planner->wait(1s);
         if (!event) {
             std::cerr << event.error().message << '\n';
             continue;
@@ -84,8 +85,8 @@ int main(int count, char **arguments) {
             std::cout << "the worker has ended: do not rely on forecasts" << std::endl;
         } else if (auto *stale = std::get_if<joulebus::Stale>(&*event)) {
             std::cout << "no frame for " << stale->age.count() / 1000000 << " ms: do not rely on forecasts" << std::endl;
-        } else {
-            break;
+        } else if (std::holds_alternative<joulebus::TimedOut>(*event)) {
+            std::cout << "no forecasts: does a worker run, and does a controller publish?" << std::endl;
         }
     }
     const auto status = planner->status().value();

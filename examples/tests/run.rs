@@ -129,8 +129,8 @@ fn a_controller_and_a_planner_meet_in_a_worker() {
         "[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-19\"]\n",
     )
     .unwrap();
-    let planner = start("planner", &[fleet.config()]);
-    let controller = start("controller", &[fleet.config()]);
+    let planner = start("planner", &[fleet.config(), "60".as_ref()]);
+    let controller = start("controller", &[fleet.config(), "90".as_ref()]);
     assert_eq!(lines(controller), ["1800 samples sent"]);
     let told = lines(planner);
     let frames = told.iter().filter(|line| line.starts_with("tick "));

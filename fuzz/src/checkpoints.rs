@@ -12,7 +12,7 @@ use joulebus_predictor::FeatureSet;
 use joulebus_testkit_networks::random::network;
 
 /// Maximum number of values read of a tensor.
-const MOST_VALUES: usize = 1 << 16;
+const MAX_VALUES: usize = 1 << 16;
 
 /// The input is the file.
 pub(crate) fn whole(bytes: &[u8]) -> bool {
@@ -26,7 +26,7 @@ pub(crate) fn whole(bytes: &[u8]) -> bool {
     for entry in &checkpoint.entries {
         if let EntryValue::Tensor(tensor) = &entry.value {
             let size: usize = tensor.shape().iter().product();
-            let kept = if size > MOST_VALUES { 0 } else { size };
+            let kept = if size > MAX_VALUES { 0 } else { size };
             assert_eq!(tensor.values().len(), kept, "{}", entry.path);
         }
     }

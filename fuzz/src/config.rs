@@ -5,13 +5,13 @@ use std::path::Path;
 use joulebus_config::{Config, ConfigError, explain};
 
 /// Maximum length of an input, bytes: longer ones reach no further code.
-const MOST_BYTES: usize = 64 << 10;
+const MAX_BYTES: usize = 64 << 10;
 
 pub(crate) fn run(bytes: &[u8]) -> bool {
     let Ok(text) = std::str::from_utf8(bytes) else {
         return false;
     };
-    if text.len() > MOST_BYTES {
+    if text.len() > MAX_BYTES {
         return false;
     }
     let nowhere = Path::new("/nonexistent");

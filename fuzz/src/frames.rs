@@ -16,8 +16,8 @@ use super::input::Input;
 use super::oracle::{Oracle, compare};
 
 /// The oracle's time per sample grows with the history.
-const MOST_STEPS: usize = 64;
-const MOST_SAMPLES: usize = 8;
+const MAX_STEPS: usize = 64;
+const MAX_SAMPLES: usize = 8;
 const START_NS: u64 = 60_000 * MS;
 /// Fewer than the robot ids that an input can name.
 const CAPACITY: u32 = 9;
@@ -62,7 +62,7 @@ impl Sources {
 
     fn frame(&mut self, input: &mut Input<'_>, now_ns: u64) -> (SampleHeader, Vec<Sample>) {
         let run = usize::from(input.u8()) % 6;
-        let samples = usize::from(input.u8()) % (MOST_SAMPLES + 1);
+        let samples = usize::from(input.u8()) % (MAX_SAMPLES + 1);
         let mut header = self.runs[run].frame(samples);
         for _ in 0..input.u8() % 4 {
             set_header(&mut header, input.u8(), input.u64());
@@ -122,7 +122,7 @@ pub(crate) fn run(bytes: &[u8]) -> bool {
     let mut oracle = Oracle::new(settings.clone(), models.clone());
     let mut sources = Sources::new();
     let (mut now_ns, mut offered) = (START_NS, 0);
-    for _ in 0..MOST_STEPS {
+    for _ in 0..MAX_STEPS {
         if input.is_empty() {
             break;
         }

@@ -31,7 +31,7 @@ pub struct Target {
     pub seeds: &'static str,
     run: fn(&[u8]) -> bool,
     /// Maximum heap memory at any time, bytes.
-    most_bytes: u64,
+    max_bytes: u64,
 }
 
 const fn of(name: &'static str, most_mib: u64, run: fn(&[u8]) -> bool) -> Target {
@@ -39,7 +39,7 @@ const fn of(name: &'static str, most_mib: u64, run: fn(&[u8]) -> bool) -> Target
         name,
         seeds: name,
         run,
-        most_bytes: most_mib << 20,
+        max_bytes: most_mib << 20,
     }
 }
 
@@ -73,7 +73,7 @@ impl Target {
     /// The input violates an assertion of the target, or exceeds its memory limit.
     pub fn run(&self, bytes: &[u8]) -> bool {
         let (accepted, peak_bytes) = counting::peak(|| (self.run)(bytes));
-        let (name, most) = (self.name, self.most_bytes);
+        let (name, most) = (self.name, self.max_bytes);
         assert!(
             peak_bytes <= most,
             "{name}: {peak_bytes} bytes, allowed are {most}"

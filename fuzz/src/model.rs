@@ -10,7 +10,7 @@ use joulebus_testkit_networks::forged;
 use safetensors::SafeTensors;
 
 /// More weights than any header of ours describes.
-const MOST_DATA_BYTES: usize = 64 << 10;
+const MAX_DATA_BYTES: usize = 64 << 10;
 const ROWS: usize = 21;
 
 pub(crate) fn run(bytes: &[u8]) -> bool {
@@ -40,7 +40,7 @@ fn grown(bytes: &[u8]) -> Option<Vec<u8>> {
         .values()
         .filter_map(|entry| entry["data_offsets"][1].as_u64());
     let wanted = usize::try_from(ends.max().unwrap_or(0)).ok()?;
-    let data = data.iter().cycle().take(wanted.min(MOST_DATA_BYTES));
+    let data = data.iter().cycle().take(wanted.min(MAX_DATA_BYTES));
     let length = (header.len() as u64).to_le_bytes();
     Some(length.iter().chain(header).chain(data).copied().collect())
 }

@@ -21,7 +21,7 @@ use super::input::Input;
 const FLEET: u64 = 7;
 const START_NS: u64 = 60_000 * MS;
 /// Bounds the time that an input takes.
-const MOST_STEPS: usize = 300;
+const MAX_STEPS: usize = 300;
 /// Robots of three platforms; the fourth is not in the fleet.
 const ROBOTS: [u32; 4] = [1, 101, 201, 5];
 
@@ -180,7 +180,7 @@ fn answer(question: Question) -> bool {
         Some(RobotRows::recorded(&rows.answer, *state, budget.copied()))
     };
     let (mut header, mut words) = (rows.answer, Vec::new());
-    let replied = question.answer(&rows.plans, find, MOST_STEPS);
+    let replied = question.answer(&rows.plans, find, MAX_STEPS);
     match &replied {
         Ok(reply) => reply.encode(&mut header, &mut words),
         Err(error) => Refused::from(error).encode(&mut header, &mut words),

@@ -6,7 +6,7 @@ use std::path::Path;
 use joulebus_dataset::trial::{Column, Form, Method, Resample, Table, Trial, WriteError};
 
 /// Maximum length of an input, bytes: longer ones reach no further code.
-const MOST_BYTES: usize = 64 << 10;
+const MAX_BYTES: usize = 64 << 10;
 
 pub(crate) fn npy(bytes: &[u8]) -> bool {
     read(bytes, ".npy")
@@ -18,7 +18,7 @@ pub(crate) fn csv(bytes: &[u8]) -> bool {
 }
 
 fn read(bytes: &[u8], ending: &str) -> bool {
-    if bytes.len() > MOST_BYTES {
+    if bytes.len() > MAX_BYTES {
         return false;
     }
     let directory = tempfile::tempdir().expect("a directory");
@@ -89,7 +89,7 @@ fn samples(table: Table) {
     // Two rows years apart would be resampled to the maximum number of rows: hundreds of megabytes.
     let times = trial.timestamp_s();
     let rows = (times[rows - 1] - times[0]) * 1e9 / trial.period_ns() as f64;
-    if rows <= MOST_RESAMPLED_ROWS {
+    if rows <= MAX_RESAMPLED_ROWS {
         for method in [Method::Hold, Method::Mean, Method::Linear] {
             resampled(&trial, method);
         }
@@ -97,7 +97,7 @@ fn samples(table: Table) {
 }
 
 /// Maximum rows of a resampled trial within the target's memory limit.
-const MOST_RESAMPLED_ROWS: f64 = 65_536.0;
+const MAX_RESAMPLED_ROWS: f64 = 65_536.0;
 
 fn resampled(trial: &Trial, method: Method) {
     let how = Resample {

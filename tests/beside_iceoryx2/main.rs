@@ -60,6 +60,7 @@ impl Fleet {
         let text = format!(
             "[fleet]\nname = \"fleet{robot}\"\ncapacity = 10\n\
              [domain]\nroot = \"{}\"\nprefix = \"{PREFIX}\"\n\
+             [ledger]\ncheckpoint = \"\"\n\
              [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n",
             root.display()
         );

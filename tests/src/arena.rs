@@ -106,13 +106,12 @@ impl Setup {
             self.max_planners,
         );
         // Writing to a string cannot fail.
-        if self.ledger {
-            let _ = write!(
-                text,
-                "[ledger]\ncheckpoint = \"{}\"\nevery_s = 0.05\n",
-                ledger.display()
-            );
-        }
+        let ledger = if self.ledger { ledger } else { Path::new("") };
+        let _ = write!(
+            text,
+            "[ledger]\ncheckpoint = \"{}\"\nevery_s = 0.05\n",
+            ledger.display()
+        );
         let _ = write!(
             text,
             "[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"{}\"]\n\

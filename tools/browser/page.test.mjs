@@ -110,6 +110,50 @@ describe("a fleet of 20 robots", () => {
     });
   });
 
+  test("an alarm that is pressed says what it means, by mouse and by keyboard", async () => {
+    await withPage(`${server.url}/?view=alarms`, {}, async (page) => {
+      await live(page);
+      const cards = await (await fetch(`${server.url}/api/v1/alarms/cards`)).json();
+      const expected = cards.find((card) => card.alarm === "StuckSensor");
+      const dialog = page.locator("#card");
+      const alarm = page.locator("#raised button.alarm", { hasText: "StuckSensor" }).first();
+      await alarm.click();
+      await dialog.getByText(expected.meaning).waitFor();
+      assert.equal(await page.locator("[data-card='check']").innerText(), expected.check);
+      assert.equal(await page.locator("[data-card='keys']").innerText(), expected.keys.join(", "));
+      assert.deepEqual(await axeFindings(page), []);
+      await page.keyboard.press("Escape");
+      await dialog.waitFor({ state: "hidden" });
+      await alarm.focus();
+      await page.keyboard.press("Enter");
+      await dialog.getByText(expected.meaning).waitFor();
+      await dialog.getByRole("button", { name: "Close" }).click();
+      await dialog.waitFor({ state: "hidden" });
+    });
+  });
+
+  test("an alarm is acknowledged on its card, by a name that is asked for once", async () => {
+    await withPage(`${server.url}/?view=alarms`, {}, async (page) => {
+      await live(page);
+      const dialog = page.locator("#card");
+      const entry = page.locator("#raised li", { hasText: "StuckSensor" }).first();
+      await entry.locator("button.alarm").click();
+      await dialog.getByLabel("Your name").fill("ann");
+      assert.deepEqual(await axeFindings(page), []);
+      await dialog.getByRole("button", { name: "Acknowledge" }).click();
+      await dialog.waitFor({ state: "hidden" });
+      await entry.getByText("acknowledged by ann").waitFor();
+      await page.locator("#changes li", { hasText: "acknowledged by ann" }).first().waitFor();
+      assert.deepEqual(await axeFindings(page), []);
+      const { raised } = await (await fetch(`${server.url}/api/v1/alarms`)).json();
+      assert.equal(raised.find((each) => each.alarm === "StuckSensor").acknowledged.by, "ann");
+      await entry.locator("button.alarm").click();
+      await dialog.getByText(/^Acknowledged by ann at /).waitFor();
+      assert.equal(await dialog.getByRole("button", { name: "Acknowledge" }).isVisible(), false);
+      assert.equal(await dialog.locator("input").inputValue(), "ann");
+    });
+  });
+
   test("the values are those of joulebus watch, tick by tick", async () => {
     await withPage(server.url, { viewport: { width: 1920, height: 1080 } }, async (page) => {
       await live(page);

@@ -35,6 +35,11 @@ test("numbers carry their unit and sensible digits", () => {
   for (const [found, expected] of cases) assert.equal(plain(found), expected);
 });
 
+test("a robot lacks a battery only if its energy is counted and no battery is known", () => {
+  const cases = [[{}, false], [{ metered_s: 3, soc_measured: null }, true], [{ metered_s: 3, soc_measured: false }, false]];
+  for (const [robot, lacks] of cases) assert.equal(format.lacksBattery(robot), lacks);
+});
+
 test("the address holds the whole state and forgives nonsense", () => {
   for (const search of ["?robot=7&sort=soc&descending=1&search=stuck&level=error,stale", "?view=worker", ""]) {
     const state = address.read(search);

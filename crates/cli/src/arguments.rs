@@ -5,8 +5,8 @@ use joulebus_program::described::Verb;
 use joulebus_program::options::GlobalOptions;
 
 use crate::{
-    alarms, ask, completions, config, demo, doctor, external, info, man, publish, record, recover,
-    replay, run, watch,
+    alarms, ask, completions, config, demo, doctor, external, info, man, new, publish, record,
+    recover, replay, run, watch,
 };
 
 /// Power forecasts for robot fleets over shared memory: one worker, any number of sources and
@@ -22,6 +22,7 @@ use crate::{
         joulebus run --config configs/fleet.toml    the worker\n  \
         joulebus publish sim --robots 20            a simulated fleet for it\n  \
         joulebus watch                              the forecasts, live\n  \
+        joulebus new controller my-controller       a program of your own for it\n  \
         joulebus record -o run.mcap                 record everything into a file\n  \
         joulebus doctor                             diagnose problems\n\n\
         Results go to stdout, the rest to stderr. Units are SI and stand in the names: power_w, \
@@ -41,6 +42,7 @@ pub(crate) struct Cli {
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
     Demo(demo::Args),
+    New(new::Args),
     Run(run::Args),
     Publish(publish::Args),
     Record(record::Args),
@@ -71,18 +73,91 @@ pub(crate) enum Command {
     Man(man::Args),
 }
 
+/// The verbs by what they are for, in the order of the help.
+const GROUPS: [(&str, &[&str]); 6] = [
+    ("To begin", &["demo", "new", "config", "doctor"]),
+    ("A running fleet", &["run", "publish", "bridge", "link"]),
+    ("What to know of it", &["watch", "ask", "alarms", "serve"]),
+    (
+        "Captures",
+        &[
+            "record", "replay", "info", "cat", "recover", "import", "export",
+        ],
+    ),
+    (
+        "Models and data",
+        &[
+            "data",
+            "train",
+            "eval",
+            "analyze",
+            "calibrate",
+            "report",
+            "model",
+            "mission",
+        ],
+    ),
+    ("This program", &["bench", "completions", "man", "help"]),
+];
+
+/// Columns of a line of the help.
+const COLUMNS: usize = 98;
+
 /// The whole parser, with the verbs of other programs.
 pub(crate) fn command() -> clap::Command {
-    Verb::complete(external::verbs(), Cli::command())
+    let command = Verb::complete(external::verbs(), Cli::command());
+    let list = listed(&command);
+    command.help_template(format!(
+        "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\nCommands:\n{list}\nOptions:\n{{options}}{{after-help}}"
+    ))
+}
+
+/// The verbs in their groups, each with what it does.
+fn listed(command: &clap::Command) -> String {
+    let mut list = String::new();
+    for (title, names) in GROUPS {
+        list.push_str(&format!("\n{title}\n"));
+        for name in names {
+            let verb = command.find_subcommand(name);
+            let about = verb
+                .and_then(clap::Command::get_about)
+                .map(ToString::to_string);
+            let about = about.unwrap_or_else(|| "Show the help of a verb: `help VERB`".to_owned());
+            let mut line = format!("  {name:<11}");
+            for word in about.split_whitespace() {
+                if line.chars().count() + 1 + word.chars().count() > COLUMNS {
+                    list.push_str(&line);
+                    line = format!("\n{:13}", "");
+                }
+                line.push(' ');
+                line.push_str(word);
+            }
+            list.push_str(&line);
+            list.push('\n');
+        }
+    }
+    list
 }
 
 #[cfg(test)]
 mod tests {
-    use super::command;
+    use super::*;
 
     #[test]
     fn the_arguments_do_not_contradict_each_other() {
         command().debug_assert();
+    }
+
+    #[test]
+    fn every_verb_is_in_one_group_of_the_help() {
+        let of_groups = GROUPS.iter().flat_map(|(_, names)| names.iter().copied());
+        let mut listed: Vec<&str> = of_groups.filter(|name| *name != "help").collect();
+        listed.sort_unstable();
+        let command = Cli::command();
+        let shown = command.get_subcommands().filter(|verb| !verb.is_hide_set());
+        let mut names: Vec<&str> = shown.map(clap::Command::get_name).collect();
+        names.sort_unstable();
+        assert_eq!(listed, names);
     }
 
     #[test]

@@ -15,7 +15,7 @@ pub(crate) struct Args {
     shell: Shell,
 }
 
-/// Writes those of `program`.
+/// Writes the completions of `program`.
 pub(crate) fn run(args: &Args, mut program: clap::Command) -> anyhow::Result<Outcome> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut program, "joulebus", &mut script);

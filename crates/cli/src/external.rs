@@ -1,6 +1,5 @@
-//! Verbs that are separate programs: `joulebus VERB` executes `joulebus-VERB`, or `joulebus-lab` for
-//! the offline verbs. What their options are is described in `verbs/*.json`, which those programs'
-//! tests compare with their own.
+//! Verbs that are separate programs: `joulebus VERB` executes `joulebus-VERB`, or `joulebus-lab`
+//! for the offline verbs. Tests compare `verbs/*.json` with those programs' options.
 
 use std::env;
 use std::ffi::OsString;

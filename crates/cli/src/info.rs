@@ -25,7 +25,6 @@ pub(crate) struct Args {
     files: Vec<PathBuf>,
 }
 
-/// Contents of a file.
 #[derive(Debug, Serialize)]
 pub(crate) struct FileReport {
     file: String,
@@ -41,7 +40,6 @@ struct InfoReport {
     files: Vec<FileReport>,
 }
 
-/// Inspects a file.
 pub(crate) fn look(path: &Path) -> anyhow::Result<FileReport> {
     let named = || path.display().to_string();
     let file = joulebus_files::open(path).with_context(named)?;

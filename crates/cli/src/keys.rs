@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use crossterm::event::{Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
-/// How long to wait for an event that has come: with no patience at all crossterm does not look.
+/// Timeout of looking for an event: with none at all crossterm does not look.
 pub(crate) const PATIENCE: Duration = Duration::from_millis(1);
 
 /// The key that was pressed, or is held down; `None` for other events.

@@ -1,7 +1,7 @@
 //! The `joulebus` program as a library, so that other packages can build the same program.
 //!
-//! Heavy verbs are separate programs, which this one executes: `joulebus-VERB`, and `joulebus-lab` for
-//! all verbs that work on recordings and models. `joulebus_program` has the code shared by all programs.
+//! Heavy verbs are separate programs, which this one executes: `joulebus-VERB`, and `joulebus-lab`
+//! for all verbs on recordings and models. `joulebus_program` has the code that all programs share.
 #![forbid(unsafe_code)]
 
 mod alarms;
@@ -15,6 +15,8 @@ mod external;
 mod info;
 mod keys;
 mod man;
+mod new;
+mod other_users;
 mod publish;
 mod record;
 mod recover;
@@ -62,6 +64,7 @@ fn default_demo() -> Result<demo::Args, clap::Error> {
 fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
     match command {
         Command::Demo(args) => demo::run(args, output),
+        Command::New(args) => new::run(args, output),
         Command::Run(args) => run::run(args, output),
         Command::Publish(args) => publish::run(args, output),
         Command::Record(args) => record::run(args, output),

@@ -20,7 +20,7 @@ pub(crate) struct Args {
     folder: PathBuf,
 }
 
-/// Writes those of `program`.
+/// Writes the manual pages of `program`.
 pub(crate) fn run(args: &Args, program: clap::Command) -> anyhow::Result<Outcome> {
     let folder = args.folder.display();
     std::fs::create_dir_all(&args.folder).with_context(|| format!("cannot make {folder}"))?;
@@ -30,7 +30,7 @@ pub(crate) fn run(args: &Args, program: clap::Command) -> anyhow::Result<Outcome
     for program in [program, external::rosbag(), external::lab()] {
         clap_mangen::generate_to(program, made.path()).with_context(failed)?;
     }
-    // What clap_mangen writes it writes in place, through links and into pipes.
+    // clap_mangen writes in place, through links and into pipes.
     for page in std::fs::read_dir(made.path()).with_context(failed)? {
         let page = page.with_context(failed)?;
         let text = std::fs::read(page.path()).with_context(failed)?;

@@ -36,8 +36,9 @@ pub(crate) struct Args {
     /// Also record all topics into this file, in a separate process
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
-    /// Serve only with a permit: of several hosts' workers for the same robots one at a time does. Waits for it, goes on
-    /// where the worker before has ended, and ends with exit code 1 when the permit has run out
+    /// Serve only with a permit: of several hosts' workers for the same robots one at a time does.
+    /// Waits for it, goes on where the worker before has ended, and ends with exit code 1 when the
+    /// permit has run out
     #[arg(long)]
     standby: bool,
 }
@@ -121,7 +122,6 @@ struct RunReport {
     worker: Report,
     /// Questions about plans.
     queries: QueryReport,
-    /// Alarms of robots.
     alarms: AlarmReport,
 }
 
@@ -173,7 +173,11 @@ impl fmt::Display for RunReport {
         let alarms = &self.alarms;
         if alarms.raised > 0 {
             let (raised, ended) = (alarms.raised, alarms.ended);
-            writeln!(out, "alarms: {raised} raised, {ended} ended")?;
+            write!(out, "alarms: {raised} raised, {ended} ended")?;
+            match alarms.acknowledged {
+                0 => writeln!(out)?,
+                acknowledged => writeln!(out, ", {acknowledged} acknowledged")?,
+            }
         }
         if alarms.ticks_missed > 0 {
             let missed = alarms.ticks_missed;

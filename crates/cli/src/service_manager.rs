@@ -1,4 +1,4 @@
-//! What a service manager is told (systemd's `Type=notify`): ready, ending, and that the worker works.
+//! Messages to a service manager (systemd's `Type=notify`): ready, stopping, and the watchdog's.
 //!
 //! Without `$NOTIFY_SOCKET` nothing is sent.
 
@@ -16,8 +16,9 @@ pub(crate) struct ServiceManager {
 }
 
 impl ServiceManager {
-    /// Starts the thread that reports as long as `turns` grows, if the service has a watchdog (`WatchdogSec=`). To be
-    /// called before the worker is opened, whose CPUs and priority a thread would inherit.
+    /// Starts the thread that reports as long as `turns` grows, if the service has a watchdog
+    /// (`WatchdogSec=`). Call it before the worker is opened, whose CPUs and priority it would
+    /// inherit.
     ///
     /// # Errors
     /// The system refuses the thread.
@@ -50,8 +51,8 @@ impl ServiceManager {
     }
 }
 
-/// Tells the service manager whenever the worker has done something since the last time. A worker that
-/// is not opened yet does nothing: starting has a limit of its own.
+/// Reports to the service manager whenever the worker has worked since the last report. A worker
+/// that is not open yet does nothing: starting has a limit of its own.
 struct Watchdog {
     every: Duration,
     turns: Arc<AtomicU64>,

@@ -7,12 +7,15 @@ use std::time::Duration;
 use joulebus_bus::{Bus, Reader, clock};
 use joulebus_config::Config;
 use joulebus_connect::{ConnectError, join};
-use joulebus_wire::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, Diagnostics, SCHEMA_VERSION};
+use joulebus_wire::{
+    Acknowledgement, AcknowledgementHeader, Acknowledgements, Alarm, AlarmSet, Diagnostic,
+    DiagnosticHeader, Diagnostics, FrameHeader as _, Place, SCHEMA_VERSION,
+};
 
 use crate::newest::{ReadError, check_schema};
 use crate::subscriber::look_every;
 
-/// What has become of an alarm.
+/// A change of an alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Change {
     /// It is raised.
@@ -21,6 +24,8 @@ pub enum Change {
     Cleared,
     /// The robot has left the fleet while it was raised.
     Left,
+    /// A person has acknowledged it. It is still raised.
+    Acknowledged,
 }
 
 impl Change {
@@ -31,6 +36,7 @@ impl Change {
             Self::Raised => "raised",
             Self::Cleared => "cleared",
             Self::Left => "left",
+            Self::Acknowledged => "acknowledged",
         }
     }
 }
@@ -43,23 +49,45 @@ pub struct AlarmChange {
     pub robot: u32,
     /// Its alarm.
     pub alarm: Alarm,
-    /// What has become of it.
+    /// The change.
     pub change: Change,
     /// When, as the caller of [`AlarmHistory::take`] counts time, ns.
     pub at_ns: u64,
     /// When it was raised, ns; later than that if it already was in the first frame.
     pub raised_ns: u64,
+    /// Who has acknowledged it, if anybody has: it is of this raise, not of an earlier one.
+    pub acknowledged: Option<Acknowledgement>,
 }
 
 /// The alarms that are raised, and since when.
 #[derive(Debug, Clone, Default)]
 pub struct AlarmHistory {
-    /// Robots with alarms.
     robots: HashMap<u32, Raised>,
     /// Run of the worker, and tick, of the newest frame.
     place: Option<(u64, u64)>,
     ticks: u64,
     ticks_missed: u64,
+    /// The newest frame of what is acknowledged.
+    listed: Vec<Listed>,
+    listed_at: Option<Place>,
+}
+
+/// An alarm that the worker lists as acknowledged.
+#[derive(Debug, Clone, Copy)]
+struct Listed {
+    row: Acknowledgement,
+    raise: Raise,
+}
+
+/// The raise that an acknowledgement is of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Raise {
+    /// It is not known yet.
+    Awaited,
+    /// It lasts.
+    Lasts,
+    /// It has ended, and the worker has not noticed yet.
+    Over,
 }
 
 /// The alarms of a robot.
@@ -72,8 +100,8 @@ struct Raised {
 }
 
 impl AlarmHistory {
-    /// Takes the diagnostics of a tick, sent or received at `at_ns`, and calls `each` for every change: robots in
-    /// the order of the frame, then those that have left, by id. Frames of an earlier tick are passed over.
+    /// Takes the diagnostics of a tick, sent or received at `at_ns`, and calls `each` for every
+    /// change: robots in the order of the frame, then robots that left, by id. Skips earlier ticks.
     pub fn take(
         &mut self,
         header: &DiagnosticHeader,
@@ -85,7 +113,7 @@ impl AlarmHistory {
         if self.place >= Some(place) {
             return;
         }
-        // Of another run nothing is known to be missing.
+        // Ticks of different runs are not comparable.
         let before = self.place.filter(|(epoch, _)| *epoch == place.0);
         let missed = before.map_or(0, |(_, tick)| place.1 - tick - 1);
         self.ticks_missed = self.ticks_missed.saturating_add(missed);
@@ -126,18 +154,68 @@ impl AlarmHistory {
             } else {
                 Change::Cleared
             };
-            each(AlarmChange {
-                robot,
-                alarm,
-                change,
-                at_ns,
-                raised_ns: *since_ns,
-            });
+            let raised_ns = *since_ns;
+            tell(
+                &mut self.listed,
+                each,
+                AlarmChange {
+                    robot,
+                    alarm,
+                    change,
+                    at_ns,
+                    raised_ns,
+                    acknowledged: None,
+                },
+            );
         }
         raised.alarms = alarms;
         if alarms.0 == 0 {
             self.robots.remove(&robot);
         }
+    }
+
+    /// Takes what is acknowledged, sent or received at `at_ns`, and calls `each` for every raised
+    /// alarm that newly is. Frames earlier than one that was taken are passed over.
+    pub fn acknowledge(
+        &mut self,
+        header: &AcknowledgementHeader,
+        rows: &[Acknowledgement],
+        at_ns: u64,
+        mut each: impl FnMut(AlarmChange),
+    ) {
+        if self.listed_at >= Some(header.place()) {
+            return;
+        }
+        self.listed_at = Some(header.place());
+        let known = std::mem::take(&mut self.listed);
+        for row in rows {
+            let found = known.iter().find(|known| known.row == *row);
+            let raised = self.of(row.robot).find(|(alarm, _)| *alarm == row.alarm());
+            let raise = match (found.map_or(Raise::Awaited, |known| known.raise), raised) {
+                (Raise::Awaited, Some((alarm, raised_ns))) => {
+                    each(AlarmChange {
+                        robot: row.robot,
+                        alarm,
+                        change: Change::Acknowledged,
+                        at_ns,
+                        raised_ns,
+                        acknowledged: Some(*row),
+                    });
+                    Raise::Lasts
+                }
+                (raise, _) => raise,
+            };
+            self.listed.push(Listed { row: *row, raise });
+        }
+    }
+
+    /// Who has acknowledged an alarm since it was raised.
+    #[must_use]
+    pub fn acknowledged(&self, robot: u32, alarm: Alarm) -> Option<&Acknowledgement> {
+        let of_it = |listed: &&Listed| {
+            (listed.row.robot, listed.row.alarm()) == (robot, alarm) && listed.raise == Raise::Lasts
+        };
+        self.listed.iter().find(of_it).map(|listed| &listed.row)
     }
 
     /// Ends the alarms of the robots that were not in the newest frame.
@@ -156,8 +234,12 @@ impl AlarmHistory {
                 change: Change::Left,
                 at_ns,
                 raised_ns,
+                acknowledged: None,
             });
-            ended.for_each(&mut *each);
+            let ended: Vec<AlarmChange> = ended.collect();
+            for change in ended {
+                tell(&mut self.listed, each, change);
+            }
             self.robots.remove(&robot);
         }
     }
@@ -187,17 +269,44 @@ impl AlarmHistory {
         self.ticks
     }
 
-    /// Ticks between them without diagnostics: overwritten before they were read, or not sent by a worker that
-    /// lacked the time. Alarms that were raised and cleared within them are not known.
+    /// Ticks between them without diagnostics: overwritten before they were read, or left out by an
+    /// overloaded worker. Alarms that were raised and cleared within them are not known.
     #[must_use]
     pub const fn ticks_missed(&self) -> u64 {
         self.ticks_missed
     }
 }
 
-/// All diagnostics of a fleet from now on, as changes of alarms. Belongs to the thread that connected it.
+/// Tells a raise or an end, with who had acknowledged it.
+fn tell(listed: &mut [Listed], each: &mut impl FnMut(AlarmChange), change: AlarmChange) {
+    let of_it = |listed: &&mut Listed| {
+        (listed.row.robot, listed.row.alarm()) == (change.robot, change.alarm)
+    };
+    let Some(listed) = listed.iter_mut().find(of_it) else {
+        return each(change);
+    };
+    let acknowledged = (listed.raise == Raise::Lasts).then_some(listed.row);
+    each(AlarmChange {
+        acknowledged,
+        ..change
+    });
+    if change.change != Change::Raised {
+        listed.raise = Raise::Over;
+    } else if listed.raise == Raise::Awaited {
+        // Acknowledged before this history began: the raise itself is not known.
+        listed.raise = Raise::Lasts;
+        each(AlarmChange {
+            change: Change::Acknowledged,
+            acknowledged: Some(listed.row),
+            ..change
+        });
+    }
+}
+
+/// All diagnostics of a fleet from now on, as changes of alarms. Belongs to the connecting thread.
 pub struct AlarmFeed {
     reader: Reader<Diagnostics>,
+    acknowledgements: Reader<Acknowledgements>,
     history: AlarmHistory,
     look_every: Duration,
     // After the port, which must be dropped before the process leaves the domain.
@@ -212,24 +321,24 @@ impl AlarmFeed {
     pub fn with_config(config: &Config, name: &str) -> Result<Self, ConnectError> {
         let limits = config.limits();
         let bus = join(config, name)?;
-        let reader = bus.reader::<Diagnostics>(&limits)?;
         Ok(Self {
-            reader,
+            reader: bus.reader(&limits)?,
+            acknowledgements: bus.reader(&limits)?,
             history: AlarmHistory::default(),
             look_every: look_every(config),
             _bus: bus,
         })
     }
 
-    /// The pause after which [`AlarmFeed::changes`] is to be called again, so that nothing is overwritten.
+    /// Longest pause between calls of [`AlarmFeed::changes`] in which nothing is overwritten.
     #[must_use]
     pub const fn look_every(&self) -> Duration {
         self.look_every
     }
 
-    /// Takes everything that the worker has sent since the last call, and calls `each` for every change, with
-    /// monotonic times. It does not wait, and does not listen to events: a listener costs the worker time in every
-    /// tick.
+    /// Takes everything that the worker has sent since the last call, and calls `each` for every
+    /// change, with monotonic times. Does not wait, nor listen to events, which would cost the
+    /// worker time in every tick.
     ///
     /// # Errors
     /// [`ReadError`]; the next call may succeed, unless the fleet's files were removed.
@@ -244,10 +353,16 @@ impl AlarmFeed {
                 foreign = Some(header.schema);
             }
         })?;
+        // After the diagnostics, which have what is acknowledged.
+        self.acknowledgements.take_all(|header, rows| {
+            if header.schema == SCHEMA_VERSION {
+                history.acknowledge(header, rows, now_ns, &mut each);
+            }
+        })?;
         check_schema(found, foreign)
     }
 
-    /// What is raised.
+    /// The alarms so far.
     #[must_use]
     pub const fn history(&self) -> &AlarmHistory {
         &self.history
@@ -287,7 +402,7 @@ mod tests {
         }
     }
 
-    /// What changes from one frame to the next, each alarm of each robot for itself.
+    /// Expected changes from one frame to the next, for each alarm of each robot.
     fn expected(
         before: &BTreeMap<u32, u32>,
         after: &BTreeMap<u32, u32>,
@@ -350,6 +465,51 @@ mod tests {
             }
             prop_assert_eq!(history.ticks_missed(), 0);
         }
+    }
+
+    #[test]
+    fn an_acknowledgement_is_of_one_raise_and_ends_with_it() {
+        let (mut history, mut told) = (AlarmHistory::default(), Vec::new());
+        let ann = Acknowledgement::new(7, Alarm::NoData, 3, "ann").unwrap();
+        let bob = Acknowledgement::new(7, Alarm::NoData, 9, "bob").unwrap();
+        let other = Acknowledgement::new(8, Alarm::NoData, 3, "ann").unwrap();
+        let (on, off) = ([row((&7, &1))], [row((&7, &0))]);
+        let steps: [(&[Diagnostic], &[Acknowledgement], &[&str]); 8] = [
+            // A reader that comes later finds both, in either order.
+            (&off, &[ann, other], &[]),
+            (&on, &[ann, other], &["raised -", "acknowledged ann"]),
+            (&on, &[ann], &[]),
+            (&off, &[ann], &["cleared ann"]),
+            // Returned before the worker noticed.
+            (&on, &[ann], &["raised -"]),
+            (&on, &[], &[]),
+            (&on, &[bob], &["acknowledged bob"]),
+            (&[], &[bob], &["left bob"]),
+        ];
+        for (tick, (robots, listed, expected)) in (1..).zip(steps) {
+            let header = header(1, tick);
+            history.take(&header, robots, tick, |change| told.push(change));
+            let header = AcknowledgementHeader {
+                number: tick,
+                ..AcknowledgementHeader::default()
+            };
+            history.acknowledge(&header, listed, tick, |change| told.push(change));
+            let shown = told.drain(..).map(|change: AlarmChange| {
+                let by = change.acknowledged.map(|row| row.by().to_owned());
+                format!("{} {}", change.change.name(), by.as_deref().unwrap_or("-"))
+            });
+            assert_eq!(shown.collect::<Vec<_>>(), expected, "{tick}");
+            let now = history.acknowledged(7, Alarm::NoData);
+            let is_acknowledged = [2, 3, 7].contains(&tick);
+            assert_eq!(now.is_some(), is_acknowledged, "{tick}");
+        }
+        // An earlier frame is passed over.
+        history.acknowledge(
+            &AcknowledgementHeader::default(),
+            &[ann],
+            9,
+            |_| unreachable!(),
+        );
     }
 
     #[test]

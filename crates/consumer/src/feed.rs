@@ -11,9 +11,9 @@ use crate::newest::{ReadError, check_schema, newer};
 use crate::tracker::Place;
 use crate::{Arrival, Frame};
 
-/// Frames that the worker sends in addition to its forecasts: of diagnostics, budgets or plan states robot by robot; of
-/// [`joulebus_wire::Queries`] words of 8 bytes ([`joulebus_wire::records`]), and counts. Belongs to the thread of its
-/// planner, and may outlive it.
+/// Frames that the worker sends in addition to its forecasts: rows of robots, or for
+/// [`joulebus_wire::Queries`] counts and words of 8 bytes ([`joulebus_wire::records`]). Belongs to
+/// the thread of its planner, and may outlive it.
 pub struct Feed<C: Channel> {
     reader: Reader<C>,
     place: Option<Place>,

@@ -5,7 +5,7 @@ use std::fmt;
 use joulebus_bus::clock;
 use joulebus_config::Config;
 use joulebus_connect::ConnectError;
-use joulebus_wire::Level;
+use joulebus_wire::{Acknowledgement, AlarmCard, Level};
 
 use crate::{AlarmChange, AlarmFeed, AlarmHistory, Change, Event, ReadError, Subscriber};
 
@@ -14,24 +14,27 @@ use crate::{AlarmChange, AlarmFeed, AlarmHistory, Change, Event, ReadError, Subs
 pub struct FleetAlarm {
     /// The robot; `None` for the worker.
     pub robot: Option<u32>,
-    /// The alarm's name: of a robot that of [`joulebus_wire::Alarm`]; of the worker `WorkerGone` or `WorkerStale`.
+    /// Name of the [`joulebus_wire::Alarm`]; for the worker `WorkerGone` or `WorkerStale`.
+    /// [`AlarmCard::named`] has its meaning.
     pub alarm: &'static str,
     /// Its level.
     pub level: Level,
-    /// What has become of it.
+    /// The change.
     pub change: Change,
     /// When, monotonic ns.
     pub at_ns: u64,
     /// When it was raised, monotonic ns; later than that if it was when the program began.
     pub raised_ns: u64,
+    /// Who has acknowledged it since it was raised.
+    pub acknowledged: Option<Acknowledgement>,
 }
 
 impl FleetAlarm {
-    /// From the raise to the end, s; `None` for a raise.
+    /// From the raise to the end, s; `None` while it is raised.
     #[must_use]
     pub fn lasted_s(&self) -> Option<f64> {
         let lasted_ns = self.at_ns.saturating_sub(self.raised_ns);
-        (self.change != Change::Raised).then_some(lasted_ns as f64 * 1e-9)
+        matches!(self.change, Change::Cleared | Change::Left).then_some(lasted_ns as f64 * 1e-9)
     }
 }
 
@@ -44,12 +47,13 @@ impl From<AlarmChange> for FleetAlarm {
             change: change.change,
             at_ns: change.at_ns,
             raised_ns: change.raised_ns,
+            acknowledged: change.acknowledged,
         }
     }
 }
 
 /// An alarm of the worker itself, and since when, monotonic ns.
-type OfWorker = (&'static str, Level, u64);
+type OfWorker = (AlarmCard, u64);
 
 /// All alarms of a running fleet. Belongs to the thread that connected it.
 pub struct FleetAlarms {
@@ -72,16 +76,17 @@ impl FleetAlarms {
         })
     }
 
-    /// Waits a tenth of a second at most, and calls `each` for every change. To be called again at once, so that
-    /// nothing is overwritten. It listens to no events, which would cost the worker time in every tick.
+    /// Waits a tenth of a second at most, and calls `each` for every change. Call it again at once,
+    /// so that nothing is overwritten. It listens to no events, which would cost the worker time in
+    /// every tick.
     ///
     /// # Errors
     /// [`ReadError`]; the next call may succeed, unless the fleet's files were removed.
     pub fn wait(&mut self, mut each: impl FnMut(FleetAlarm)) -> Result<(), ReadError> {
         let now = match self.subscriber.wait_next(self.feed.look_every())? {
             Event::Frame(_) => Some(None),
-            Event::Gone(_) => Some(Some(("WorkerGone", Level::Error))),
-            Event::Stale { .. } => Some(Some(("WorkerStale", Level::Stale))),
+            Event::Gone(_) => Some(Some(AlarmCard::WORKER_GONE)),
+            Event::Stale { .. } => Some(Some(AlarmCard::WORKER_STALE)),
             _ => None,
         };
         if let Some(now) = now {
@@ -90,31 +95,28 @@ impl FleetAlarms {
         self.feed.changes(|change| each(change.into()))
     }
 
-    fn set_worker(
-        &mut self,
-        now: Option<(&'static str, Level)>,
-        each: &mut impl FnMut(FleetAlarm),
-    ) {
-        if self.worker.map(|(alarm, level, _)| (alarm, level)) == now {
+    fn set_worker(&mut self, now: Option<AlarmCard>, each: &mut impl FnMut(FleetAlarm)) {
+        if self.worker.map(|(card, _)| card) == now {
             return;
         }
         let at_ns = clock::monotonic_ns();
-        let mut tell = |(alarm, level, raised_ns), change| {
+        let mut pass_on = |(card, raised_ns): OfWorker, change| {
             each(FleetAlarm {
                 robot: None,
-                alarm,
-                level,
+                alarm: card.name,
+                level: card.level,
                 change,
                 at_ns,
                 raised_ns,
+                acknowledged: None,
             });
         };
         if let Some(ended) = self.worker.take() {
-            tell(ended, Change::Cleared);
+            pass_on(ended, Change::Cleared);
         }
-        self.worker = now.map(|(alarm, level)| (alarm, level, at_ns));
+        self.worker = now.map(|card| (card, at_ns));
         if let Some(begun) = self.worker {
-            tell(begun, Change::Raised);
+            pass_on(begun, Change::Raised);
         }
     }
 

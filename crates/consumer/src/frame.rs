@@ -66,8 +66,8 @@ impl<'a, C: Channel> Frame<'a, C> {
     }
 }
 
-/// A frame of forecasts that is kept beyond the next call: [`crate::Subscriber::take_current`]. Belongs to the planner's thread,
-/// and may outlive the planner.
+/// A frame of forecasts that is kept beyond the next call ([`crate::Subscriber::take_current`]).
+/// Belongs to the planner's thread, and may outlive the planner.
 #[derive(Debug)]
 pub struct KeptForecasts(pub(crate) KeptFrame<Forecasts>);
 

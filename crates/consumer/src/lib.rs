@@ -25,34 +25,35 @@
 //! ```
 //!
 //! **Units**: W, J, s, ns. Times are of the host's monotonic clock ([`clock::monotonic_ns`]).
-//! Unknown values are `None` from the accessors ([`wire::Forecast::expected_w`]), NaN in the fields;
-//! [`wire::Forecast::quality`] states how far to trust the rest.
+//! Unknown values are `None` from the accessors ([`wire::Forecast::expected_w`]), NaN in the
+//! fields; [`wire::Forecast::quality`] states how far to trust the rest.
 //!
 //! **The worker** may start later, end, die and be restarted: a subscriber continues. Its exit is
 //! reported at once by the kernel, without a time-out ([`Event::Gone`]). A worker that is alive but
 //! silent is detected when its newest frame is older than two tick periods ([`Event::Stale`]).
 //! After either, the next frame ends the outage.
 //!
-//! **Alarms.** [`Subscriber::diagnostics`] states what is raised; [`AlarmFeed`] tells each raise and each end.
+//! **Alarms.** [`Subscriber::diagnostics`] has the raised ones, [`AlarmFeed`] each raise and each
+//! end.
 //!
 //! **Gaps.** A subscriber always gets the newest frame. Skipped frames are counted
 //! ([`Frame::arrival`], [`Counts`]). A slow or stopped subscriber does not affect the worker.
 //!
-//! **Lifetimes.** A frame lies in shared memory and is borrowed from the [`Subscriber`], or from the
-//! [`Feed`] of another channel, each of which holds exactly one: it is unchanged until the
-//! next call that takes a newer one. To keep more, copy: rows are `Copy`; or keep up to two
-//! frames of forecasts where they lie ([`Subscriber::take_current`]). [`Frame::robot`] takes
-//! constant time while no robots join or leave. Feeds are separate so that a frame of each may be
-//! borrowed at the same time.
+//! **Lifetimes.** A frame lies in shared memory and is borrowed from the [`Subscriber`], or from
+//! the [`Feed`] of another channel, each of which holds exactly one: it is unchanged until the next
+//! call that takes a newer one. To keep more, copy: rows are `Copy`; or keep up to two frames of
+//! forecasts where they lie ([`Subscriber::take_current`]). [`Frame::robot`] takes constant time
+//! while no robots join or leave. Feeds are separate so that a frame of each may be borrowed at the
+//! same time.
 //!
 //! **Errors** state the remedy: [`ConnectError`] at the start and for a feed, [`ReadError`] later.
 //! After the latter the subscriber remains usable. [`error`] has the errors that they contain.
 //!
 //! **Event loops** wait for [`Subscriber::readiness`].
 //!
-//! **Leaving**: drop the subscriber. Everything here belongs to the thread that connected it. A process
-//! may have subscribers of several fleets, and may use iceoryx2 for itself: its global configuration
-//! and its logger are left alone.
+//! **Leaving**: drop the subscriber. Everything here belongs to the thread that connected it. A
+//! process may have subscribers of several fleets, and may use iceoryx2 for itself: its global
+//! configuration and its logger are left alone.
 #![forbid(unsafe_code)]
 
 mod alarms;

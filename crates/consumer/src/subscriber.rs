@@ -20,7 +20,7 @@ use crate::{
     Arrival, Budgets, Counts, Diagnostics, End, Feed, Forecasts, PlanStates, Queries, WorkerState,
 };
 
-/// What is done with each frame.
+/// A function that is called with each frame.
 type Each<'a> = &'a mut dyn FnMut(&ForecastHeader, &[Forecast]);
 
 /// A reader of forecasts: for planners, live views, recorders.
@@ -52,15 +52,15 @@ pub struct Subscriber {
 /// Longest time between two looks.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
-/// The time between two looks after which nothing that the worker sends to `config`'s fleet is overwritten before it is
-/// read: at most a quarter of what is buffered arrives between them.
+/// Longest time between two looks in which nothing that the worker sends to `config`'s fleet is
+/// overwritten unread: at most a quarter of what is buffered arrives between them.
 pub(crate) fn look_every(config: &Config) -> Duration {
     let frames = config.limits().forecast_frames as u64;
     let buffered_ns = config.tick_period_ns().saturating_mul(frames);
     LOOK_EVERY.min(Duration::from_nanos(buffered_ns / 4))
 }
 
-/// What a subscriber waits with.
+/// A subscriber's means of waiting.
 enum Waiting {
     /// Every tick wakes it.
     Listening(Box<Waiter>),
@@ -121,8 +121,8 @@ impl Subscriber {
         Self::with_config(&Config::load(config_path)?, "planner")
     }
 
-    /// As [`Subscriber::connect`], with a loaded config, and a name of 1 to 128 bytes that is shown to
-    /// operators and need not be unique.
+    /// As [`Subscriber::connect`], with a loaded config, and a name of 1 to 128 bytes. The name is
+    /// shown to operators, and need not be unique.
     ///
     /// # Errors
     /// [`ConnectError`].
@@ -134,10 +134,10 @@ impl Subscriber {
         })
     }
 
-    /// As [`Subscriber::with_config`], for those who need forecasts only `every` so often: it looks for them instead of
-    /// being woken by every tick, which costs the worker time. It looks more often than that where frames would be
-    /// overwritten ([`Subscriber::wait_each`] returns them all), and at least ten times a second. It learns of the
-    /// worker's exit at once, and of its silence at the next look.
+    /// As [`Subscriber::with_config`], for those who need forecasts only `every` so often. It
+    /// polls: being woken by every tick would cost the worker time. It looks at least ten times a
+    /// second, and so often that nothing is overwritten ([`Subscriber::wait_each`] returns all
+    /// frames). It finds the worker's exit at once, and its silence at the next look.
     ///
     /// # Errors
     /// [`ConnectError`].
@@ -174,7 +174,7 @@ impl Subscriber {
         })
     }
 
-    /// Longest time between two looks of a planner that polls; `None` for one that every tick wakes.
+    /// Longest time between two looks of a polling subscriber; `None` for one that ticks wake.
     #[must_use]
     pub const fn look_every(&self) -> Option<Duration> {
         match &self.waiting {
@@ -194,8 +194,8 @@ impl Subscriber {
         self.wait(timeout, None)
     }
 
-    /// As [`Subscriber::wait_next`], and calls `each` for every frame that has arrived since the last call, oldest first: none
-    /// of them is skipped. The event is that of the last one.
+    /// As [`Subscriber::wait_next`], and calls `each` for every frame since the last call, oldest
+    /// first, without skipping any. The event is that of the last one.
     ///
     /// # Errors
     /// [`ReadError`]; the next call may succeed.
@@ -258,9 +258,9 @@ impl Subscriber {
         Some(Frame::new(held, number, &self.index, self.arrival))
     }
 
-    /// Takes the frame of [`Subscriber::current`] out, as [`Option::take`] does, to keep it in shared
-    /// memory beyond the next call. There is no current one then until a newer frame arrives. Two may
-    /// be kept: with more, reading is an error until one is dropped.
+    /// Takes the frame of [`Subscriber::current`] out, as [`Option::take`] does, to keep it in
+    /// shared memory beyond the next call. There is no current one then until a newer frame
+    /// arrives. Two may be kept: with more, reading is an error until one is dropped.
     #[must_use]
     pub fn take_current(&mut self) -> Option<KeptForecasts> {
         self.reader.take_held().map(KeptForecasts)
@@ -273,9 +273,9 @@ impl Subscriber {
     /// - **When it is readable**, call [`Subscriber::wait_next`] with a timeout of zero until it
     ///   returns [`Event::TimedOut`]. It may return that at once.
     /// - **Call it without readiness as well**, within [`Subscriber::look_within`]. The descriptor
-    ///   tells nothing of a worker that is silent ([`Event::Stale`]), nor of signals, and may miss a
-    ///   frame that arrives while an earlier one is read. Of a [polling](Subscriber::polling)
-    ///   subscriber it tells the worker's exit only.
+    ///   does not show a silent worker ([`Event::Stale`]) or signals, and may miss a frame that
+    ///   arrives while an earlier one is read. For a [polling](Subscriber::polling) subscriber it
+    ///   shows the worker's exit only.
     ///
     /// `examples/event_loop.rs` does so with tokio.
     ///
@@ -353,8 +353,8 @@ impl Subscriber {
         self.feed()
     }
 
-    /// Opens the records of questions that the worker was asked, whose header counts those answered and
-    /// refused. Few readers are allowed at once: recorders come first.
+    /// Opens the records of the worker's questions, whose header counts those answered and refused.
+    /// Few readers are allowed at once: recorders come first.
     ///
     /// # Errors
     /// [`ConnectError`] with the cause and the remedy.
@@ -385,7 +385,7 @@ impl Subscriber {
         match &self.waiting {
             // At once, without sleeping: the event of a waiting frame may have been consumed.
             Waiting::Listening(_) => 0,
-            // What it has learned and not told yet does not wait for the next look.
+            // A known and unreported end does not wait for the next look.
             Waiting::Polling(_) if self.tracker.is_end_untold() => 0,
             Waiting::Polling(_) => self.next_look_ns(),
         }

@@ -29,7 +29,7 @@ pub enum End {
     Exited,
     /// Another process found it dead: where processes cannot be watched.
     FoundDead,
-    /// It is on another host, from which nothing comes: the link is down, or the host. The worker may run.
+    /// It is on another host, and nothing comes from there: host or link is down. It may still run.
     Unreachable,
 }
 
@@ -58,8 +58,8 @@ pub struct Counts {
     pub workers: u64,
 }
 
-/// A frame's place in time: later ones are greater. The number of the worker's process among those that
-/// this planner has come across, so that a later one counts whatever it says; its own run, and the tick.
+/// Total order of frames: (index of the worker's process among those seen here, run, tick). A later
+/// process counts as later, whatever it states.
 pub(crate) type Place = (u64, u64, u64);
 
 pub(crate) const fn place(run: u64, header: &ForecastHeader) -> Place {

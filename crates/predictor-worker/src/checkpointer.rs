@@ -78,7 +78,7 @@ struct Checkpointer {
     checkpoint: Checkpoint,
     /// None if the ledger is not saved.
     files: Option<LedgerFiles>,
-    most_accounts: usize,
+    max_accounts: usize,
     schedule: SaveSchedule,
     changed: bool,
     drops: DropCounts,
@@ -117,7 +117,7 @@ impl Checkpointer {
             failures,
             checkpoint,
             files,
-            most_accounts: limits.capacity.saturating_mul(ACCOUNTS_PER_ROBOT),
+            max_accounts: limits.capacity.saturating_mul(ACCOUNTS_PER_ROBOT),
             schedule: SaveSchedule::new(every_ns.unwrap_or(u64::MAX), now_ns),
             changed: false,
             drops: DropCounts::default(),
@@ -130,7 +130,7 @@ impl Checkpointer {
     }
 
     fn read_budgets(&mut self) {
-        let (checkpoint, most) = (&mut self.checkpoint, self.most_accounts);
+        let (checkpoint, most) = (&mut self.checkpoint, self.max_accounts);
         let (mut gone, mut changed) = (0, false);
         // Not the newest alone: of a worker that was stopped for long, robots that have left are in
         // the one before.
@@ -143,7 +143,7 @@ impl Checkpointer {
         });
         self.changed |= changed;
         if gone > 0 {
-            let allowed = self.most_accounts;
+            let allowed = self.max_accounts;
             tracing::warn!(
                 gone,
                 allowed,

@@ -90,7 +90,7 @@ mod tests {
         let config = |root: &str, battery: &str, checkpoint: &str| {
             let text = format!(
                 "[fleet]\nname = \"lab\"\n[domain]\nroot = \"{root}\"\n{checkpoint}\n\
-                 [[platform]]\nfile = \"builtin:gternal\"\nrobots = [1]\n{battery}"
+                 [[platform]]\nfile = \"builtin:rover\"\nrobots = [1]\n{battery}"
             );
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("fleet.toml");

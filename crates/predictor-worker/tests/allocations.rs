@@ -39,6 +39,7 @@ fn config(root: &Path, case: Case) -> Config {
          [domain]\nroot = \"{}\"\nprefix = \"t_\"\n\
          [tick]\npolicy = \"{policy}\"\nrate_hz = 200.0\ndeadline_ms = 2.0\n\
          [worker]\nthreads = {threads}\nthreads_from = 1\n\
+         [ledger]\ncheckpoint = \"\"\n\
          [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-{robots}\"]\n",
         root.display()
     );

@@ -18,6 +18,7 @@ fn config(root: &Path, policy: &str) -> Config {
         "[fleet]\nname = \"faults\"\ncapacity = {ROBOTS}\n\
          [domain]\nroot = \"{}\"\nprefix = \"t_\"\n\
          [tick]\npolicy = \"{policy}\"\nrate_hz = 200.0\ndeadline_ms = 2.0\n\
+         [ledger]\ncheckpoint = \"\"\n\
          [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-{}\"]\n",
         root.display(),
         ROBOTS - 1

@@ -36,6 +36,7 @@ fn config(root: &Path) -> Config {
          [domain]\nroot = \"{}\"\nprefix = \"t_\"\n\
          [tick]\nrate_hz = 100.0\ndeadline_ms = 5.0\n\
          [intake]\nbuffer_frames = 64\n\
+         [ledger]\ncheckpoint = \"\"\n\
          [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-{}\"]\n",
         root.display(),
         ROBOTS - 1

@@ -57,6 +57,7 @@ impl Scene {
              [domain]\nroot = \"{}\"\nprefix = \"t_\"\n\
              [tick]\nrate_hz = 30.0\n\
              [intake]\nbuffer_frames = 64\n\
+             [ledger]\ncheckpoint = \"\"\n\
              [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-{}\"]\n",
             root.display(),
             ROBOTS - 1

@@ -30,9 +30,10 @@
 //! it: [`Sent::readers`] is 0 then, and nothing else changes. After each robot has been published
 //! once, [`Publisher::publish`] allocates nothing of its own; iceoryx2 allocates once per frame.
 //!
-//! **Unchecked.** Values are sent unchecked: NaN given as a known power, a speed beyond the
-//! platform's limits or a robot that the config does not name is refused by the worker, counted by
-//! reason and reported to operators, without effect on other robots.
+//! **Refused values.** NaN given as a known power, a speed beyond the platform's limits or a robot
+//! that the config does not name is sent all the same, and refused by the worker: counted by reason
+//! and reported to operators, without effect on other robots. [`Sent::refused`] says so at once, by
+//! the worker's own rule.
 //!
 //! **Errors** state the remedy: [`ConnectError`] at the start, [`PublishError`] for a frame; after
 //! the latter the publisher remains usable. [`error`] has the errors that they contain.
@@ -50,6 +51,7 @@ mod state;
 
 pub use joulebus_bus::{SendError, WaitError, clock};
 pub use joulebus_config::Config;
+pub use joulebus_config::settings::RefusedSample;
 pub use joulebus_connect::{ConnectError, error};
 pub use joulebus_wire as wire;
 pub use pace::{Grid, Pace, Slot};

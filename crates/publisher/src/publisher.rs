@@ -5,6 +5,7 @@ use std::path::Path;
 
 use joulebus_bus::{Bus, SampleWriter, SendError, WaitError, clock, process_id};
 use joulebus_config::Config;
+use joulebus_config::settings::{FleetSettings, RefusedSample};
 use joulebus_connect::{ConnectError, join};
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, fnv1a};
 
@@ -17,6 +18,7 @@ use crate::state::Registry;
 pub struct Publisher {
     writer: SampleWriter,
     registry: Registry,
+    settings: FleetSettings,
     // Reused allocation.
     samples: Vec<Sample>,
     header: SampleHeader,
@@ -40,6 +42,11 @@ pub struct Sent {
     pub frame_seq: u64,
     /// Why the worker was not woken, if so. It takes the frame at its next tick all the same.
     pub not_woken: Option<WaitError>,
+    /// Samples of it that the worker refuses for their values, by the config's limits. They are
+    /// sent all the same, so that the worker counts them and raises `OutOfRange`.
+    pub refused: usize,
+    /// The first of them, with the reason.
+    pub first_refused: Option<RefusedSample>,
 }
 
 impl Publisher {
@@ -47,9 +54,8 @@ impl Publisher {
     /// run.
     ///
     /// `source_name`, 1 to 128 bytes, tells the sources of a fleet apart and must stay the same
-    /// over restarts: the worker lets the robots of a source be spoken for by its next run. The
-    /// runs are distinguished by the monotonic clock at their beginning: setting the wall clock changes
-    /// nothing.
+    /// over restarts: the worker lets a source's next run speak for its robots. The monotonic clock
+    /// at their beginning distinguishes the runs, so setting the wall clock changes nothing.
     ///
     /// # Errors
     /// [`ConnectError`] with the cause and the remedy.
@@ -75,6 +81,7 @@ impl Publisher {
         Ok(Self {
             writer,
             registry: Registry::new(limits.capacity),
+            settings: config.settings().clone(),
             samples: Vec::new(),
             header,
             attempts: 0,
@@ -155,11 +162,16 @@ impl Publisher {
         let sent = self.writer.send(header, samples.len(), |i| samples[i])?;
         self.frames_sent += 1;
         self.samples_sent += samples.len() as u64;
+        let mut refusals = samples.iter().filter_map(|it| self.settings.refusal(it));
+        let first_refused = refusals.next();
+        let refused = refusals.count() + usize::from(first_refused.is_some());
         Ok(Sent {
             readers: sent.readers,
             samples: samples.len(),
             frame_seq: header.frame_seq,
             not_woken: sent.not_woken,
+            refused,
+            first_refused,
         })
     }
 

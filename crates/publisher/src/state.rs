@@ -38,8 +38,8 @@ pub struct RobotState {
     pub held: bool,
     /// Measured state of charge, 0 to 1.
     pub soc: Option<f32>,
-    /// Energy that the robot needs from here to return to its charger, J, as its planner says. It applies
-    /// to this frame; without it the platform's config applies.
+    /// Energy that the robot needs from here to return to its charger, J, by its planner. It
+    /// applies to this frame; without it the platform's config applies.
     pub return_j: Option<f32>,
     /// The robot's charger.
     pub charger: Charger,
@@ -142,8 +142,8 @@ impl RobotState {
     }
 }
 
-/// What has been said of each robot: its numbers and times continue from there. Robots that have not been
-/// published for longest are forgotten when there are twice as many as a frame holds.
+/// Last published sequence number and stamp of each robot. When there are twice as many robots as a
+/// frame holds, those not published for longest are forgotten.
 #[derive(Debug)]
 pub(crate) struct Registry {
     robots: HashMap<u32, Last>,
@@ -201,12 +201,12 @@ impl Registry {
         Some(sample(state, seq, stamp_ns, measured_ns))
     }
 
-    /// Forgets the half that was not published for longest. Should one of them come back, its numbers and
-    /// stamps still rise: they continue above those of all that were forgotten.
+    /// Forgets the half that was not published for longest. A robot that comes back continues above
+    /// the numbers and stamps of all that were forgotten, so its own still rise.
     fn forget_half(&mut self) {
         let mut frames: Vec<u64> = self.robots.values().map(|last| last.frame).collect();
         let (_, median, _) = frames.select_nth_unstable(self.most / 2);
-        // Of one frame there are at most half as many: some are older, and those of this frame stay.
+        // A frame holds at most half as many robots: some are older, and those of this frame stay.
         let oldest = *median;
         let (seq_floor, stamp_floor_ns) = (&mut self.seq_floor, &mut self.stamp_floor_ns);
         self.robots.retain(|_, last| {
@@ -281,7 +281,7 @@ mod tests {
         let mut registry = Registry::new(8);
         let mut last: HashMap<u32, (u64, u64)> = HashMap::new();
         for frame in 0..100_000_u64 {
-            // One that is always there, and four that change; each comes back after a while, or soon.
+            // One robot that is always there, and four that change; each comes back later or soon.
             let name = (frame * 4) as u32;
             let robots = [
                 u32::MAX,

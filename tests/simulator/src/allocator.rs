@@ -6,7 +6,7 @@ use std::ptr;
 
 use simulated_host::memory::{Account, allocated, freed};
 
-/// Bytes before each block, at least: the first one is the account.
+/// Minimum bytes before each block, of which the first is the account.
 const LEAST_BEFORE: usize = 16;
 
 struct Counting;
@@ -18,8 +18,9 @@ fn extended(layout: Layout) -> Option<(Layout, usize)> {
     Some((Layout::from_size_align(size, before).ok()?, before))
 }
 
-// SAFETY: a block of `extended(layout)` has room for one of `layout` behind `before` bytes, which are a multiple of
-// its alignment; counting accesses only constant thread-locals without destructors, which neither allocate nor unwind.
+// SAFETY: a block of `extended(layout)` has room for one of `layout` behind `before` bytes, a
+// multiple of its alignment. Counting accesses only constant thread-locals without destructors,
+// which neither allocate nor unwind.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         let Some((whole, before)) = extended(layout) else {
@@ -48,13 +49,13 @@ unsafe impl GlobalAlloc for Counting {
         let Some(larger) = size.checked_add(before) else {
             return ptr::null_mut();
         };
-        // SAFETY: `block` is of this allocator and `layout`: the system's lies `before` bytes before it, and begins
-        // with the account, which was written when it was allocated.
+        // SAFETY: `block` is of this allocator and `layout`: the system's lies `before` bytes
+        // before it, and begins with the account, which was written when it was allocated.
         let (start, account) = unsafe {
             let start = block.sub(before);
             (start, Account::of_byte(start.read()))
         };
-        // SAFETY: `start` was allocated by the system allocator with `whole`; the caller upholds the rest.
+        // SAFETY: the system allocated `start` with `whole`; the caller upholds the rest.
         let moved = unsafe { System.realloc(start, whole, larger) };
         if moved.is_null() {
             return moved;
@@ -77,7 +78,7 @@ unsafe impl GlobalAlloc for Counting {
     }
 }
 
-/// Enters a block of `size` bytes, which begins `before` bytes after `start`, into the account of the process that runs.
+/// Enters a block of `size` bytes, `before` bytes after `start`, into the process's account.
 ///
 /// # Safety
 /// `start` is null, or a block of more than `before` bytes.

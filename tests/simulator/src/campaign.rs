@@ -33,7 +33,7 @@ pub struct Campaign {
     pub shrinks: bool,
 }
 
-/// What a campaign came to.
+/// Results of a campaign.
 #[derive(Debug, Default, Serialize)]
 pub struct Totals {
     /// Seeds run.
@@ -65,11 +65,11 @@ pub struct Totals {
 pub struct Failed {
     /// The seed.
     pub seed: u64,
-    /// What did not hold.
+    /// The invariant that did not hold.
     pub failure: Failure,
     /// Faults of its plan, and those that are left of them, each with its number.
     pub planned: usize,
-    /// What is left: number, time in s, fault.
+    /// The faults left: number, time in s, fault.
     pub left: Vec<(usize, f64, String)>,
     /// The command that does the same again.
     pub command: String,
@@ -138,7 +138,8 @@ impl fmt::Display for Failed {
     }
 }
 
-/// Runs a campaign; `progress` is told the number of seeds that are done, once `stop` is set, a seed that runs is given up.
+/// Runs a campaign. `progress` gets the number of seeds done. Setting `stop` gives up running
+/// seeds.
 #[must_use]
 pub fn play(campaign: &Campaign, stop: &AtomicBool, progress: impl Fn(u64) + Sync) -> Totals {
     let next = AtomicU64::new(campaign.first);
@@ -206,7 +207,6 @@ fn one(campaign: &Campaign, seed: u64, stop: &AtomicBool) -> (Outcome, Option<Fa
     (outcome, failed)
 }
 
-/// The command that runs a scenario again.
 fn command(scenario: &Scenario) -> String {
     let numbers: Vec<String> = scenario
         .faults

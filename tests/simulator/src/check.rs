@@ -1,4 +1,4 @@
-//! What must always hold.
+//! The invariants.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
@@ -33,7 +33,7 @@ const PER_MICROJOULE: i128 = 2_000_000_000;
 pub struct Failure {
     /// Its name.
     pub invariant: &'static str,
-    /// What was found.
+    /// Findings.
     pub found: String,
     /// When, simulated ns.
     pub at_ns: u64,
@@ -203,7 +203,7 @@ impl Checker {
         })
     }
 
-    /// What a client was answered is computed from frames that the worker has sent.
+    /// A client's answer is computed from frames that the worker has sent.
     pub(crate) fn answered(&self, answered: &Answered) -> Checked {
         let of_life = self.life.as_ref().and_then(|life| life.place);
         let is_sent = answered.worker_epoch <= self.last_epoch
@@ -533,7 +533,7 @@ impl Checker {
                 format!("robot {robot}: {before:?}, then {row:?}")
             })?;
         } else {
-            // Of the worker before: at most what was published in the last `every_s` is lost.
+            // Of the earlier worker's account at most the last `every_s` is lost.
             let ended_ns = account.ended_ns;
             let promised_ns = ended_ns.saturating_sub(self.setup.save_every_ns + slack_ns);
             let floor = account
@@ -556,8 +556,8 @@ impl Checker {
                     format!("robot {robot} over a restart: {before:?}, then {row:?}")
                 })?;
             }
-            // The floor of the next worker is what this one found, not what it may have metered since. It makes that last when
-            // it begins, and has the slack for it.
+            // The next worker's floor is what this one found, not what it metered since. It saves
+            // that when it begins, within the slack.
             let began_ns = self.life.as_ref().map_or(now_ns, |life| life.began_ns);
             let found_ns = row.metered_ns.saturating_sub(now_ns - began_ns);
             let is_known = ended_ns > self.excused_until_ns;
@@ -600,7 +600,7 @@ impl Checker {
         Ok(())
     }
 
-    /// A capture, whose files begin with `path`, contains what its summary says, and computes to the bit.
+    /// A capture, whose files begin with `path`, contains what its summary says, and verifies.
     pub(crate) fn capture(&mut self, path: &str, summary: Option<&Summary>) -> Checked {
         let mut messages = 0;
         let names = disk::names();
@@ -648,7 +648,7 @@ impl Checker {
             ));
         };
         let mut messages = 0_u64;
-        // Of a killed recorder the file has no end.
+        // A killed recorder's file has no end.
         while let Ok(Some(entry)) = reader.next_entry() {
             messages += 1;
             verifier.push(entry);

@@ -46,10 +46,10 @@ impl Grown {
     }
 }
 
-/// By how much a process may grow, however long it works and whatever it is sent, bytes: somewhat more than what 60
-/// seeds needed at most. A worker that is asked about plans opens what plans start from; the recorder has a chunk, and
-/// the index of its file.
-pub(crate) const fn most_bytes(program: &Program, setup: &Setup) -> i64 {
+/// Maximum growth of a process, however long it works and whatever it is sent, bytes: somewhat more
+/// than 60 seeds needed. A worker that is asked about plans opens plan states. The recorder has a
+/// chunk, and the index of its file.
+pub(crate) const fn max_bytes(program: &Program, setup: &Setup) -> i64 {
     const KIB: i64 = 1_024;
     match program {
         Program::Worker(..) if setup.clients > 0 => 256 * KIB,

@@ -14,10 +14,10 @@ use crate::process::FALSE_ROBOT;
 
 /// Its pid: no other process ever has it.
 const PID: u32 = 77_777;
-/// Robots of which samples of it are taken.
+/// Robots whose samples from it are taken.
 pub(crate) const OWN_ROBOTS: [usize; 3] = [800_000, 800_001, 800_002];
 
-/// A number as a liar chooses it: of now, far ahead, behind, or anything.
+/// A number as a liar chooses it: current, far ahead, behind, or anything.
 fn any(near: u64) -> u64 {
     match host::below(6) {
         0 => near,
@@ -43,9 +43,9 @@ pub(crate) fn attack(config: &Config, frames: u64, regular: usize) {
     live(|| send(config, frames, regular));
 }
 
-/// Sends `frames` frames with the source, run and numbers of frames around that of `header`, and leaves. Their
-/// samples, of the source's robots, are impossible, and more than in a frame of the source: one of the same length
-/// that the worker takes and the recorder misses is a known limitation.
+/// Sends `frames` frames with the source, run and numbers of frames around that of `header`, and
+/// leaves. Their samples, of the source's robots, are impossible, and more than the source's frames
+/// have: equal lengths, taken by the worker and missed by the recorder, are a known limitation.
 pub(crate) fn forge(config: &Config, frames: u64, header: &SampleHeader, robots: &[u32]) {
     live(|| {
         let bus = Bus::join(&config.domain().ok()?, "hostile").ok()?;

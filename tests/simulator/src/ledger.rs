@@ -6,10 +6,9 @@ use joulebus_wire::fnv1a;
 use serde::Deserialize;
 use simulated_host::disk;
 
-/// The ledger of the fleet.
 pub(crate) const LEDGER: &str = "/sim/ledger.json";
 
-/// What a file begins with.
+/// The head of a file.
 #[derive(Deserialize)]
 struct Head {
     schema: u32,
@@ -17,7 +16,7 @@ struct Head {
     fnv1a: String,
 }
 
-/// The newest generation of which a file is whole; 0 if there is none. `read` is asked for their bytes.
+/// The newest generation with a whole file; 0 if there is none. `read` returns a file's bytes.
 pub(crate) fn newest_whole(read: impl Fn(&Path) -> Option<Vec<u8>>) -> u64 {
     let names = ["", ".older", ".new"].map(|ending| PathBuf::from(format!("{LEDGER}{ending}")));
     let whole = names.iter().filter_map(|name| whole(&read(name)?));
@@ -46,8 +45,8 @@ pub(crate) fn damage(bits: u64) {
     }
 }
 
-/// Whether the newest ledger is not the only one: of the only one an operator has to be asked. There is one
-/// before it, unless that was damaged too.
+/// Whether the newest ledger is not the only one: about the only one an operator must be asked.
+/// There is an earlier one, unless it was damaged too.
 fn has_another_generation(newest: &[u8]) -> bool {
     let content = serde_json::from_slice::<serde_json::Value>(newest).unwrap_or_default();
     let is_first = content["generation"]

@@ -1,10 +1,10 @@
 //! Whole fleets in one process, on a simulated host, from one seed.
 //!
 //! Sources, worker with checkpointer, planners and recorder are the shells' own code, compiled
-//! against a simulated bus, clock, disk and threads (`tests/simulator/host`, `bus`, `files`; the packages
-//! `tests/simulator/predictor-worker` and so on have the sources of `crates/`). They run as state machines;
-//! between any two of their operations anything may happen to them ([`scenario::Fault`]), and what must hold
-//! is checked after each step ([`world::run`]).
+//! against a simulated bus, clock, disk and threads (`tests/simulator/host`, `bus`, `files`).
+//! Packages like `tests/simulator/predictor-worker` have the sources of `crates/`. They run as
+//! state machines. Between any two of their operations any fault may happen ([`scenario::Fault`]).
+//! After each step the invariants are checked ([`world::run`]).
 #![deny(unsafe_code)]
 
 mod allocator;

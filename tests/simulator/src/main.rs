@@ -13,9 +13,9 @@ use joulebus_program::stop::Stop;
 use joulebus_simulator::campaign::{Campaign, play};
 use joulebus_simulator::panics::keep_panics;
 
-/// Simulates fleets: sources, worker, planners and recorder in one process on a simulated host, with
-/// faults between any two of their operations. Exits with 1 if an invariant did not hold; the report names the
-/// seed, the faults that are needed, and the command that does it again
+/// Simulates fleets: sources, worker, planners and recorder in one process on a simulated host,
+/// with faults between any two of their operations. Exits with 1 if an invariant did not hold; the
+/// report names the seed, the faults that are needed, and the command that does it again
 #[derive(Debug, clap::Parser)]
 #[command(name = "joulebus-sim", version)]
 struct Arguments {
@@ -28,8 +28,8 @@ struct Arguments {
     /// This seed alone
     #[arg(long)]
     seed: Option<u64>,
-    /// Simulated hours of each seed, instead of the seed's own duration (1 to 30 minutes). From 200 hours
-    /// on, the fleet is small and slow
+    /// Simulated hours of each seed, instead of the seed's own duration (1 to 30 minutes). From 200
+    /// hours on, the fleet is small and slow
     #[arg(long, value_parser = hours)]
     hours: Option<f64>,
     /// Threads; 0: one per processor

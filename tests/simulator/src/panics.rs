@@ -14,7 +14,6 @@ pub fn keep_panics() {
     }));
 }
 
-/// The last panic of this thread, with its place.
 pub(crate) fn last_panic() -> String {
     PANIC.take()
 }

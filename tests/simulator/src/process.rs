@@ -18,7 +18,6 @@ use simulated_worker::Worker;
 use crate::panics::last_panic;
 use crate::scenario::Setup;
 
-/// A program that runs.
 pub(crate) enum Program {
     Worker(Box<Worker>, Box<PlanServer>),
     Client(Box<ClientProgram>),
@@ -28,7 +27,7 @@ pub(crate) enum Program {
     Recorder(Recorder, String),
 }
 
-/// What a step of a program came to.
+/// Result of a program's step.
 pub(crate) enum Stepped {
     /// It goes on, at the latest at this simulated time.
     On(u64),
@@ -40,7 +39,7 @@ pub(crate) enum Stepped {
     Ended(String),
 }
 
-/// What a client heard in a step.
+/// Result of a client's step.
 pub(crate) enum Heard {
     Nothing,
     Answer(Box<Answered>),
@@ -51,7 +50,7 @@ pub(crate) enum Heard {
 /// A frame: the process, run and tick of its worker.
 pub(crate) type Place = (u32, u64, u64);
 
-/// What a planner learned in a step.
+/// Result of a planner's step.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Learned {
     /// It polls; and the longest time between two looks.
@@ -107,10 +106,10 @@ impl Program {
     }
 }
 
-/// What a program says at its end.
+/// A program's result at its end.
 pub(crate) enum Finished {
     Nothing,
-    /// What a recorder has written.
+    /// A recorder's summary.
     Recorded(Box<Summary>),
     /// Questions that a worker has answered.
     Answered(QueryReport),
@@ -423,7 +422,6 @@ pub(crate) fn recorder(config: &Config, path: String) -> Option<Program> {
     Some(Program::Recorder(started.ok()?, path))
 }
 
-/// Starts a worker.
 pub(crate) fn worker(config: &Config) -> Result<Program, String> {
     let questions = PlanServer::start(config).map_err(|error| error.to_string())?;
     let opened = Worker::open(config).map_err(|error| error.to_string())?;

@@ -1,4 +1,4 @@
-//! What a seed means: a fleet, and the faults that happen to it.
+//! The meaning of a seed: a fleet, and its faults.
 
 use joulebus_statistics::noise::Noise;
 use simulated_host::disk;
@@ -21,14 +21,14 @@ pub enum Role {
     Recorder,
 }
 
-/// What happens.
+/// A fault.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Fault {
     /// A process dies in its n-th operation from then.
     Kill(Role, u64),
-    /// A process dies in its n-th access to the disk from then, and the next one in its place in the m-th.
+    /// A process dies in its n-th access to the disk from then, and its successor in the m-th.
     KillAtDisk(Role, u64, u64),
-    /// A process dies in its n-th access to the disk from then, because the power fails, for a time.
+    /// The power fails, for a time, in a process's n-th access to the disk from then.
     PowerLossAtDisk(Role, u64, u64),
     /// A process is asked to end.
     End(Role),
@@ -48,7 +48,7 @@ pub enum Fault {
     MemoryFull(u64),
     /// A process has no file descriptors left, for a time.
     NoDescriptors(Role, u64),
-    /// What the processes have in shared memory is removed.
+    /// All files of the processes in shared memory are removed.
     FilesRemoved,
     /// A bit of the saved ledger changes while the worker is killed.
     DamagedLedger(u64),
@@ -56,7 +56,7 @@ pub enum Fault {
     Flood(usize, u64),
     /// A process of the user sends false frames on all services.
     Hostile(u64),
-    /// A process is asked to end, and so many false frames on all services are the first that the next one reads.
+    /// A process is asked to end. Its successor first reads so many false frames on all services.
     HostileAtStart(Role, u64),
     /// So many further sources appear, each with a name and a robot of its own.
     Newcomers(u64),
@@ -123,12 +123,12 @@ pub struct Scenario {
     pub faults: Vec<(usize, Planned)>,
 }
 
-/// Longest duration of a seed that is not told otherwise, ns.
-const LONGEST_NS: u64 = 1_800 * SECOND;
+/// Maximum duration of a seed that is not told otherwise, ns.
+const MAX_DURATION_NS: u64 = 1_800 * SECOND;
 /// From this duration on a fleet is small and slow.
 const LONG_NS: u64 = 200 * 3_600 * SECOND;
-/// Most faults of a plan.
-const MOST_FAULTS: u64 = 4_000;
+/// Maximum number of faults of a plan.
+const MAX_FAULTS: u64 = 4_000;
 
 impl Setup {
     /// `platform.stale_after_s`, ns.
@@ -228,12 +228,12 @@ impl Scenario {
     #[must_use]
     pub fn of(seed: u64, asked_ns: Option<u64>) -> Self {
         let mut noise = Noise::new(seed, 0);
-        let drawn_ns = (1 + noise.below(30)) as u64 * LONGEST_NS / 30;
+        let drawn_ns = (1 + noise.below(30)) as u64 * MAX_DURATION_NS / 30;
         let duration_ns = asked_ns.unwrap_or(drawn_ns);
         let is_long = duration_ns >= LONG_NS;
         let mut setup = Setup::draw(&mut noise, is_long);
         let mut faults = plan(&mut noise, &setup, duration_ns);
-        // Of numbers of their own: what seeds meant before, they still mean.
+        // Numbers of their own, so that earlier seeds keep their meaning.
         faults.extend(forgeries(&mut Noise::new(seed, 2), &setup, duration_ns));
         let mut asking = Noise::new(seed, 3);
         setup.clients = if is_long { 0 } else { asking.below(4) };
@@ -249,7 +249,8 @@ impl Scenario {
             duration_ns,
         ));
         setup.poll_every_ns = polling(&mut Noise::new(seed, 5), &setup, is_long);
-        // Whoever comes first owns a robot, and starts while there is memory: source 0, if nothing is to happen to it.
+        // The first source that comes owns a robot: source 0, which starts while there is memory,
+        // if nothing is to happen to it.
         let begin_ns = if setup.everything {
             0
         } else {
@@ -298,7 +299,7 @@ fn plan(noise: &mut Noise, setup: &Setup, duration_ns: u64) -> Vec<Planned> {
     const KINDS: usize = 17;
     let allowed: Vec<usize> = (0..KINDS).filter(|_| noise.below(2) == 0).collect();
     let mean_s = [3.0, 10.0, 30.0, 120.0][noise.below(4)];
-    let least_s = duration_ns as f64 * 1e-9 / MOST_FAULTS as f64;
+    let least_s = duration_ns as f64 * 1e-9 / MAX_FAULTS as f64;
     let mean_s = f64::max(mean_s * (setup.period_ns as f64 * 1e-9).max(0.3), least_s);
     let mut faults = Vec::new();
     let mut at_s = 0.0;

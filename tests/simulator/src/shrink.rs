@@ -3,8 +3,8 @@
 use crate::scenario::Scenario;
 use crate::world::Outcome;
 
-/// The smallest scenario found that fails with the same invariant as `scenario`, and what it came to. `run`
-/// runs a scenario; `give_up` is asked before each further run.
+/// The smallest scenario found that fails with the same invariant as `scenario`, and its result.
+/// `run` runs a scenario; `give_up` is asked before each further run.
 #[must_use]
 pub fn shrink(
     scenario: &Scenario,
@@ -17,7 +17,7 @@ pub fn shrink(
         outcome: outcome.clone(),
         run,
     };
-    // What happens after the failure does not matter.
+    // Later events do not matter.
     if let Some(failure) = &outcome.failure {
         small.accepts(
             scenario

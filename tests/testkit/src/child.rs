@@ -26,8 +26,8 @@ pub fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
     }
 }
 
-/// What is left of a fleet whose objects in shared memory begin with `prefix`: those objects, its folder `root`, and that
-/// folder's drafts.
+/// Remains of a fleet: its objects in shared memory (`prefix`), the folder `root`, and drafts of
+/// it.
 #[must_use]
 pub fn left_behind(prefix: &str, root: &Path) -> Vec<PathBuf> {
     let draft = format!(".{}.", root.file_name().unwrap_or_default().display());
@@ -44,16 +44,15 @@ pub fn left_behind(prefix: &str, root: &Path) -> Vec<PathBuf> {
     objects.map(|entry| entry.path()).chain(root).collect()
 }
 
-/// The `joulebus` program beside `program`, the path of another one of the same build; built if only that one's package
-/// was.
+/// The `joulebus` program beside `program`, another one of the same build. Built if it is missing.
 #[must_use]
 pub fn joulebus_beside(program: &str) -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     PROGRAM.get_or_init(|| beside(program, "joulebus"))
 }
 
-/// The program `joulebus-lab` beside `program`, which `joulebus` runs for the verbs on recordings and models; built as
-/// [`joulebus_beside`] is.
+/// The program `joulebus-lab` beside `program`, which `joulebus` runs for the verbs on recordings
+/// and models; built as [`joulebus_beside`] is.
 #[must_use]
 pub fn lab_beside(program: &str) -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
@@ -66,7 +65,7 @@ fn beside(program: &str, name: &str) -> PathBuf {
         let mut build = Command::new(env!("CARGO"));
         build.args(["build", "--quiet", "--locked"]);
         build.args(["--package", name, "--bin", name]);
-        // That of `program`: its folder has the profile's name, but for the one of `dev`.
+        // The profile of `program` is its folder's name, but for `dev`.
         let profile = found.parent().and_then(Path::file_name);
         if let Some(profile) = profile.filter(|profile| *profile != "debug") {
             build.arg("--profile").arg(profile);

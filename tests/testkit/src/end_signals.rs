@@ -15,8 +15,8 @@ pub fn end_signals() -> Vec<Signal> {
     signals
 }
 
-/// True if the process ignores the signal, by /proc. A shell without job control starts what follows `&` with SIGINT ignored,
-/// and children inherit it.
+/// True if the process ignores the signal, by /proc. A shell without job control starts background
+/// jobs with SIGINT ignored, and children inherit it.
 ///
 /// # Panics
 /// There is no such process.

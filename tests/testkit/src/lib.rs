@@ -1,6 +1,6 @@
-//! What the tests of every crate share: processes, ports, fleets in shared memory, an allocator that counts, recordings.
+//! Shared by the tests of every crate: processes, ports, fleets, a counting allocator, recordings.
 //!
-//! Crates beside it have what needs a crate of joulebus: `joulebus-testkit-networks` and `joulebus-testkit-fleets`.
+//! Helpers that need a crate of joulebus are in `joulebus-testkit-networks` and `-fleets`.
 #![deny(unsafe_code)]
 
 mod child;

@@ -102,7 +102,7 @@ impl Member {
         self.child.kill();
     }
 
-    /// Sends SIGKILL, waits for the exit, and returns all lines that it has sent to the test, from the first on.
+    /// Sends SIGKILL, waits for the exit, and returns all lines that it has sent to the test.
     #[must_use]
     pub fn all_lines(mut self) -> Vec<String> {
         let lines = self.child.kill().stdout;

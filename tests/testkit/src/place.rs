@@ -96,7 +96,7 @@ impl Drop for Place {
     }
 }
 
-/// The name of a place, and the prefix of its objects: at most eight of a-z, 0-9 and `_`, which no other process has now.
+/// A place's name, and its objects' prefix: at most eight of a-z, 0-9 and `_`, unique on the host.
 fn names(pid: u32, number: u32) -> (String, String) {
     let name = format!("joulebus-test-{pid}-{number}");
     // A pid has at most 22 bits: five of these digits.

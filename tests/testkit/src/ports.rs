@@ -5,11 +5,11 @@ use std::sync::Mutex;
 
 /// Below the ports that the kernel gives to others (`ip_local_port_range`).
 const PORTS: std::ops::Range<u16> = 20_000..32_000;
-/// Where a port is reserved: another address of this host, so that the port of [`free_port`]'s stays free.
+/// Another address of this host, where a port is reserved, so that [`free_port`]'s own stays free.
 const RESERVED_AT: &str = "127.0.0.2";
 
-/// A TCP port of 127.0.0.1 that nobody listens on, and that no other test on this host gets while this process runs: a
-/// port that was only free when it was asked for may be another test's when it is used.
+/// A TCP port of 127.0.0.1 that nobody listens on, reserved for this process among the tests of
+/// this host. A port that is only free could be another test's by the time of its use.
 ///
 /// # Panics
 /// All are taken.

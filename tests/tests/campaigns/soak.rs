@@ -1,6 +1,11 @@
-//! A calm fleet of a thousand robots, with a recorder, a live view and a planner: memory, descriptors, shared memory and
-//! files stay as they are. For hours, `JOULEBUS_SOAK_S=28800 cargo test -p joulebus-tests --test campaigns soak -- --nocapture`;
-//! with `JOULEBUS_SOAK_SERVE=target/debug/joulebus-serve` beside the page of that program and a browser's stream.
+//! A calm fleet of a thousand robots, with a recorder, a live view and a planner. Memory,
+//! descriptors, shared memory and files stay as they are. For hours:
+//!
+//! ```sh
+//! JOULEBUS_SOAK_S=28800 cargo test -p joulebus-tests --test campaigns soak -- --nocapture
+//! ```
+//!
+//! With `JOULEBUS_SOAK_SERVE=target/debug/joulebus-serve` also its page and a stream.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -14,7 +19,7 @@ use joulebus_bus::inspect;
 use joulebus_tests::{Arena, Child, Dice, ReaderLine, Setup, eventually, figure};
 
 const ROBOTS: &str = "1000";
-/// Captures are split so often, s; of closed ones the newest are kept, as an operator's timer would.
+/// Interval of splitting captures, s. Only the newest closed ones are kept, as by a timer.
 const SPLIT_S: &str = "4";
 const KEPT: usize = 3;
 /// Growth over the run that is no leak: allocators and page tables settle, kB a process.
@@ -29,7 +34,7 @@ const RECORDER: usize = 1;
 /// Interval of printing what is held in a run of hours.
 const PRINT_EVERY: Duration = Duration::from_secs(600);
 
-/// What the processes of a fleet hold.
+/// Resources of a fleet's processes.
 #[derive(Debug, Clone)]
 struct Held {
     /// Resident memory of each process without shared memory and files, kB.
@@ -89,7 +94,7 @@ fn remove_old(arena: &Arena) {
     }
 }
 
-/// The server of the page, if the caller names its program, and the thread that reads a stream to its end.
+/// The server of the page, if the caller names its program, and the thread that reads a stream.
 fn page(arena: &Arena) -> Option<(Child, JoinHandle<usize>)> {
     let program = std::env::var_os("JOULEBUS_SOAK_SERVE")?;
     let mut command = Command::new(program);

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod api;
+mod cards;
 mod dependency_rules;
 mod documents;
 mod fuzz_inputs;

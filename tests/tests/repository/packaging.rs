@@ -237,7 +237,7 @@ fn matching(path: &Path) -> Vec<PathBuf> {
         .collect()
 }
 
-/// `tools/deb.sh` builds and installs the package; this finds what would stop it, or would be left out.
+/// `tools/deb.sh` builds and installs the package; this finds what would stop it, or is missing.
 #[test]
 fn the_debian_package_has_every_program_and_unit_and_names_files_that_exist() {
     let metadata = metadata(false);

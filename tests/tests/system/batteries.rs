@@ -15,7 +15,7 @@ fn setup() -> Setup {
     }
 }
 
-/// Generation and states of charge in the file that the worker saves by default; `None` while there is none.
+/// Generation and states of charge in the file that the worker saves by default, once there is one.
 fn saved(arena: &Arena) -> Option<(u64, Vec<f64>)> {
     let entries = std::fs::read_dir(arena.state().join("joulebus")).ok()?;
     let mut files = entries.flatten().map(|entry| entry.path());

@@ -60,8 +60,8 @@ fn name(entry: &Entry) -> (String, u64, u64) {
     (entry.topic.to_string(), run, number)
 }
 
-/// Whether a recorder once got no processor for as long as its buffers last: what had waited in them was read that late, and
-/// what came before was overwritten.
+/// Whether a recorder once got no processor for as long as its buffers last: waiting messages were
+/// read that late, and earlier ones overwritten.
 fn was_overrun(found: &[Entry]) -> bool {
     // The shortest buffers of this fleet hold 16 frames (`Limits::forecast_frames` of 100 robots).
     const BUFFER_NS: u64 = 15 * 1_000_000_000 / 30;
@@ -119,8 +119,8 @@ fn a_killed_recorder_loses_at_most_the_stated_window() {
         let names: HashSet<_> = found.iter().map(name).collect();
         assert_eq!(names.len(), found.len(), "a message occurs twice");
         // A recorder opens one service after the other: of each, the messages after its first one.
-        // Nothing is missing in the middle: what is lost is the end. By numbers: some messages have the time at
-        // which the recorder received them, which differs between the two.
+        // Nothing is missing in the middle, only at the end. Compared are numbers: some messages
+        // have the time of their receipt, which differs between the two.
         let mut spans: BTreeMap<(String, u64), (u64, u64)> = BTreeMap::new();
         for entry in &found {
             let (topic, run, number) = name(entry);
@@ -202,7 +202,7 @@ fn a_full_disk_ends_only_the_capture() {
     let (found, end) = read(&file);
     assert!(matches!(end, Some(ReadError::Truncated { .. })), "{end:?}");
     assert!(found.len() > 20, "{}", found.len());
-    // What it says is written is in the file, and nothing else.
+    // The file has exactly what it says was written.
     assert_eq!(report["messages"], found.len() as u64);
     assert_eq!(report["bytes"], bytes(&file));
     assert!(report["messages_lost"].as_u64().unwrap() > 0, "{report}");

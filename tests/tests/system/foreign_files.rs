@@ -165,7 +165,6 @@ fn a_directory_not_created_by_joulebus_is_refused_and_unchanged() {
     );
 }
 
-/// The modes of a root not created by joulebus are not changed.
 #[test]
 fn a_root_not_created_by_joulebus_is_neither_changed_nor_removed() {
     let arena = Arena::new(&Setup::default());

@@ -78,7 +78,6 @@ impl OwnShm {
         (found.f_blocks - found.f_bfree) * found.f_frsize
     }
 
-    /// Sets the number of free bytes.
     fn leave_free(&self, bytes: u64) {
         // 0 would mean no limit.
         let options = format!("remount,size={}", (self.used() + bytes).max(4_096));
@@ -87,7 +86,6 @@ impl OwnShm {
         assert!(done.expect("mount can be run").success(), "{options}");
     }
 
-    /// Number of objects in it.
     fn objects(&self) -> usize {
         let path = format!("/proc/{}/root/dev/shm", self.holder.pid());
         fs::read_dir(path).expect("the holder lives").count()

@@ -9,7 +9,6 @@ use std::time::{Duration, Instant};
 use joulebus_tests::{Arena, PATIENCE, Setup, eventually, figure};
 use rustix::fs::{FlockOperation, flock};
 
-/// The pids that a message suggests to kill.
 fn to_kill(message: &str) -> Vec<i64> {
     let told = message.split("`kill ").skip(1);
     told.map(|rest| {
@@ -150,8 +149,8 @@ fn a_reader_that_is_stopped_while_it_looks_is_waited_for_and_then_told() {
         flock(&file, operation).unwrap();
         file
     };
-    // As one that removes the file of a killed worker, and as one that looks; and what they are waited for, at least. A
-    // holder that gets no processor lets go later than that, and the start is refused as promised: then it is tried again.
+    // A holder that removes a killed worker's file, one that looks, and the minimum wait for each.
+    // One without a processor lets go later, and the start is refused as promised: try again.
     for (operation, held_ms, waited_ms) in [
         (FlockOperation::NonBlockingLockExclusive, 300, 1_000),
         (FlockOperation::NonBlockingLockShared, 1_000, 5_000),

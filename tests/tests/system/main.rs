@@ -1,4 +1,4 @@
-//! The tests of whole fleets: real processes, real shared memory, real signals, each test in its own domain.
+//! Tests of whole fleets: real processes, shared memory and signals, each in a domain of its own.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod batteries;

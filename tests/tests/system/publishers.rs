@@ -71,8 +71,8 @@ fn start(arena: &Arena, planner: &mut Planner) -> (Child, u64, u64) {
     (controller, started_ns, answered_ns)
 }
 
-/// After a kill: the robot is in open loop, and then invalid as stale. Returns whether it was seen in open loop: a worker
-/// or planner that waits for a CPU all the while passes over it.
+/// After a kill the robot is in open loop, and then invalid as stale. Returns whether open loop was
+/// seen: a worker or planner that waits for a CPU misses it.
 fn assert_goes_stale(planner: &mut Planner) -> bool {
     let (mut steps, mut of_ns) = (Vec::new(), 0);
     planner.forecast("its robots go stale", |frame| {
@@ -88,8 +88,8 @@ fn assert_goes_stale(planner: &mut Planner) -> bool {
                 steps.push(step);
                 None
             }
-            // Samples sent before the kill are still answered; after a pause of a source that waited for a CPU
-            // they fill the window anew.
+            // Samples sent before the kill are still answered. After a pause they fill the window
+            // anew.
             Quality::Fresh | Quality::Held | Quality::Warmup { .. } => {
                 steps.clear();
                 None

@@ -1,5 +1,5 @@
-//! Rows 29 to 32: questions about plans that the worker answers: killed clients and workers, floods, hostile
-//! questions, the same bits as in the planner's process, recordings.
+//! Rows 29 to 32: questions about plans that the worker answers: killed clients and workers,
+//! floods, hostile questions, the same bits as in the planner's process, recordings.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -40,7 +40,6 @@ impl Asker {
         Some(serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error} in {line:?}")))
     }
 
-    /// Waits for a line.
     fn until<T>(&mut self, what: &str, wanted: impl Fn(&AskerLine) -> Option<T>) -> T {
         loop {
             let Some(line) = self.next() else {
@@ -58,7 +57,6 @@ impl Asker {
         });
     }
 
-    /// All further lines.
     fn rest(&mut self) -> Vec<AskerLine> {
         std::iter::from_fn(|| self.next()).collect()
     }
@@ -77,8 +75,7 @@ fn held(arena: &Arena, pid: u32) -> (usize, usize) {
     (descriptors, arena.stale_files().len())
 }
 
-/// The least that is held at any time, once all is open: some descriptors are open for moments only, those of
-/// questions among them.
+/// Minimum held at any time, once all is open: some descriptors are open for moments only.
 fn least(arena: &Arena, pid: u32) -> (usize, usize) {
     let mut last = (0, 0);
     eventually("as little is held as before", || {
@@ -323,7 +320,7 @@ fn a_calm_client_is_served_next_whatever_others_ask() {
             let other = &other.record.answer;
             answer.taken_ns < other.taken_ns && other.sent_ns < answer.sent_ns
         });
-        // Those have used more time by then: a question of several robots that comes later waits.
+        // They have used more time by then: a question of several robots that comes later waits.
         assert_eq!(overtook.count(), 0, "{:?}", query.record);
     }
     arena.close();
@@ -361,7 +358,7 @@ fn hostile_questions_are_refused_by_reason_and_counted_and_harm_nobody() {
     let report = worker.stop().json();
     let counted = &report["queries"]["refused"];
     for (reason, count) in &reasons {
-        // What is too long is not even sent.
+        // Longer ones are not even sent.
         let sent = count - u64::from(reason == "TooLarge");
         assert!(
             counted[reason].as_u64().unwrap_or(0) >= sent,
@@ -441,7 +438,7 @@ fn recorded_answers_are_computed_again_and_a_changed_one_is_found() {
     assert!(count("queries_verified") > 60, "{report}");
 
     type Spoil = fn(&mut Query);
-    // Of the answer, and of the question that it belongs to.
+    // Changes of the answer, and of its question.
     let changes: [(&str, Spoil); 3] = [
         ("query.hi_j", |query| {
             query.rows[0].hi_j = f32::from_bits(query.rows[0].hi_j.to_bits() ^ 1);
@@ -453,12 +450,12 @@ fn recorded_answers_are_computed_again_and_a_changed_one_is_found() {
     ];
     for (at, (field, spoil)) in changes.into_iter().enumerate() {
         let to = arena.files().join(format!("spoilt-{at}.mcap"));
-        // Those at the begin may be about ticks before the first keyframe.
+        // The first ones may be about ticks before the first keyframe.
         let passed = std::cell::Cell::new(0);
         let place = std::cell::Cell::new(0);
         spoilt(&file, &to, |message| {
-            // Of candidates, whose last command counts, of a robot that has been read: not of a path, nor of one that
-            // is answered with unknown whatever is asked.
+            // Of candidates, whose last command counts, for a robot that has been read: not a path,
+            // nor one whose answer is always unknown.
             let query = message.get_mut::<Query>();
             let is_known =
                 |query: &&mut Query| query.rows.len() > 4 && query.rows[15].mean_j.is_finite();

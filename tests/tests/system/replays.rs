@@ -359,7 +359,7 @@ fn another_model_is_compared_robot_by_robot() {
         let mut planner = arena.planner();
         let mut source = arena.source("controller");
         planner.play(&mut source, &frames);
-        // Ticks that are late leave diagnostics out: the last ones state the scores of all readings.
+        // Late ticks leave diagnostics out: the last ones state the scores of all readings.
         let answered = planner.forecasts().last().map(|frame| frame.tick);
         planner.until("diagnostics", |line| match line {
             ReaderLine::Diagnostics(frame) => (Some(frame.tick) >= answered).then_some(()),

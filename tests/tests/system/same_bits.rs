@@ -88,8 +88,8 @@ struct Published {
 }
 
 impl Published {
-    /// Reads frames until the source has exited and all its samples are answered, in diagnostics too: ticks that are late
-    /// leave them out.
+    /// Reads frames until the source has exited and all its samples are answered, in diagnostics
+    /// too, which late ticks leave out.
     fn read(config: &Config, ended: &AtomicBool) -> Self {
         let bus = Bus::join(&config.domain().unwrap(), "planner").unwrap();
         let limits = config.limits();

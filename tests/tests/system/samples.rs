@@ -44,7 +44,7 @@ fn assert_same(clean: &Answers, found: &Answers, of: usize) -> usize {
 
 type Spoil = fn(&mut Sample);
 
-/// Invalid values of a sample, and the drop reason. The robot is invalid for the reason of that name.
+/// Invalid values of a sample, and the drop reason, which also names why the robot is invalid.
 const POISON: [(DropReason, &str, Spoil); 16] = {
     use DropReason::{BadFlags, BadTime, CommandOutOfRange, NotFinite, PowerOutOfRange};
     [

@@ -220,7 +220,6 @@ fn traced(arena: &Arena, joiner: &Joiner, options: &[&str]) -> Child {
     Child::spawn(joiner.name, command)
 }
 
-/// Kills the traced process.
 fn kill_traced(strace: &Child) {
     let path = format!("/proc/{0}/task/{0}/children", strace.pid());
     for pid in fs::read_to_string(path)

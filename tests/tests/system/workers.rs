@@ -145,7 +145,7 @@ fn row_2_killed_workers_are_detected_at_once_and_the_ledger_continues_exactly_fr
                 .then_some(frame.read_ns)
         });
         to_forecast.add_ns(forecast_ns - started_ns);
-        // One that gets no processor until this worker's frames have been removed never learns that it was there.
+        // A planner without a processor until this worker's frames are gone never learns of it.
         consumer.until("the planner has a frame of it", |line| match line {
             ReaderLine::Given { worker_epoch, .. } => (*worker_epoch == epoch).then_some(()),
             _ => None,

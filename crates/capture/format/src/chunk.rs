@@ -13,7 +13,6 @@ use crate::scan::{MAX_RECORD_BYTES, is_opcode, parse_record, zstd_decoder};
 /// Opcode and length before every record, bytes.
 const HEAD_BYTES: usize = 9;
 
-/// A sequence of records.
 #[derive(Default)]
 pub(crate) struct Records {
     bytes: Vec<u8>,
@@ -42,8 +41,8 @@ impl Records {
     }
 }
 
-/// The records of a chunk's body, at most `most_bytes` decompressed.
-pub(crate) fn records(body: &[u8], most_bytes: u64) -> Result<Records, McapError> {
+/// The records of a chunk's body, at most `max_bytes` decompressed.
+pub(crate) fn records(body: &[u8], max_bytes: u64) -> Result<Records, McapError> {
     let chunk = parse_record(op::CHUNK, body);
     let Record::Chunk { header, data } =
         chunk.map_err(|error| error.unwrap_or(McapError::UnexpectedEoc))?
@@ -51,7 +50,7 @@ pub(crate) fn records(body: &[u8], most_bytes: u64) -> Result<Records, McapError
         return Err(McapError::UnexpectedEoc);
     };
     let size = header.uncompressed_size;
-    if size > MAX_RECORD_BYTES.min(most_bytes) {
+    if size > MAX_RECORD_BYTES.min(max_bytes) {
         return Err(McapError::ChunkTooLarge(size));
     }
     let bytes = match header.compression.as_str() {

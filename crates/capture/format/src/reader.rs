@@ -12,11 +12,11 @@ use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use crate::chunk::{self, Records};
-use crate::scan::{MAX_RECORD_BYTES, most_expanded, parse_record};
+use crate::scan::{MAX_RECORD_BYTES, max_expanded, parse_record};
 use crate::{Attached, Attachments, DecodeError, Entry, Message, MessageKind};
 
 /// Maximum number of bytes per read.
-const MOST_AT_ONCE: usize = 1 << 18;
+const MAX_AT_ONCE: usize = 1 << 18;
 
 /// Reads a capture from its beginning, in memory of about its largest chunk. Messages are returned
 /// in the order of the file, which in our captures is that of their log time.
@@ -191,14 +191,14 @@ impl<S: Read> Reader<S> {
             };
             let taken = match event.map_err(|error| damage(error, self.read_bytes))? {
                 LinearReadEvent::ReadRequest(wanted) => {
-                    let buffer = self.mcap.insert(wanted.clamp(1, MOST_AT_ONCE));
+                    let buffer = self.mcap.insert(wanted.clamp(1, MAX_AT_ONCE));
                     let read = self.source.read(buffer)?;
                     self.mcap.notify_read(read);
                     self.read_bytes += read as u64;
                     continue;
                 }
                 LinearReadEvent::Record { opcode, data } if opcode == op::CHUNK => {
-                    let allowed = most_expanded(self.read_bytes);
+                    let allowed = max_expanded(self.read_bytes);
                     let left = allowed.saturating_sub(self.expanded_bytes);
                     chunk::records(data, left).map(|records| {
                         self.expanded_bytes += records.bytes();

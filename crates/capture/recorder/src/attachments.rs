@@ -1,4 +1,4 @@
-//! What makes a capture replayable on its own: configs, models and build.
+//! Attachments that make a capture replayable on its own: configs, models and build.
 
 use joulebus_bus::clock;
 use joulebus_capture_format::{Attachments, Clock};

@@ -27,7 +27,7 @@ impl RecordedChannel {
         }
     }
 
-    /// Those of a fleet; causes before effects.
+    /// All channels of a fleet, causes before effects.
     #[must_use]
     pub fn all() -> Vec<Self> {
         struct All(Vec<RecordedChannel>);

@@ -139,7 +139,7 @@ fn place(message: &Message) -> (u8, u64, u64, usize) {
     };
     match (kind.flow(), kind.rows()) {
         (Flow::Sources, _) => (0, message.sent_ns().unwrap_or_default(), 0, 0),
-        (_, FrameRows::Words(_)) => (2, 0, 0, 0),
+        (_, FrameRows::UpTo(_)) => (2, 0, 0, 0),
         // The journal says what a tick took.
         (_, FrameRows::Taken) => (1, place.run, place.number, 0),
         _ => {

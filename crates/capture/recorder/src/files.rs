@@ -35,7 +35,7 @@ impl fmt::Debug for Target {
 }
 
 /// Topics whose choice is remembered; forgetting it costs asking again.
-const MOST_CHOSEN: usize = 1 << 17;
+const MAX_CHOSEN: usize = 1 << 17;
 
 /// Output of a part.
 enum Out {
@@ -298,7 +298,7 @@ impl Files {
     fn is_chosen(&mut self, item: &Item, kind: MessageKind, robot: u32) -> bool {
         let key = (Arc::clone(&item.fleet), kind, robot);
         let choose = &self.options.choose;
-        if self.chosen.len() >= MOST_CHOSEN {
+        if self.chosen.len() >= MAX_CHOSEN {
             self.chosen.clear();
         }
         *self
@@ -323,12 +323,12 @@ fn part(path: &Path, number: u32) -> PathBuf {
     path.with_file_name(name)
 }
 
-/// What a snapshot keeps in memory.
+/// A snapshot's contents in memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Kept {
     /// Messages.
     pub messages: u64,
-    /// What they take, bytes.
+    /// Size of the messages, bytes.
     pub bytes: u64,
     /// From the oldest to the newest, ns.
     pub span_ns: u64,

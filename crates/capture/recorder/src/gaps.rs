@@ -12,11 +12,10 @@ use joulebus_capture_format::{Message, MessageKind};
 
 /// Maximum number of tracked runs of sources and workers; beyond it those silent longest are
 /// dropped.
-const MOST_RUNS: usize = 4_096;
+const MAX_RUNS: usize = 4_096;
 /// Maximum number of ticks without diagnostics stored per run.
-const MOST_UNSENT: usize = 4_096;
+const MAX_UNSENT: usize = 4_096;
 
-/// Counts gaps.
 #[derive(Debug, Default)]
 pub(crate) struct Gaps {
     /// Runs that began later are tracked from their first frame, monotonic ns. Start of the
@@ -34,7 +33,6 @@ type Key = (Arc<str>, MessageKind, u64, u64);
 #[derive(Debug, Default)]
 struct Run {
     next: u64,
-    /// The last number.
     last: u64,
     /// Numbers from `next` on that were not sent.
     unsent: VecDeque<u64>,
@@ -92,7 +90,7 @@ impl Gaps {
         if header.tick < run.next {
             return 1;
         }
-        if run.unsent.len() == MOST_UNSENT {
+        if run.unsent.len() == MAX_UNSENT {
             run.unsent.pop_front();
         }
         run.unsent.push_back(header.tick);
@@ -141,11 +139,11 @@ impl Gaps {
 
     /// Frees space for other runs: drops the half that was silent longest.
     fn forget_silent(&mut self) {
-        if self.runs.len() < MOST_RUNS {
+        if self.runs.len() < MAX_RUNS {
             return;
         }
         let mut looked: Vec<u64> = self.runs.values().map(|run| run.looked).collect();
-        let (_, median, _) = looked.select_nth_unstable(MOST_RUNS / 2);
+        let (_, median, _) = looked.select_nth_unstable(MAX_RUNS / 2);
         self.runs.retain(|(_, _, _, epoch), run| {
             let stays = run.looked > *median;
             if !stays {
@@ -302,7 +300,7 @@ mod tests {
                 let found = gaps.look(&fleet, &frame(name, 200 + name, number));
                 assert_eq!(found.missing, u64::from(number == 3), "source {name}");
             }
-            assert!(gaps.runs.len() <= MOST_RUNS);
+            assert!(gaps.runs.len() <= MAX_RUNS);
         }
         // A dropped run has no missing messages when it sends again.
         assert_eq!(gaps.look(&fleet, &frame(7, 207, 90)).missing, 0);

@@ -25,7 +25,7 @@ pub struct Lost {
     pub unwritten: u64,
 }
 
-/// What a recording has come to.
+/// Results of a recording.
 #[derive(Debug, Clone, Default)]
 pub struct Summary {
     /// Files with their statistics.

@@ -57,7 +57,7 @@ fn config(name: &str, root: &Path) -> Config {
     let text = format!(
         "[fleet]\nname = \"{name}\"\ncapacity = 16\n\
          [domain]\nroot = \"{}\"\nprefix = \"jcap_\"\n\
-         [intake]\nbuffer_frames = 64\n\
+         [intake]\nbuffer_frames = 64\n[ledger]\ncheckpoint = \"\"\n\
          [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-15\"]\n",
         root.display()
     );
@@ -727,7 +727,6 @@ fn a_channel_that_is_declared_elsewhere_is_recorded_and_played() {
     options.channels.push(RecordedChannel::of::<Signals>(true));
     let recorder = stage.record(Target::File(path.clone()), &options);
     let begun_ns = clock::monotonic_ns();
-    // One is missing.
     for tick in [1, 2, 4] {
         let header = SignalHeader {
             schema: SCHEMA_VERSION,

@@ -14,15 +14,14 @@ use joulebus_capture_format::{Frame, Message, MessageKind};
 /// Maximum lead, in ticks, of one service over another in a capture: more than any service buffers.
 const WINDOW: u64 = 64;
 /// Maximum number of frames of samples waiting for their tick.
-const MOST_FRAMES: usize = 8_192;
+const MAX_FRAMES: usize = 8_192;
 /// Maximum number of samples in them: 224 MB.
-const MOST_SAMPLES: usize = 4_000_000;
+const MAX_SAMPLES: usize = 4_000_000;
 /// Maximum number of unfinished runs of the worker; older ones count as ended.
-const MOST_RUNS: usize = 8;
+const MAX_RUNS: usize = 8;
 /// Maximum size of a keyframe, bytes: that of a million robots has about 305 MB.
-const MOST_KEYFRAME_BYTES: u64 = 512 << 20;
+const MAX_KEYFRAME_BYTES: u64 = 512 << 20;
 
-/// One frame of samples.
 pub(super) type SampleFrame = Frame<Samples>;
 
 /// Recorded parts of one tick.
@@ -250,7 +249,7 @@ impl Assembler {
             (first.worker_epoch, first.tick) == (header.worker_epoch, header.tick)
                 && sofar.len() as u64 == header.offset
         };
-        if header.total_bytes > MOST_KEYFRAME_BYTES {
+        if header.total_bytes > MAX_KEYFRAME_BYTES {
             self.broken_keyframes += u64::from(header.offset == 0);
             return;
         }
@@ -280,7 +279,7 @@ impl Assembler {
     fn release(&mut self, all: bool) {
         let newest_run = self.runs.keys().next_back().copied().unwrap_or_default();
         let newest_tick = self.runs.get(&newest_run).map_or(0, |run| run.newest);
-        let oldest_run = self.runs.keys().rev().nth(MOST_RUNS - 1).copied();
+        let oldest_run = self.runs.keys().rev().nth(MAX_RUNS - 1).copied();
         let oldest_run = oldest_run.unwrap_or_default();
         for (worker_epoch, run) in &mut self.runs {
             // A run that others have long followed has ended.
@@ -357,7 +356,7 @@ impl FrameStore {
         let waiting = self.frames.entry(key).or_default();
         waiting.push_back((self.next, frame));
         self.next += 1;
-        while self.held > MOST_FRAMES || (self.samples > MOST_SAMPLES && self.held > 1) {
+        while self.held > MAX_FRAMES || (self.samples > MAX_SAMPLES && self.held > 1) {
             let Some((number, oldest)) = self.order.pop_front() else {
                 return;
             };
@@ -366,7 +365,7 @@ impl FrameStore {
             }
         }
         // Taken frames are removed from the order once they are more than half of it.
-        if self.order.len() > 2 * self.held + MOST_FRAMES {
+        if self.order.len() > 2 * self.held + MAX_FRAMES {
             let mut order = std::mem::take(&mut self.order);
             order.retain(|(number, key)| self.holds(*number, *key));
             self.order = order;
@@ -568,9 +567,9 @@ mod tests {
         for run in 1..=MANY {
             assembler.push(journal(run, 1, [7].into_iter()));
             found += ticks(&mut assembler).len();
-            assert!(assembler.runs.len() <= MOST_RUNS);
+            assert!(assembler.runs.len() <= MAX_RUNS);
         }
-        assert_eq!(found as u64, MANY - MOST_RUNS as u64);
+        assert_eq!(found as u64, MANY - MAX_RUNS as u64);
     }
 
     #[test]
@@ -580,7 +579,7 @@ mod tests {
         for _ in 0..MANY {
             store.put(frame(7).into_frame().unwrap());
             assert!(store.get(key).is_some());
-            assert!(store.order.len() <= 2 * MOST_FRAMES);
+            assert!(store.order.len() <= 2 * MAX_FRAMES);
         }
         assert_eq!((store.held, store.untaken), (0, 0));
     }

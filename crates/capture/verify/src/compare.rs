@@ -22,7 +22,7 @@ pub struct Value {
 }
 
 impl Value {
-    /// Of a field in shared memory.
+    /// The number in a field of shared memory.
     fn of(field: FieldType, bytes: &[u8]) -> Self {
         let mut word = [0; 8];
         let count = bytes.len().min(word.len());

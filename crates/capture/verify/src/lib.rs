@@ -30,10 +30,10 @@ pub use report::{Difference, Loss, Verification};
 pub use what_if::{Comparison, ModelScores, RobotComparison, WhatIf};
 
 /// Maximum memory of ticks waiting for a keyframe, and of keyframes waiting for their ticks, bytes.
-const MOST_WAITING: usize = 256 << 20;
+const MAX_WAITING: usize = 256 << 20;
 /// Maximum number of keyframes waiting for their ticks: one arrives every five seconds, and its
 /// ticks directly after it.
-const MOST_KEYFRAMES: usize = 64;
+const MAX_KEYFRAMES: usize = 64;
 
 /// Recomputes a capture of one fleet.
 #[derive(Debug)]
@@ -166,7 +166,7 @@ impl Verifier {
         let held =
             |keyframes: &BTreeMap<_, Vec<u8>>| keyframes.values().map(Vec::len).sum::<usize>();
         while self.keyframes.len() > 1
-            && (self.keyframes.len() > MOST_KEYFRAMES || held(&self.keyframes) > MOST_WAITING)
+            && (self.keyframes.len() > MAX_KEYFRAMES || held(&self.keyframes) > MAX_WAITING)
         {
             self.keyframes.pop_first();
         }
@@ -195,7 +195,7 @@ impl Verifier {
         }
         self.waiting_bytes += next.parts.bytes();
         self.waiting.push_back(next);
-        while self.waiting_bytes > MOST_WAITING {
+        while self.waiting_bytes > MAX_WAITING {
             self.give_up_first();
         }
     }

@@ -1,4 +1,4 @@
-//! What a worker sends in each tick, and how it is computed again.
+//! Outputs of a worker in each tick, and their recomputation.
 
 use std::fmt;
 
@@ -29,7 +29,6 @@ type Compare = dyn Fn(RecomputedTick<'_>, &Message, Differs<'_>) + Send + Sync;
 
 /// A channel whose frames are computed again, each of one row for each robot.
 pub struct Output {
-    /// Kind of its messages.
     pub(super) kind: MessageKind,
     /// Whether a tick with this journal sends a frame.
     pub(super) is_sent: fn(&TickHeader) -> bool,
@@ -85,7 +84,7 @@ impl Output {
         }
     }
 
-    /// Those of a worker.
+    /// All outputs of a worker.
     pub(super) fn all() -> Vec<Self> {
         let forecasts = Self::of::<Forecasts>(
             &[

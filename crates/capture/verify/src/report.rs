@@ -11,7 +11,7 @@ use crate::compare::FieldDifference;
 use joulebus_capture_format::MessageKind;
 
 /// Maximum number of losses and refused keyframes listed.
-const MOST_TOLD: usize = 20;
+const MAX_TOLD: usize = 20;
 
 /// Result of a verification.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
@@ -55,7 +55,8 @@ pub struct Verification {
     pub queries: u64,
     /// Questions whose answer was computed again.
     pub queries_verified: u64,
-    /// Questions refused for reasons of time: a deadline, a client that ended, a worker that ended.
+    /// Questions refused for reasons of time (a deadline, a client that ended, a worker that
+    /// ended), and acknowledgements.
     pub queries_by_time: u64,
     /// Questions about ticks before the first or after the last that was computed.
     pub queries_outside: u64,
@@ -78,7 +79,7 @@ pub struct Verification {
     /// Whether the verification has begun.
     #[serde(skip)]
     pub(super) has_begun: bool,
-    /// What a worker sends, and whether it is recorded.
+    /// A worker's outputs, and whether they are recorded.
     #[serde(skip)]
     outputs: Vec<(MessageKind, bool)>,
 }
@@ -226,13 +227,13 @@ impl Verification {
 
     pub(super) fn refuse_keyframe(&mut self, tick: u64, error: &StateError) {
         self.refused_keyframes += 1;
-        if self.refusals.len() < MOST_TOLD {
+        if self.refusals.len() < MAX_TOLD {
             self.refusals.push((tick, error.to_string()));
         }
     }
 
     fn note_loss(&mut self, tick: u64, why: Loss) {
-        if self.losses.len() < MOST_TOLD {
+        if self.losses.len() < MAX_TOLD {
             self.losses.push((tick, why));
         }
     }

@@ -6,11 +6,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::Context as _;
+use joulebus_board::AcknowledgedRecord;
 use joulebus_capture_format::{Entry, Frame, ReadError, Reader};
 use joulebus_consumer::{AlarmChange, AlarmHistory, Change, FleetAlarm};
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
-use joulebus_wire::Diagnostics;
+use joulebus_wire::{Acknowledgement, Acknowledgements, Diagnostics};
 use serde::Serialize;
 
 use super::{Lasted, s_between};
@@ -28,12 +29,15 @@ struct Episode {
     lasted_s: Option<f64>,
     /// `cleared`, `left`, or `raised` at the end of the recording.
     end: &'static str,
+    /// Who acknowledged it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    acknowledged: Option<AcknowledgedRecord>,
 }
 
 #[derive(Debug, Serialize)]
 struct AlarmsReport {
     alarms: Vec<Episode>,
-    /// Those whose diagnostics were read.
+    /// Fleets whose diagnostics were read.
     fleets: Vec<String>,
     /// Ticks whose diagnostics were read.
     ticks: u64,
@@ -43,7 +47,7 @@ struct AlarmsReport {
     damage: Vec<String>,
     /// Unix time of the first diagnostics, ns.
     from_ns: Option<u64>,
-    /// Of the last.
+    /// Unix time of the last diagnostics, ns.
     to_ns: Option<u64>,
 }
 
@@ -99,16 +103,27 @@ impl Found {
     }
 
     fn take(&mut self, entry: &Entry) {
+        let at_ns = entry.publish_time_ns;
+        if let Some(Frame { header, rows }) = entry.message.frame::<Acknowledgements>() {
+            // Unix time, as that of the diagnostics.
+            let unix_ns = |row_ns| at_ns.saturating_sub(header.sent_ns.saturating_sub(row_ns));
+            let at_unix = |row: &Acknowledgement| Acknowledgement {
+                at_ns: unix_ns(row.at_ns),
+                ..*row
+            };
+            let rows: Vec<Acknowledgement> = rows.iter().map(at_unix).collect();
+            let history = self.fleets.entry(Arc::clone(&entry.fleet)).or_default();
+            history.acknowledge(header, &rows, at_ns, drop);
+        }
         let Some(Frame { header, rows }) = entry.message.frame::<Diagnostics>() else {
             return;
         };
-        let at_ns = entry.publish_time_ns;
         let (from_ns, to_ns) = self.span_ns.unwrap_or((at_ns, at_ns));
         self.span_ns = Some((from_ns.min(at_ns), to_ns.max(at_ns)));
         let history = self.fleets.entry(Arc::clone(&entry.fleet)).or_default();
         let episodes = &mut self.episodes;
         history.take(header, rows, at_ns, |change| {
-            if change.change != Change::Raised {
+            if matches!(change.change, Change::Cleared | Change::Left) {
                 episodes.push(Episode::new(&entry.fleet, &change));
             }
         });
@@ -128,6 +143,7 @@ impl Found {
                     raised_ns,
                     lasted_s: None,
                     end: Change::Raised.name(),
+                    acknowledged: history.acknowledged(robot, alarm).map(acknowledged),
                 });
             }
         }
@@ -155,8 +171,14 @@ impl Episode {
             raised_ns: change.raised_ns,
             lasted_s: FleetAlarm::from(*change).lasted_s(),
             end: change.change.name(),
+            acknowledged: change.acknowledged.as_ref().map(acknowledged),
         }
     }
+}
+
+/// The record of a row whose time is Unix time.
+fn acknowledged(row: &Acknowledgement) -> AcknowledgedRecord {
+    AcknowledgedRecord::new(row, |at_ns| at_ns)
 }
 
 impl fmt::Display for AlarmsReport {
@@ -171,7 +193,7 @@ impl fmt::Display for AlarmsReport {
         if self.ticks_missed > 0 {
             writeln!(out, "{} ticks without diagnostics", self.ticks_missed)?;
         }
-        // Of one fleet it would say the same in each line.
+        // With one fleet, its name would be the same in each line.
         let widths = self.fleets.iter().map(|fleet| fleet.chars().count());
         let width = widths.max().filter(|_| self.fleets.len() > 1);
         let fleet_column = |fleet: &str| {
@@ -193,6 +215,10 @@ impl fmt::Display for AlarmsReport {
             let lasted = episode
                 .lasted_s
                 .map_or(String::new(), |s| Lasted(s).to_string());
+            let by = episode.acknowledged.as_ref().map_or(String::new(), |it| {
+                let after_s = s_between(episode.raised_ns, it.at_unix_ns);
+                format!(", acknowledged by {} after {}", it.by, Lasted(after_s))
+            });
             let Episode {
                 fleet,
                 robot,
@@ -204,7 +230,7 @@ impl fmt::Display for AlarmsReport {
             let fleet = fleet_column(fleet);
             writeln!(
                 out,
-                "{after_s:>10.2}{fleet} {robot:>10}  {alarm:<16} {level:<6} {lasted:>10}  {end}"
+                "{after_s:>10.2}{fleet} {robot:>10}  {alarm:<16} {level:<6} {lasted:>10}  {end}{by}"
             )?;
         }
         Ok(())
@@ -224,6 +250,7 @@ mod tests {
             raised_ns: place as u64 * 1_000_000_000,
             lasted_s: None,
             end: "raised",
+            acknowledged: None,
         };
         let report = AlarmsReport {
             alarms: fleets.iter().enumerate().map(episode).collect(),

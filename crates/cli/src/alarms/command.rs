@@ -15,13 +15,13 @@ use rustix::process::{Pid, Signal, kill_process_group};
 use super::Line;
 
 /// Changes that wait for the command.
-const MOST_WAITING: usize = 256;
+const MAX_WAITING: usize = 256;
 /// Time that a command may take.
-const MOST: Duration = Duration::from_secs(10);
+const TIMEOUT: Duration = Duration::from_secs(10);
 /// Interval between two looks at a running command.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
-/// Runs a command for each change, in a thread of its own: whoever tells the changes never waits.
+/// Runs a command for each change, in a thread of its own, so that its caller never waits.
 pub(super) struct OnAlarm {
     lines: Option<SyncSender<Line>>,
     thread: Option<JoinHandle<u64>>,
@@ -31,7 +31,7 @@ pub(super) struct OnAlarm {
 
 impl OnAlarm {
     pub(super) fn start(command: String) -> anyhow::Result<Self> {
-        let (lines, waiting) = sync_channel(MOST_WAITING);
+        let (lines, waiting) = sync_channel(MAX_WAITING);
         let ending = Arc::new(AtomicBool::new(false));
         let ends = Arc::clone(&ending);
         let thread = std::thread::Builder::new()
@@ -62,8 +62,8 @@ impl OnAlarm {
         }
     }
 
-    /// Tells what waits, as far as the time of one command reaches. Returns how many changes were not told, or told
-    /// to a command that failed.
+    /// Runs the command for waiting changes, for as long as one command may take. Returns how many
+    /// changes it did not run for, or failed for.
     pub(super) fn finish(mut self) -> u64 {
         self.ending.store(true, Ordering::Relaxed);
         drop(self.lines.take());
@@ -72,19 +72,19 @@ impl OnAlarm {
     }
 }
 
-/// Runs the command for every change until the sender is dropped. Returns how many changes it did not take.
+/// Runs the command for every change until the sender is dropped. Returns how many failed.
 fn run_all(command: &str, waiting: &Receiver<Line>, ending: &AtomicBool) -> u64 {
     let mut failed = 0;
     let (mut last_failure, mut end_by) = (None, None);
     for line in waiting {
         if ending.load(Ordering::Relaxed) {
-            let by = *end_by.get_or_insert_with(|| Instant::now() + MOST);
+            let by = *end_by.get_or_insert_with(|| Instant::now() + TIMEOUT);
             if Instant::now() > by {
                 failed += 1;
                 continue;
             }
         }
-        match run_once(command, &line, MOST) {
+        match run_once(command, &line, TIMEOUT) {
             Ok(()) => last_failure = None,
             Err(why) => {
                 failed += 1;
@@ -112,6 +112,10 @@ fn run_once(command: &str, line: &Line, most: Duration) -> Result<(), String> {
         .env("JOULEBUS_LEVEL", line.0.level)
         .env("JOULEBUS_CHANGE", line.0.change)
         .env("JOULEBUS_STAMP_NS", line.0.stamp_ns.to_string())
+        .env(
+            "JOULEBUS_BY",
+            shown(line.0.acknowledged.as_ref().map(|it| it.by.clone())),
+        )
         .env(
             "JOULEBUS_LASTED_S",
             shown(line.0.lasted_s.map(|s| s.to_string())),
@@ -153,7 +157,7 @@ fn kill(child: &mut Child) {
 
 #[cfg(test)]
 mod tests {
-    use joulebus_board::AlarmRecord;
+    use joulebus_board::{AcknowledgedRecord, AlarmRecord};
 
     use super::*;
 
@@ -166,6 +170,11 @@ mod tests {
             level: "warn",
             change: "cleared",
             lasted_s: Some(2.5),
+            acknowledged: Some(AcknowledgedRecord {
+                by: "ann".to_owned(),
+                at_unix_ns: 1,
+            }),
+            card: None,
         })
     }
 
@@ -173,8 +182,8 @@ mod tests {
     fn a_command_has_the_change_in_its_environment_and_its_failure_is_told() {
         let long = Duration::from_secs(60);
         let all = "$JOULEBUS_FLEET $JOULEBUS_ROBOT $JOULEBUS_ALARM $JOULEBUS_LEVEL $JOULEBUS_CHANGE \
-                   $JOULEBUS_STAMP_NS $JOULEBUS_LASTED_S";
-        let expected = "lab 7 BiasHigh warn cleared 1700000000123000000 2.5";
+                   $JOULEBUS_STAMP_NS $JOULEBUS_LASTED_S $JOULEBUS_BY";
+        let expected = "lab 7 BiasHigh warn cleared 1700000000123000000 2.5 ann";
         let compare = format!("test \"{all}\" = '{expected}'");
         assert_eq!(run_once(&compare, &line(), long), Ok(()));
         let mut of_worker = line();
@@ -207,7 +216,7 @@ mod tests {
     fn of_more_changes_than_may_wait_the_others_are_counted() {
         let mut command = OnAlarm::start("sleep 11".to_owned()).unwrap();
         // One is taken by the command at some time, the others wait.
-        for _ in 0..MOST_WAITING + 11 {
+        for _ in 0..MAX_WAITING + 11 {
             command.tell(&line());
         }
         assert!((10..=11).contains(&command.untold), "{}", command.untold);

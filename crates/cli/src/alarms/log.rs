@@ -19,18 +19,20 @@ const OPEN_EVERY: Duration = Duration::from_secs(1);
 /// Interval of checking whether the worker is open.
 const LOOK_EVERY: Duration = Duration::from_millis(5);
 
-/// What was logged.
+/// Counts of logged alarms.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub(crate) struct AlarmReport {
     /// Alarms that were raised.
     pub(crate) raised: u64,
+    /// Alarms that a person acknowledged.
+    pub(crate) acknowledged: u64,
     /// Alarms that ended, those of robots that left included.
     pub(crate) ended: u64,
     /// Ticks without diagnostics: alarms that were raised and cleared within them are not known.
     pub(crate) ticks_missed: u64,
 }
 
-/// A thread that logs alarms. It reads as a planner does, so the tick knows nothing of it. Stopped when dropped.
+/// A thread that logs alarms, stopped when dropped. It reads as a planner, not in the tick.
 pub(crate) struct AlarmLog {
     thread: Background,
     report: Arc<Mutex<AlarmReport>>,
@@ -38,8 +40,8 @@ pub(crate) struct AlarmLog {
 }
 
 impl AlarmLog {
-    /// Starts the thread, which waits for [`AlarmLog::open`]. To be called before the worker is opened, whose CPUs and
-    /// priority it would inherit.
+    /// Starts the thread, which waits for [`AlarmLog::open`]. Call it before the worker is opened,
+    /// whose CPUs and priority the thread would inherit.
     ///
     /// # Errors
     /// The system refuses the thread.
@@ -65,7 +67,7 @@ impl AlarmLog {
         })
     }
 
-    /// Opens the diagnostics, once the worker holds the fleet's lock: until then the reader's place is another worker's.
+    /// Opens the diagnostics, once the worker holds the fleet's lock.
     pub(crate) fn open(&self) {
         self.may_open.store(true, Ordering::Relaxed);
     }
@@ -82,7 +84,7 @@ impl AlarmLog {
 struct Logging {
     config: Config,
     feed: Option<AlarmFeed>,
-    /// Of feeds before this one.
+    /// Totals of earlier feeds.
     before: AlarmReport,
     report: Arc<Mutex<AlarmReport>>,
     worker_is_open: Arc<AtomicBool>,
@@ -90,7 +92,7 @@ struct Logging {
 }
 
 impl Logging {
-    /// The feed, which is opened if there is none. A failure is logged once, until there is none again.
+    /// The feed, opened if there is none. A failure is logged once, until a feed is opened.
     fn feed(&mut self) -> Option<&mut AlarmFeed> {
         if self.feed.is_none() {
             match AlarmFeed::with_config(&self.config, "alarms") {
@@ -125,6 +127,7 @@ impl Steps for Logging {
             match change.change {
                 Change::Raised => report.raised += 1,
                 Change::Cleared | Change::Left => report.ended += 1,
+                Change::Acknowledged => report.acknowledged += 1,
             }
         });
         let (missed, pause) = (feed.history().ticks_missed(), feed.look_every());
@@ -134,7 +137,7 @@ impl Steps for Logging {
             return None;
         }
         if let Err(error) = read {
-            // Another version's diagnostics, or files that were removed: the worker notices that too.
+            // Diagnostics of another version, or removed files: the worker notices that too.
             tracing::warn!(%error, "alarms cannot be read: they are opened again");
             self.before = report;
             self.feed = None;
@@ -154,6 +157,14 @@ fn log(change: &AlarmChange) {
         }
         (Change::Raised, _) => {
             tracing::warn!(target: ALARMS, robot, alarm, level = level_name, change = what, "alarm raised");
+        }
+        (Change::Acknowledged, _) => {
+            let by = change
+                .acknowledged
+                .as_ref()
+                .map(|row| row.by())
+                .unwrap_or_default();
+            tracing::info!(target: ALARMS, robot, alarm, level = level_name, change = what, by, "alarm acknowledged by {by}");
         }
         (Change::Cleared | Change::Left, _) => {
             let lasted_s = FleetAlarm::from(*change).lasted_s().unwrap_or_default();

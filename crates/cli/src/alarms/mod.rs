@@ -1,7 +1,9 @@
 //! `joulebus alarms`: each raise and each end of an alarm, live or in a capture.
 
+mod acknowledge;
 mod captured;
 mod command;
+mod explain;
 mod live;
 mod log;
 
@@ -24,19 +26,23 @@ pub(crate) use log::{AlarmLog, AlarmReport};
     joulebus alarms                                   of the running fleet, until Ctrl-C\n  \
     joulebus alarms --format json | jq .alarm\n  \
     joulebus alarms run.mcap                          history of a capture\n  \
+    joulebus alarms --explain BiasHigh                what it means and what to check\n  \
+    joulebus alarms --acknowledge 7 BiasHigh --by ann\n  \
     joulebus alarms --on-alarm 'logger \"$JOULEBUS_ALARM of robot $JOULEBUS_ROBOT $JOULEBUS_CHANGE\"'\n\n\
     Live, one line for each change, with --format json one object; WorkerGone and WorkerStale are of \
     the worker itself. What is raised at the start is shown as raised then.\n\
+    An alarm is acknowledged until it ends: if it returns it is raised again. WorkerGone and WorkerStale cannot be \
+    acknowledged, since no worker is there that could take it.\n\
     --on-alarm runs its command with `sh -c` for each change, one after the other, each for at most \
     10 s: JOULEBUS_FLEET, JOULEBUS_ROBOT (empty for the worker), JOULEBUS_ALARM, JOULEBUS_LEVEL (ok, \
-    warn, error, stale), JOULEBUS_CHANGE (raised, cleared, left), JOULEBUS_STAMP_NS (Unix time), \
-    JOULEBUS_LASTED_S (empty when raised). Of more than 256 waiting changes further ones are not told, \
+    warn, error, stale), JOULEBUS_CHANGE (raised, acknowledged, cleared, left), JOULEBUS_STAMP_NS \
+    (Unix time), JOULEBUS_LASTED_S (empty while raised), JOULEBUS_BY (who acknowledged it). Of more than 256 waiting changes further ones are not told, \
     and counted.\n\
-    Exit codes: 1 if nothing of a file can be read; 3 if ticks were missed, a file is damaged, or a \
+    Exit codes: 1 if nothing of a file can be read, or an acknowledgement was not taken; 3 if ticks were missed, a file is damaged, or a \
     command was not run or failed.")]
 pub(crate) struct Args {
     /// Captures; without any, the running fleet
-    #[arg(value_name = "FILE", conflicts_with_all = ["config", "on_alarm", "duration"])]
+    #[arg(value_name = "FILE", conflicts_with_all = ["config", "on_alarm", "duration", "explain", "acknowledge"])]
     files: Vec<PathBuf>,
     #[command(flatten)]
     config: ConfigFile,
@@ -46,10 +52,25 @@ pub(crate) struct Args {
     /// End after this time, s
     #[arg(long, value_name = "S", value_parser = crate::alarms::seconds)]
     duration: Option<f64>,
+    /// Say what an alarm means, what to check and which keys set it; without a name, of all alarms
+    #[arg(long, value_name = "ALARM", num_args = 0..=1, default_missing_value = explain::ALL,
+          conflicts_with_all = ["config", "on_alarm", "duration"])]
+    explain: Option<String>,
+    /// Acknowledge an alarm of a robot that is raised, until it ends
+    #[arg(long, num_args = 2, value_names = ["ROBOT", "ALARM"],
+          conflicts_with_all = ["on_alarm", "duration", "explain"])]
+    acknowledge: Option<Vec<String>>,
+    /// Who acknowledges it [default: the user's name, from the environment]
+    #[arg(long, value_name = "NAME", requires = "acknowledge")]
+    by: Option<String>,
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    if args.files.is_empty() {
+    if let Some(name) = &args.explain {
+        explain::run(name, output)
+    } else if let Some(of) = &args.acknowledge {
+        acknowledge::run(args, of, output)
+    } else if args.files.is_empty() {
         live::run(args, output)
     } else {
         captured::run(&args.files, output)
@@ -102,12 +123,14 @@ impl fmt::Display for Line {
             None => write!(out, "worker: ")?,
         }
         write!(out, "{} {}", self.0.alarm, self.0.change)?;
-        if self.0.lasted_s.is_none() {
-            write!(out, " ({})", self.0.level)?;
-        }
-        match self.0.lasted_s {
-            Some(lasted_s) => write!(out, " after {}", Lasted(lasted_s)),
-            None => Ok(()),
+        let by = self.0.acknowledged.as_ref().map(|it| &it.by);
+        match (self.0.lasted_s, by) {
+            (None, None) => write!(out, " ({})", self.0.level),
+            (None, Some(by)) => write!(out, " by {by}"),
+            (Some(lasted_s), None) => write!(out, " after {}", Lasted(lasted_s)),
+            (Some(lasted_s), Some(by)) => {
+                write!(out, " after {}, acknowledged by {by}", Lasted(lasted_s))
+            }
         }
     }
 }

@@ -21,7 +21,8 @@ use place::{Place, ReturnTo};
 /// Timeout for a frame of the worker, or its answer.
 const PATIENCE: Duration = Duration::from_secs(3);
 
-/// Ask what a plan of a robot costs, whether the robot makes it, and which robot does it for the least
+/// Ask what a plan of a robot costs, whether the robot makes it, and which robot does it for the
+/// least
 #[derive(Debug, clap::Args)]
 #[command(
     group = ArgGroup::new("who").required(true).args(["robot", "rank"]),
@@ -38,7 +39,7 @@ const PATIENCE: Duration = Duration::from_secs(3);
     x_m,y_m,speed_mps\n    0,0,\n    2,0,0.2\n    2,1.5,0.1\n\n\
     Verdicts: yes, the upper end of the energy at the asked coverage fits into the lower bound of what the \
     battery can spare above its reserve, on every leg; tight, the expected energy fits, but not so surely, \
-    or something weakens the answer (it is listed); no, it does not fit; unknown, with the reason. \
+    or the robot's state is weak (it is listed); no, it does not fit; unknown, with the reason. \
     Computed in this process, unless --through worker says otherwise, from the worker's state in shared \
     memory and the models of the config, which must be the worker's: no queue, no load on the worker, and \
     paths of any length. --through worker needs no models here, and asks what programs in other languages \
@@ -91,7 +92,7 @@ pub(crate) struct Args {
     through: Through,
 }
 
-/// Who computes an answer.
+/// The process that computes an answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Through {
     /// This process, with the models that its config names.
@@ -193,8 +194,8 @@ impl Args {
     }
 }
 
-/// Refuses speeds that the platform of a robot does not reach: the follower would take its greatest, and the answer be about
-/// another plan.
+/// Refuses speeds above the platform's maximum: the follower would take that maximum, and the
+/// answer would be about another plan.
 fn refuse_too_fast(config: &Config, plan: &Plan) -> Result<(), UsageError> {
     let Plan::Follow { robots, path, .. } = plan else {
         return Ok(());

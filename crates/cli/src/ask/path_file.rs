@@ -6,8 +6,8 @@ use anyhow::Context as _;
 use joulebus_plan::{Path, Point};
 use joulebus_program::exit::UsageError;
 
-/// Largest path file, bytes.
-const MOST_BYTES: u64 = 16 << 20;
+/// Maximum size of a path file.
+const MAX_BYTES: u64 = 16 << 20;
 
 /// The rows of a path file: at least one.
 #[derive(Debug, PartialEq)]
@@ -32,7 +32,7 @@ impl Rows {
 
 pub(super) fn read(file: &FilePath) -> anyhow::Result<Rows> {
     let named = || format!("path {}", file.display());
-    let text = joulebus_files::read_to_string(file, MOST_BYTES).with_context(named)?;
+    let text = joulebus_files::read_to_string(file, MAX_BYTES).with_context(named)?;
     parse(&text).map_err(|error| UsageError(format!("{}: {error}", named())).into())
 }
 

@@ -8,9 +8,7 @@ use serde::Serialize;
 /// Samples of one run of a source.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct SourceRun {
-    /// Its epoch.
     pub(super) epoch: u64,
-    /// Samples.
     pub(super) sent: u64,
     /// Additional samples that it may have sent: it was killed before it could report.
     pub(super) unsure: u64,
@@ -19,9 +17,7 @@ pub(super) struct SourceRun {
 /// Last counters of one run of a worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct WorkerAccount {
-    /// Samples accepted.
     pub(super) accepted: u64,
-    /// Samples dropped.
     pub(super) dropped: DropCounts,
     /// Run of the source of its first samples; `None` without samples.
     pub(super) first_source_epoch: Option<u64>,

@@ -49,15 +49,12 @@ pub(super) struct Captured {
     /// The path of the first file; there is only one unless the recorder died.
     #[serde(default)]
     pub(super) path: PathBuf,
-    /// Number of messages.
     pub(super) messages: u64,
-    /// Size, bytes.
     pub(super) bytes: u64,
     /// How long it recorded, s.
     pub(super) duration_s: f64,
     /// CPU time of the recorder over that time: 1 is one core.
     pub(super) cpu_share: f64,
-    /// Messages that it lost.
     pub(super) messages_lost: u64,
     /// Why it stopped before its end, if it did.
     pub(super) failure: Option<String>,

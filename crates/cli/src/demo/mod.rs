@@ -30,8 +30,8 @@ const RECORDER: &str = "recorder";
 
 /// Timeout of the worker's first frame.
 const START_LIMIT_NS: u64 = 15_000_000_000;
-/// Maximum time for the worker to process the last samples, and for its frame to be read: on a busy machine either may get
-/// no processor for more than a second.
+/// Maximum time for the worker to process the last samples, and for its frame to be read. On a busy
+/// machine either may get no processor for more than a second.
 const DRAIN_LIMIT_NS: u64 = 5_000_000_000;
 /// Time for each process to exit.
 const GRACE: Duration = Duration::from_secs(5);

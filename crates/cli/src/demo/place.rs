@@ -30,9 +30,7 @@ pub(super) struct Place {
 /// Objects that a demo has left in shared memory: none, unless something is wrong.
 #[derive(Debug, Default, Clone, Serialize)]
 pub(crate) struct LeftBehind {
-    /// Number of objects.
     pub(crate) objects: u64,
-    /// Number of nodes.
     pub(crate) nodes: usize,
     /// Whether the directory still exists.
     pub(crate) directory: bool,
@@ -74,7 +72,6 @@ impl Place {
         })
     }
 
-    /// The config.
     pub(super) const fn config(&self) -> &Config {
         &self.config
     }
@@ -84,8 +81,8 @@ impl Place {
         self.root.join(CONFIG)
     }
 
-    /// Removes everything, and the remains of demos killed since. All processes must have been waited for. Returns what
-    /// could not be removed.
+    /// Removes everything, and the remains of demos killed since. All processes must have been
+    /// waited for. Returns what could not be removed.
     pub(super) fn clear(self) -> anyhow::Result<LeftBehind> {
         clear(&self.domain, &self.root);
         // Processes of one killed just before this one may still have run when it started.
@@ -112,7 +109,7 @@ fn clear(domain: &Domain, root: &Path) {
     if let Err(error) = sweep(domain) {
         tracing::warn!(%error, "shared memory could not be cleaned up");
     }
-    // While anything else is left the config stays: by it the next demo recognises the directory, and tries again.
+    // The config stays while other files are left: by it the next demo recognises the directory.
     let mut left = fs::read_dir(root).into_iter().flatten().flatten();
     if left.all(|entry| entry.file_name() == CONFIG) {
         let _ = fs::remove_file(root.join(CONFIG));
@@ -172,7 +169,7 @@ fn remove_if_dead(root: &Path) {
     let Ok(config) = File::open(root.join(CONFIG)) else {
         return;
     };
-    // A live demo has it exclusively. Shared, so that demos that look at the same time do not take each other for that one.
+    // A live demo holds it exclusively. Shared, so that demos that look at once both succeed.
     if flock(&config, FlockOperation::NonBlockingLockShared).is_err() {
         return;
     }
@@ -196,8 +193,8 @@ fn remove_if_dead(root: &Path) {
     }
 }
 
-/// Whether the directory's config is this file: a demo may have got the process id, and with it the directory's name, of a
-/// killed one whose directory another demo has just removed.
+/// True if the directory's config is still this file. Another demo may have removed the directory,
+/// and a third may have got the same process id, and so the directory's name.
 fn is_still(config: &File, root: &Path) -> bool {
     let (Ok(held), Ok(found)) = (config.metadata(), fs::symlink_metadata(root.join(CONFIG))) else {
         return false;
@@ -205,8 +202,8 @@ fn is_still(config: &File, root: &Path) -> bool {
     (held.dev(), held.ino()) == (found.dev(), found.ino())
 }
 
-/// Removes a directory without a config, or with an empty one: a demo was killed while it made or removed it. One that is
-/// being made is younger.
+/// Removes a directory without a config, or with an empty one: a demo was killed while it made or
+/// removed it. A directory that is being made is younger.
 fn remove_unfinished(root: &Path) {
     // Not through a link, by which another user could name any folder.
     let found = fs::symlink_metadata(root).ok().filter(fs::Metadata::is_dir);

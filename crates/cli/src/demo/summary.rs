@@ -15,11 +15,9 @@ use crate::watch::PlannerReport;
 /// A fault injected into a robot of the demo.
 #[derive(Debug, Clone, Serialize)]
 pub(super) struct Planted {
-    /// The robot.
     pub(super) robot: u32,
     /// The fault, in the syntax of `publish sim --fault`.
     pub(super) fault: &'static str,
-    /// Its description.
     #[serde(skip)]
     pub(super) means: &'static str,
     /// When it began, s.
@@ -62,7 +60,6 @@ struct Ticks {
     late: u64,
 }
 
-/// Summary of a demo.
 #[derive(Debug, Clone, Serialize)]
 pub(super) struct Summary {
     robots: usize,

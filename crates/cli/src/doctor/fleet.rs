@@ -12,6 +12,7 @@ use joulebus_standby::{Permit, Places};
 use rustix::fs::{Access, access, statfs};
 
 use super::{Check, Status};
+use crate::other_users;
 
 const SHARED_MEMORY: &str = "/dev/shm";
 /// Magic number of tmpfs.
@@ -167,6 +168,19 @@ pub(super) fn worker(inspection: &Inspection) -> Check {
         Some(None) => Check::ok("worker", "runs, in another container or unseen from here"),
         None => Check::ok("worker", "none runs (`joulebus run` starts one)"),
     }
+}
+
+/// Other users' fleets, where this user's has no worker.
+pub(super) fn other_users(domain: &Domain, inspection: &Inspection) -> Option<Check> {
+    let others = match inspection.worker {
+        None => other_users::other_roots(domain.root()),
+        Some(_) => Vec::new(),
+    };
+    let shown: Vec<String> = others.iter().map(ToString::to_string).collect();
+    (!shown.is_empty()).then(|| {
+        let found = shown.join("; ");
+        Check::new("other users", Status::Warn, found, other_users::REMEDY)
+    })
 }
 
 /// The permit of a worker that stands by; nothing where no link of several workers' hosts runs.

@@ -42,12 +42,10 @@ enum Status {
     Fail,
 }
 
-/// One check.
 #[derive(Debug, Serialize)]
 struct Check {
     name: &'static str,
     status: Status,
-    /// What was found.
     found: String,
     /// The remedy; empty if none is needed.
     remedy: String,
@@ -73,7 +71,6 @@ impl Check {
     }
 }
 
-/// All checks.
 #[derive(Debug, Serialize)]
 struct DoctorReport {
     status: Status,
@@ -109,6 +106,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         fleet::removed_files(&removed_files(&domain)),
         fleet::stale_files(&inspection),
     ];
+    checks.extend(fleet::other_users(&domain, &inspection));
     checks.extend(fleet::permit(&config));
     checks.extend(host::clocks());
     checks.push(rights::scheduling(config.scheduling()));

@@ -12,9 +12,7 @@ pub(super) const HELP: &str = "ROBOT=KIND[@SECONDS]";
 /// A fault of a simulated robot, from a time on.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct FaultArgument {
-    /// Id of the robot.
     pub(super) robot: u32,
-    /// The fault.
     pub(super) fault: Fault,
     /// When it begins, s after the start.
     pub(super) from_s: f64,

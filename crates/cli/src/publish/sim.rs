@@ -20,7 +20,7 @@ use super::fault::{self, FaultArgument};
 use joulebus_program::platform::platform;
 
 /// Maximum step of the simulation, ns.
-const LONGEST_STEP_NS: u64 = 1_000_000_000;
+const MAX_STEP_NS: u64 = 1_000_000_000;
 
 /// Publish a simulated fleet of GTernal robots until SIGINT, SIGTERM or SIGHUP, then report
 #[derive(Debug, clap::Args)]
@@ -222,7 +222,7 @@ impl Source {
             if left_ns == 0 {
                 return;
             }
-            self.plant.step(left_ns.min(LONGEST_STEP_NS) as f64 / 1e9);
+            self.plant.step(left_ns.min(MAX_STEP_NS) as f64 / 1e9);
         }
     }
 

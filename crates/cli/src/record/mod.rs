@@ -53,14 +53,15 @@ pub(crate) struct Args {
     /// configs/fleet.toml, or the built-in one if that file does not exist]
     #[arg(long, value_name = "FILE")]
     config: Vec<PathBuf>,
-    /// The file; further parts are run_1.mcap, run_2.mcap …, without names that are taken; - for stdout
+    /// The file; further parts are run_1.mcap, run_2.mcap …, without names that are taken; - for
+    /// stdout
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
     /// Start with the next part instead of refusing when the file exists
     #[arg(long)]
     resume: bool,
     /// Record only these topics: names of services (samples, forecasts, diagnostics, budgets,
-    /// plan_states, ticks, state) or complete topics
+    /// plan_states, ticks, state, acknowledgements) or complete topics
     #[arg(long, value_name = "TOPIC", num_args = 1..)]
     topics: Vec<String>,
     /// Record topics that match, in addition to --topics

@@ -7,7 +7,6 @@ use joulebus_capture_recorder::Summary;
 use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 
-/// Report of a recording.
 #[derive(Debug, Serialize)]
 pub(super) struct RecordReport {
     /// Duration of the recording, s.

@@ -19,7 +19,6 @@ const WAITING: usize = 16;
 pub(super) struct Files {
     paths: Vec<PathBuf>,
     pub(super) attachments: Attachments,
-    /// The fleet to play.
     pub(super) fleet: String,
 }
 
@@ -77,7 +76,7 @@ impl Files {
             let what = format!("no config of fleet {fleet:?} is attached: give one with --config");
             return Err(UsageError(what).into());
         };
-        // A recorder attaches all files: a capture from elsewhere does not decide what is read here.
+        // A recorder attaches all files. Those of a foreign capture name nothing that is read here.
         let config = Config::load_attached(path)?;
         let files = config.models().iter().filter_map(|model| match model {
             ModelSource::File(path) => Some(path),

@@ -50,7 +50,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 /// Where processes of fleets meet, as a rule: directories in memory.
 const ROOTS: [&str; 2] = ["/dev/shm", "/run"];
 
-/// A capture from elsewhere does not decide where directories are made.
+/// Refuses other directories: a foreign capture must not decide where directories are made.
 fn check_root(root: &Path) -> Result<(), UsageError> {
     if ROOTS
         .iter()
@@ -81,7 +81,7 @@ struct Player {
     report: PlayReport,
 }
 
-/// The newest frame of each of the worker's services before the offset: the state that planners need first.
+/// The newest frame of each of the worker's services before the offset, which planners need first.
 #[derive(Default)]
 struct Before(Vec<Entry>);
 

@@ -5,10 +5,8 @@ use std::fmt;
 
 use serde::Serialize;
 
-/// Report of a replay.
 #[derive(Debug, Default, Serialize)]
 pub(super) struct PlayReport {
-    /// The files.
     pub(super) files: String,
     /// Name of the fleet in the capture.
     pub(super) fleet: String,
@@ -22,7 +20,6 @@ pub(super) struct PlayReport {
     pub(super) passes: u64,
     /// Frames sent, by service.
     pub(super) frames: BTreeMap<&'static str, u64>,
-    /// Samples sent.
     pub(super) samples: u64,
     /// Frames from before the offset, sent first as the initial state for planners.
     pub(super) frames_before: u64,

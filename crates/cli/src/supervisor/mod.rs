@@ -30,7 +30,6 @@ const GRACE: Duration = Duration::from_secs(3);
 /// A process to run: this program with a subcommand.
 #[derive(Debug, Clone)]
 pub(crate) struct Task {
-    /// Its name in messages.
     pub(crate) name: &'static str,
     /// Subcommand and arguments.
     pub(crate) arguments: Vec<OsString>,
@@ -39,23 +38,17 @@ pub(crate) struct Task {
 /// An event of a process.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Event {
-    /// It was started.
     Started {
-        /// Its task.
         name: &'static str,
-        /// Its pid.
         pid: u32,
     },
     /// It wrote a line to stderr.
     Output {
-        /// Its task.
         name: &'static str,
-        /// The line.
         line: String,
     },
     /// It exited unexpectedly or could not be started; it is restarted after a backoff.
     Exited {
-        /// Its task.
         name: &'static str,
         /// Its pid; none if it could not be started.
         pid: Option<u32>,
@@ -90,7 +83,6 @@ impl std::fmt::Display for Event {
 pub(crate) struct Ended {
     /// Its exit status; none if it was not running.
     pub(crate) status: Option<ExitStatus>,
-    /// Its output on stdout.
     pub(crate) stdout: String,
 }
 

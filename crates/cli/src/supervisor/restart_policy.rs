@@ -25,9 +25,7 @@ enum Phase {
 /// The next action.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Step {
-    /// Nothing.
     Nothing,
-    /// Start it.
     Start,
     /// Kill it: it was asked to stop and still runs.
     Kill,
@@ -41,7 +39,7 @@ pub(super) struct RestartPolicy {
 }
 
 impl RestartPolicy {
-    /// Of a process that starts at once.
+    /// The policy of a process that starts at once.
     pub(super) const fn new(now_ns: u64) -> Self {
         Self {
             phase: Phase::Waiting { until_ns: now_ns },
@@ -49,7 +47,6 @@ impl RestartPolicy {
         }
     }
 
-    /// The process was started.
     pub(super) const fn started(&mut self, now_ns: u64) {
         self.phase = Phase::Running { since_ns: now_ns };
     }

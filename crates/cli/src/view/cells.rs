@@ -41,7 +41,8 @@ const DISPENSABLE: [&str; 11] = [
 /// Columns that are empty in a fleet without batteries.
 const OF_BATTERIES: [&str; 2] = ["charge", "lasts"];
 
-/// Indices of the columns that fit into `width`, separated by one space, and what is left of it for the last, the state.
+/// Indices of the columns that fit into `width` with a space between, and the width of the last
+/// one.
 pub(crate) fn fitting(width: u16, has_batteries: bool) -> (Vec<usize>, u16) {
     let mut places: Vec<usize> = (0..HEADS.len()).collect();
     places.retain(|place| has_batteries || !OF_BATTERIES.contains(&HEADS[*place].0));
@@ -56,7 +57,6 @@ pub(crate) fn fitting(width: u16, has_batteries: bool) -> (Vec<usize>, u16) {
     (places, width.saturating_sub(others))
 }
 
-/// A robot's cells.
 pub(crate) fn cells(robot: u32, row: &Row) -> [String; 13] {
     let (forecast, diagnostic, budget) = (&row.forecast, &row.diagnostic, &row.budget);
     let read = forecast.flags & forecast_flag::READING != 0;
@@ -83,6 +83,12 @@ pub(crate) fn cells(robot: u32, row: &Row) -> [String; 13] {
         or_unknown(battery.as_ref().map(lasts)),
         state(row),
     ]
+}
+
+/// Whether the config describes no battery of the robot.
+pub(crate) fn lacks_battery(row: &Row) -> bool {
+    row.budget
+        .is_some_and(|budget| budget.flags & budget_flag::BATTERY == 0)
 }
 
 fn or_unknown(text: Option<String>) -> String {

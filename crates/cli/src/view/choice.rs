@@ -3,8 +3,8 @@
 use joulebus_board::{Board, Platforms, Row, Search, Sort, SortKey};
 use joulebus_wire::Level;
 
-/// Longest search, characters.
-const MOST_SEARCH_CHARACTERS: usize = 40;
+/// Maximum length of a search.
+const MAX_SEARCH_CHARACTERS: usize = 40;
 
 /// Orders in turn, with their names on the screen.
 const ORDERS: [(Sort, &str); 4] = [
@@ -14,7 +14,6 @@ const ORDERS: [(Sort, &str); 4] = [
     (Sort::Power, "power"),
 ];
 
-/// The choice of a user.
 #[derive(Debug)]
 pub(crate) struct Choice {
     platforms: Platforms,
@@ -27,7 +26,6 @@ pub(crate) struct Choice {
     only_alarms: bool,
 }
 
-/// Robots as listed.
 #[derive(Debug)]
 pub(crate) struct Listed {
     /// Ids, in order.
@@ -56,7 +54,6 @@ impl Choice {
         }
     }
 
-    /// The robots that it lists.
     pub(crate) fn listed(&self, board: &Board) -> Listed {
         let search = Search::new(&self.search, &self.platforms);
         let (sort, _) = ORDERS[self.order];
@@ -111,7 +108,6 @@ impl Choice {
         }
     }
 
-    /// The next order.
     pub(crate) const fn next_order(&mut self) {
         self.order = (self.order + 1) % ORDERS.len();
     }
@@ -126,14 +122,14 @@ impl Choice {
         self.only_alarms = !self.only_alarms;
     }
 
-    /// What is searched for; empty: nothing.
+    /// The searched text; empty: no search.
     pub(crate) fn search(&self) -> &str {
         &self.search
     }
 
     /// Adds a character to the search; control characters are none.
     pub(crate) fn type_in(&mut self, character: char) {
-        if !character.is_control() && self.search.chars().count() < MOST_SEARCH_CHARACTERS {
+        if !character.is_control() && self.search.chars().count() < MAX_SEARCH_CHARACTERS {
             self.search.push(character);
         }
     }
@@ -148,7 +144,6 @@ impl Choice {
         self.only_alarms || !self.search.is_empty()
     }
 
-    /// Ends the search.
     pub(crate) fn clear_search(&mut self) {
         self.search.clear();
     }

@@ -1,4 +1,4 @@
-//! What the keys of the live view do: in its last line, and in a box over it.
+//! The keys of the live view: in its last line, and in a box over it.
 
 use ratatui::Frame;
 use ratatui::layout::Rect;
@@ -19,7 +19,6 @@ const SHORT: [(&str, &str); 7] = [
     ("a", "next alarm"),
 ];
 
-/// All keys.
 const ALL: [(&str, &str); 13] = [
     ("↑ ↓  k j", "the robot before, the next one"),
     ("PgUp PgDn", "ten robots"),

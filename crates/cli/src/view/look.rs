@@ -11,6 +11,7 @@ use ratatui::backend::TestBackend;
 use ratatui::buffer::Buffer;
 use ratatui::style::Color;
 
+use super::plain::table;
 use super::screen::Screen;
 
 fn forecast(robot: u32, seq: u64, quality: Quality) -> Forecast {
@@ -152,13 +153,32 @@ fn a_robots_row_shows_all_columns_with_a_dash_for_unknown_values() {
             .collect::<Vec<String>>()
             .join(" ")
     };
-    // The last reading: 3.21 + 30 · 0.1. Its forecast was the 3.33 before; the diagnostics' residual is the
+    // The last reading is 3.21 + 30 · 0.1. Its forecast was 3.33; the diagnostics' residual is the
     // network's.
     let fine = "2 held 6.21 3.33 3.05 – 3.75 +2.88 0.062 +0.31 88 % 63.4 43 % 1 h 24 ok";
     assert_eq!(words("2 held").trim_matches('│').trim(), fine);
     let silent = "5 ✗ NoCommand – – – – – – – – – – –";
     assert_eq!(words("5 ✗").trim_matches('│').trim(), silent);
     assert!(words("9 open loop 12").contains("error StuckSensor +1"));
+}
+
+#[test]
+fn a_robot_without_a_battery_in_the_config_names_the_missing_key() {
+    let mut board = board();
+    let names_it = |board: &Board, robot| {
+        let shown = lines(&draw(board, &mut screen(Some(robot)), 120, 40)).concat();
+        let key = "capacity_wh";
+        assert_eq!(table(board, Some(robot)).contains(key), shown.contains(key));
+        shown.contains(key)
+    };
+    // Of the second nobody has counted energy yet.
+    assert_eq!([names_it(&board, 2), names_it(&board, 9)], [false, false]);
+    board.budgets(&[Budget {
+        robot: 9,
+        flags: budget_flag::LEDGER,
+        ..Budget::default()
+    }]);
+    assert_eq!([names_it(&board, 2), names_it(&board, 9)], [false, true]);
 }
 
 #[test]

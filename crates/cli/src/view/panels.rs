@@ -1,7 +1,8 @@
-//! What stands above and below the table of the live view: sums, the selected robot's chart, and events.
+//! The panels around the live view's table: sums, the selected robot's chart, and events.
 
 use joulebus_board::{Board, Point, Row};
 use joulebus_latency::Spread;
+use joulebus_settings::NO_BATTERY;
 use joulebus_wire::{Diagnostic, diagnostic_flag};
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -10,7 +11,7 @@ use ratatui::symbols::Marker;
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Axis, Chart, Dataset, GraphType, Paragraph, Sparkline};
 
-use super::cells::{count, micros, percent, shortened};
+use super::cells::{count, lacks_battery, micros, percent, shortened};
 use super::style::{ACCENT, FORECAST, QUIET, boxed};
 
 /// Width from which the four boxes have room.
@@ -233,7 +234,10 @@ pub(super) fn draw_chart(frame: &mut Frame, area: Rect, board: &Board, robot: Op
         Span::styled(forecast, Style::new().fg(FORECAST)),
         Span::styled(interval, QUIET),
     ]);
-    let learned = learned(row, area.width >= WIDE_CHART_COLUMNS);
+    let learned = match lacks_battery(row) {
+        true => format!(" {NO_BATTERY} "),
+        false => learned(row, area.width >= WIDE_CHART_COLUMNS),
+    };
     let block = boxed(title).title_bottom(Line::styled(learned, QUIET));
     let points: Vec<&Point> = row.track.iter().collect();
     let line = |value: fn(&Point) -> f32| -> Vec<(f64, f64)> {
@@ -276,7 +280,7 @@ pub(super) fn draw_chart(frame: &mut Frame, area: Rect, board: &Board, robot: Op
     frame.render_widget(chart, area);
 }
 
-/// What the robot's forecast has learned; empty if it learns nothing.
+/// Lessons of the robot's online forecast; empty if it learns nothing.
 fn learned(row: &Row, is_wide: bool) -> String {
     let learning = |diagnostic: &&Diagnostic| diagnostic.flags & diagnostic_flag::LEARNED != 0;
     let Some(learned) = row.diagnostic.as_ref().filter(learning) else {

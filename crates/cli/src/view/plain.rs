@@ -3,9 +3,10 @@
 use std::fmt::Write as _;
 
 use joulebus_board::{Board, Row};
+use joulebus_settings::NO_BATTERY;
 use joulebus_wire::Level;
 
-use super::cells::{HEADS, cells, micros};
+use super::cells::{HEADS, cells, lacks_battery, micros};
 
 /// Maximum number of robots named in a line.
 const NAMED: usize = 4;
@@ -55,6 +56,13 @@ pub(crate) fn table(board: &Board, only: Option<u32>) -> String {
         if only.is_none_or(|only| only == *robot) {
             push_row(&mut text, &cells(*robot, row));
         }
+    }
+    let mut shown = board
+        .rows
+        .iter()
+        .filter(|(robot, _)| only.is_none_or(|only| only == **robot));
+    if let Some((robot, _)) = shown.find(|(_, row)| lacks_battery(row)) {
+        let _ = writeln!(text, "robot {robot}: {NO_BATTERY}");
     }
     text
 }

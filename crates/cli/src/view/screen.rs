@@ -25,7 +25,7 @@ const HELP_FROM_LINES: u16 = 5;
 /// Minimum number of lines of a table with a border and a head.
 const BORDER_FROM_LINES: u16 = 5;
 
-/// What keys do.
+/// Meaning of the keys.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Mode {
     List,
@@ -119,7 +119,6 @@ impl Screen {
         }
     }
 
-    /// Draws everything.
     pub(crate) fn draw(&mut self, frame: &mut Frame, board: &Board) {
         let area = frame.area();
         let boxes = area.width >= panels::BOXES_FROM_COLUMNS;
@@ -344,7 +343,6 @@ fn right_or_left(head: &str, text: &str) -> Cell<'static> {
 
 fn table_row(robot: u32, row: &Row, places: &[usize], state_columns: u16) -> TableRow<'static> {
     let mut texts = cells(robot, row);
-    // The last column.
     texts[HEADS.len() - 1] = state_within(row, usize::from(state_columns));
     let level = row.level();
     let known = row.forecast.expected_w().is_some();

@@ -73,7 +73,7 @@ pub(crate) fn show(
         if is_closed(LOOK_EVERY)? {
             return Ok(());
         }
-        // All that have come: one at a time, keys that repeat would come faster than they are drawn.
+        // All waiting events: with one per redraw, a repeating key would outpace the drawing.
         while event::poll(PATIENCE).context("cannot read keys")? {
             let event = event::read().context("cannot read keys")?;
             if pressed(&event).is_some_and(|key| screen.press(key, &feed.board())) {

@@ -14,6 +14,7 @@ use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Format, Output, say, text};
 use joulebus_program::stop::Stop;
 
+use crate::other_users;
 use crate::view::{Screen, line, show, table};
 
 pub(crate) use summary::PlannerReport;
@@ -110,6 +111,9 @@ impl Args {
                 config.fleet(),
                 self.config.name()
             ));
+            for other in other_users::other_roots(config.root()) {
+                say(&format!("{other}: {}", other_users::REMEDY));
+            }
             return Ok(Outcome::Failed);
         };
         if let Some(robot) = self.robot.filter(|robot| !board.rows.contains_key(robot)) {
@@ -190,7 +194,6 @@ struct LinkReporter {
 }
 
 impl LinkReporter {
-    /// Reports changes.
     fn report_changes(&mut self, board: &Board) {
         if self.link != Some(board.link) && board.link == Link::Waiting {
             say("waiting for a worker: `joulebus run` starts one");

@@ -11,7 +11,6 @@ use joulebus_program::output::Output;
 use joulebus_program::stop::Stop;
 use serde::{Deserialize, Serialize};
 
-/// Summary of a planner.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct PlannerReport {
     /// Frames of forecasts.

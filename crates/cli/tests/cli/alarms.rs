@@ -199,3 +199,168 @@ fn the_worker_logs_each_raise_and_each_end_and_its_report_counts_them() {
     assert_eq!(report["alarms"]["ended"], over.len(), "{report}");
     assert!(fleet.stale_files().is_empty());
 }
+
+#[test]
+fn an_alarm_is_explained_by_its_name_in_any_case() {
+    let one = output(["alarms", "--explain", "biashigh"]);
+    assert_eq!(code(&one), 0, "{}", stderr(&one));
+    let text = stdout(&one);
+    for part in ["BiasHigh (warn)", "meaning", "check", "alarms.cusum_limit"] {
+        assert!(text.contains(part), "{text}");
+    }
+    let all = json(&output(["alarms", "--format", "json", "--explain"]));
+    let names: BTreeSet<&str> = all
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|card| card["alarm"].as_str().unwrap())
+        .collect();
+    assert!(
+        names.contains("NoData") && names.contains("WorkerGone"),
+        "{names:?}"
+    );
+    let unknown = output(["alarms", "--explain", "Bias"]);
+    assert_eq!(code(&unknown), 2);
+    assert!(
+        stderr(&unknown).contains("BiasHigh"),
+        "{}",
+        stderr(&unknown)
+    );
+}
+
+/// Runs the verb, and returns its exit code and what it says.
+fn acknowledge(fleet: &Fleet, arguments: &[&str]) -> (i32, String) {
+    let mut command = fleet.joulebus("alarms");
+    let ended = command
+        .env("USER", "eve")
+        .arg("--acknowledge")
+        .args(arguments)
+        .output()
+        .unwrap();
+    (code(&ended), stdout(&ended) + &stderr(&ended))
+}
+
+/// What the verb has shown of robot 1 being silent so far: each change, and by whom it is
+/// acknowledged.
+fn of_robot_1(program: &mut Program) -> Vec<String> {
+    let lines = program.shown();
+    let lines = lines
+        .iter()
+        .map(|line| -> Value { serde_json::from_str(line).unwrap() });
+    let of_it = lines.filter(|line| line["robot"] == 1 && line["alarm"] == "NoData");
+    let shown = of_it.map(|line| {
+        let word = |of: &Value| of.as_str().unwrap_or("nobody").to_owned();
+        format!(
+            "{} {}",
+            word(&line["change"]),
+            word(&line["acknowledged"]["by"])
+        )
+    });
+    shown.collect()
+}
+
+#[test]
+fn an_alarm_is_acknowledged_until_it_ends_and_the_capture_and_its_replay_say_by_whom() {
+    let fleet = Fleet::new();
+    let (_, none) = acknowledge(&fleet, &["1", "NoData"]);
+    assert!(none.contains("has no worker"), "{none}");
+    let worker = fleet.worker();
+    let capture = fleet.path("run.mcap");
+    let mut record = fleet.joulebus("record");
+    record.arg("-o").arg(&capture);
+    let mut recorder = Program::start(record);
+    recorder.wait_for_stderr("recording");
+    let mut watcher = Program::start(fleet.joulebus("alarms --format json"));
+    watcher.wait_for_stderr("alarms of fleet cli");
+    publish(&fleet);
+    let ended_with = |program: &mut Program, expected: &[&str]| {
+        eventually(&format!("{expected:?}"), || {
+            of_robot_1(program).ends_with(
+                &expected
+                    .iter()
+                    .map(|it| (*it).to_owned())
+                    .collect::<Vec<_>>(),
+            )
+        });
+    };
+    ended_with(&mut watcher, &["raised nobody"]);
+
+    let (status, said) = acknowledge(&fleet, &["1", "nodata", "--by", "ann"]);
+    assert_eq!(
+        (status, &*said),
+        (0, "robot 1: NoData acknowledged by ann\n")
+    );
+    let (status, said) = acknowledge(&fleet, &["1", "BiasHigh", "--by", "ann"]);
+    assert!(
+        status == 1 && said.contains("BiasHigh of robot 1 is not raised"),
+        "{said}"
+    );
+    for (wrong, reason) in [
+        (&["1", "WorkerGone"][..], "cannot be acknowledged"),
+        (&["x", "NoData"], "no id of a robot"),
+        (&["1", "Nothing"], "allowed: NoData"),
+        (&["1"], "2 values"),
+        (&["1", "NoData", "--by", "\n"], "control characters"),
+    ] {
+        let (status, said) = acknowledge(&fleet, wrong);
+        assert!(
+            status == 2 && said.contains(reason),
+            "{wrong:?}: {status} {said}"
+        );
+    }
+    ended_with(&mut watcher, &["raised nobody", "acknowledged ann"]);
+    // One that comes later is told, too.
+    let mut later = Program::start(fleet.joulebus("alarms --format json"));
+    ended_with(&mut later, &["raised nobody", "acknowledged ann"]);
+    publish(&fleet);
+    for program in [&mut watcher, &mut later] {
+        ended_with(
+            program,
+            &["acknowledged ann", "cleared ann", "raised nobody"],
+        );
+    }
+    let mut last = Program::start(fleet.joulebus("alarms --format json"));
+    ended_with(&mut last, &["raised nobody"]);
+    for program in [watcher, later, last] {
+        assert!(matches!(code(&program.end(Signal::TERM)), 0 | 3));
+    }
+    let recorded = recorder.end(Signal::TERM);
+    assert!(matches!(code(&recorded), 0 | 3), "{}", stderr(&recorded));
+    let report = json(&worker.end(Signal::TERM));
+    assert_eq!(report["alarms"]["acknowledged"], 1, "{report}");
+
+    let history = json(&output([
+        "alarms",
+        "--format",
+        "json",
+        capture.to_str().unwrap(),
+    ]));
+    let episodes = history["alarms"].as_array().unwrap().iter();
+    let silent: Vec<&Value> = episodes
+        .filter(|it| it["robot"] == 1 && it["alarm"] == "NoData")
+        .collect();
+    let (first, rest) = silent.split_first().unwrap();
+    assert_eq!(
+        (&first["acknowledged"]["by"], &first["end"]),
+        (&"ann".into(), &"cleared".into())
+    );
+    let after_ns = first["acknowledged"]["at_unix_ns"].as_u64() > first["raised_ns"].as_u64();
+    assert!(
+        after_ns && rest.iter().all(|it| it["acknowledged"].is_null()),
+        "{history}"
+    );
+
+    let mut watcher = Program::start(fleet.joulebus("alarms --format json"));
+    watcher.wait_for_stderr("alarms of fleet cli");
+    let mut replay = fleet.joulebus("replay");
+    replay
+        .arg(&capture)
+        .args(["--topics", "diagnostics", "forecasts", "acknowledgements"]);
+    let played = replay.output().unwrap();
+    assert_eq!(code(&played), 0, "{}", stderr(&played));
+    ended_with(&mut watcher, &["cleared ann", "raised nobody"]);
+    assert!(matches!(code(&watcher.end(Signal::TERM)), 0 | 3));
+    let verified = output(["replay", "--verify", capture.to_str().unwrap()]);
+    assert!(matches!(code(&verified), 0 | 3), "{}", stdout(&verified));
+    assert!(fleet.stale_files().is_empty());
+}

@@ -17,8 +17,6 @@ fn fleet() -> Fleet {
     assert!(text.contains(robots), "{text}");
     let battery = "[platform.battery]\ncapacity_wh = 5.0\ninitial_soc_lo = 0.95\n";
     let text = text.replace(robots, &format!("{robots}{battery}"));
-    // Nothing is saved for the next test.
-    let text = text.replace("[intake]", "[ledger]\ncheckpoint = \"\"\n[intake]");
     fs::write(fleet.config(), text).unwrap();
     let path = "x_m,y_m,speed_mps\n0,0,\n1.5,0,0.15\n1.5,0.5,0.1\n";
     fs::write(fleet.path("p.csv"), path).unwrap();
@@ -42,7 +40,8 @@ fn ask(fleet: &Fleet, question: &str) -> Value {
     last
 }
 
-/// The outcome of a question, once it is as expected: a process that gets no processor for three seconds finds no worker.
+/// The outcome of a question, once it is as expected. Retries, because a process without a
+/// processor for three seconds finds no worker.
 fn outcome(fleet: &Fleet, question: &str, is_expected: impl Fn(&Output) -> bool) -> Output {
     let mut found = None;
     eventually(question, || {

@@ -14,7 +14,6 @@ use rustix::fs::{FlockOperation, flock};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
-/// A run of the program.
 struct Run(Child);
 
 impl Run {
@@ -85,7 +84,7 @@ fn send(pid: u32, signal: Signal) {
     kill_process(pid, signal).unwrap();
 }
 
-/// True if the process has exited; a zombie has, once its other threads have: until then its locks are held.
+/// True if the process has exited. A zombie holds its locks until its other threads have exited.
 fn is_over(pid: u32) -> bool {
     let stat = fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
     let threads = fs::read_dir(format!("/proc/{pid}/task")).map_or(0, Iterator::count);
@@ -119,7 +118,7 @@ fn counts_add_up_and_no_files_are_left() {
         let is_seen = read.as_u64() > Some(0) && summary["scores"]["mae_w"].is_number();
         is_seen.then_some((demo, summary))
     };
-    // A planner or a source that gets no processor for most of the three seconds has seen or sent too little.
+    // Retries where a process got no processor for most of the three seconds.
     let (demo, summary) = (0..5).find_map(run).expect("no forecast was scored");
     let samples = &summary["samples"];
     let sent = count(&samples["sent"]);
@@ -208,8 +207,7 @@ fn a_signal_at_any_time_during_the_start_leaves_no_files() {
         let mut demo = Run::demo(&["--duration", "600", "--robots", "3"]);
         std::thread::sleep(Duration::from_millis(after_ms));
         // Not SIGINT: where it is ignored from the start (background job of a shell), a signal
-        // before
-        // the handler is installed would be lost.
+        // before the handler is installed would be lost.
         demo.0.signal(Signal::TERM);
         let ended = demo.0.wait();
         // Before the handler is installed the signal kills: nothing has been created or printed
@@ -224,8 +222,7 @@ fn a_signal_at_any_time_during_the_start_leaves_no_files() {
 fn a_killed_worker_is_restarted_and_the_summary_adds_up() {
     let run = |_| {
         let (demo, summary) = killed_worker();
-        // The backoff before the restart alone is longer than two frames; a source that gets no processor all the while
-        // sends none.
+        // The backoff alone is longer than two frames. A source may get no processor meanwhile.
         let is_lost = count(&summary["samples"]["lost_between_workers"]) >= 4;
         is_lost.then_some((demo, summary))
     };

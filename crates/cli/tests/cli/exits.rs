@@ -1,5 +1,5 @@
-//! Exit codes of every subcommand: 0 done, 1 failed, 2 wrong usage or config, 3 finished with losses or differences.
-//! What runs until it is stopped is in [`crate::signals`] too.
+//! Exit codes of every subcommand: 0 done, 1 failed, 2 wrong usage or config, 3 finished with
+//! losses or differences. What runs until it is stopped is in [`crate::signals`] too.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,6 +11,10 @@ use crate::fleet::{Fleet, code, is_built, joulebus, output, stderr, stdout};
 /// Arguments of a subcommand, and the exit code. Words in capitals are files: see [`file`].
 const CASES: &[(i32, &str)] = &[
     (2, "demo --robots 0"),
+    (0, "new controller NEW"),
+    (1, "new planner /proc/new"),
+    (2, "new planner THERE"),
+    (2, "new bridge NEW"),
     (2, "run --config /nowhere.toml"),
     (2, "run --config JUNK"),
     (0, "publish sim --config FLEET --robots 1 --duration 0.1"),
@@ -207,7 +211,7 @@ fn every_subcommand_ends_with_the_code_that_its_help_states() {
     let fleet = Fleet::new();
     prepare(&fleet);
     let mut wrong = Vec::new();
-    // What options of a program require of each other only that program knows.
+    // Only the program knows which options require each other.
     let cases = CASES.iter().enumerate();
     for (place, (expected, words)) in cases.filter(|(_, (_, words))| is_built(words)) {
         let new = fleet.path(&format!("new-{place}"));
@@ -215,7 +219,7 @@ fn every_subcommand_ends_with_the_code_that_its_help_states() {
         let ended = joulebus(arguments).output().unwrap();
         let said = stderr(&ended);
         let fails = matches!(expected, 1 | 2);
-        // What failed has no result, says why, and leaves no part of a file.
+        // A failed call has no result, says why, and leaves no part of a file.
         let is_silent = stdout(&ended).is_empty() && !said.is_empty() && !new.exists();
         if code(&ended) != *expected || fails && !is_silent {
             wrong.push(format!("{expected}, {words}: {ended:?}"));
@@ -231,8 +235,10 @@ pub(crate) fn below(words: &[String]) -> Vec<String> {
     let help = output(words.iter().map(String::as_str).chain(["--help"]));
     let text = stdout(&help);
     let (_, list) = text.split_once("Commands:\n").unwrap_or_default();
-    let lines = list.lines().take_while(|line| !line.is_empty());
-    let names = lines.filter(|line| line.starts_with("  ") && !line.starts_with("   "));
+    let (list, _) = list.split_once("Options:\n").unwrap_or((list, ""));
+    let names = list
+        .lines()
+        .filter(|line| line.starts_with("  ") && !line.starts_with("   "));
     let names = names.filter_map(|line| line.split_whitespace().next());
     names
         .filter(|name| *name != "help")

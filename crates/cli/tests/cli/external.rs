@@ -35,8 +35,9 @@ impl Installed {
     }
 }
 
-/// Writes a script that prints its path and arguments and then runs `then`. In a separate process: a child that another test
-/// forks in the meantime would inherit the open file, and a file open for writing cannot be executed (ETXTBSY).
+/// Writes a script that prints its path and arguments and then runs `then`. In a separate process:
+/// a child that another test forks meanwhile would inherit the open file, and a file open for
+/// writing cannot be executed (ETXTBSY).
 fn write_program(directory: &Path, verb: &str, then: &str) {
     let file = directory.join(format!("joulebus-{verb}"));
     let written = Command::new("sh")

@@ -62,7 +62,7 @@ pub(crate) fn json(output: &Output) -> Value {
     serde_json::from_str(&stdout(output)).unwrap_or_else(|error| panic!("{error}: {output:?}"))
 }
 
-/// Whether the program of a row is there: some verbs are programs of their own, which are built with the workspace.
+/// True if the program of a row is built: some verbs are programs of the workspace.
 pub(crate) fn is_built(row: &str) -> bool {
     let verb = row.split(' ').next().unwrap_or_default();
     if !["serve", "bridge", "link", "bench"].contains(&verb) {
@@ -98,6 +98,7 @@ impl Fleet {
             "[fleet]\nname = \"cli\"\ncapacity = 20\n\
              [domain]\nroot = \"{}\"\nprefix = \"jbcli_\"\n\
              [intake]\nmax_sources = 4\n[readers]\nmax_planners = 4\n\
+             [ledger]\ncheckpoint = \"\"\n\
              [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n\
              [[platform]]\nfile = \"builtin:rover\"\nrobots = [\"100-109\"]\n",
             root.display()
@@ -200,6 +201,11 @@ impl Program {
             }
             read += lines.len();
         }
+    }
+
+    /// Its lines on stdout so far.
+    pub(crate) fn shown(&mut self) -> Vec<String> {
+        self.0.lines(0, std::time::Duration::ZERO)
     }
 
     pub(crate) fn signal(&mut self, signal: Signal) {

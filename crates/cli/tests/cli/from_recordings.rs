@@ -248,7 +248,7 @@ fn a_file_that_no_run_has_written_stays_where_a_result_would_be_put() {
         says(&stderr(&refused), ["\"precious\""]);
         assert_eq!(fs::read_to_string(&out).unwrap(), "precious");
     }
-    // What an earlier run has written is replaced.
+    // Files of an earlier run are replaced.
     let exported = folder.path().join("model.npz");
     for _ in 0..2 {
         done(format!("model export {model} --to npz --out {}", text(&exported)).split(' '));

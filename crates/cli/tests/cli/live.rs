@@ -99,8 +99,8 @@ fn a_worker_killed_and_removed_while_a_fast_source_is_paused_costs_at_most_the_w
     assert_lost_at_most_the_window(true);
 }
 
-/// Kills the worker of a fast source, which may be paused until the worker's files have been removed: then its
-/// frames have no reader at all.
+/// Kills the worker of a fast source. The source may be paused until the worker's files have been
+/// removed: then its frames have no reader at all.
 fn assert_lost_at_most_the_window(is_paused: bool) {
     let fleet = Fleet::new();
     let file = fleet.recording("a.csv", 600);

@@ -14,6 +14,7 @@ mod fleet;
 mod from_recordings;
 mod live;
 mod model;
+mod new;
 mod plausible;
 mod printable;
 mod service;

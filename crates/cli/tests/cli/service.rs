@@ -1,4 +1,4 @@
-//! What a service manager is told: systemd's `Type=notify` and `WatchdogSec=`.
+//! Messages to a service manager: systemd's `Type=notify` and `WatchdogSec=`.
 
 use std::os::unix::net::UnixDatagram;
 use std::path::Path;
@@ -9,7 +9,7 @@ use rustix::process::Signal;
 
 use crate::fleet::{Exits as _, Fleet, Program, code, stdout};
 
-const LONGEST: Duration = Duration::from_secs(60);
+const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// The next message that is not `WATCHDOG=1`, and how many of those came before it.
 fn next(socket: &UnixDatagram) -> (String, usize) {
@@ -47,7 +47,7 @@ fn a_service_manager_learns_when_the_worker_is_ready_works_and_ends() {
     let fleet = Fleet::new();
     let path = fleet.path("notify");
     let socket = UnixDatagram::bind(&path).unwrap();
-    socket.set_read_timeout(Some(LONGEST)).unwrap();
+    socket.set_read_timeout(Some(TIMEOUT)).unwrap();
     let mut worker = run(&fleet, &path, true);
     let (first, _) = next(&socket);
     assert!(
@@ -61,7 +61,7 @@ fn a_service_manager_learns_when_the_worker_is_ready_works_and_ends() {
         .set_read_timeout(Some(Duration::from_secs(1)))
         .unwrap();
     while ping(&socket) {}
-    socket.set_read_timeout(Some(LONGEST)).unwrap();
+    socket.set_read_timeout(Some(TIMEOUT)).unwrap();
     worker.signal(Signal::CONT);
     assert!(ping(&socket), "it works again");
     worker.end(Signal::TERM).exits(0);
@@ -73,7 +73,7 @@ fn without_a_watchdog_only_ready_and_the_end_are_told() {
     let fleet = Fleet::new();
     let path = fleet.path("notify");
     let socket = UnixDatagram::bind(&path).unwrap();
-    socket.set_read_timeout(Some(LONGEST)).unwrap();
+    socket.set_read_timeout(Some(TIMEOUT)).unwrap();
     let mut worker = run(&fleet, &path, false);
     assert!(next(&socket).0.contains("READY=1"));
     worker.wait_for_stderr("ready:");
@@ -105,7 +105,7 @@ fn every_verb_has_a_manual_page() {
     }
 }
 
-/// The units, and what `systemd-analyze security` says of them at most, in tenths of its points of 10.
+/// The units, and their maximum exposure by `systemd-analyze security`, in tenths of a point of 10.
 const UNITS: [(&str, u32); 4] = [
     ("joulebus@.service", 12),
     ("joulebus-record@.service", 12),

@@ -13,8 +13,8 @@ use crate::captures::capture;
 use crate::exits::{below, subcommands};
 use crate::fleet::{Exits as _, Fleet, Program, code, joulebus, json, output, stderr, stdout};
 
-/// Subcommands that go on until a signal, and what they say once they run; their exit code is 0, but for training: the
-/// model is not made, the checkpoint is. Words in capitals are files.
+/// Subcommands that go on until a signal, and a line that they print once they run. Their exit code
+/// is 0, but for training: the model is not made, the checkpoint is. Words in capitals are files.
 const RUNS: [(&str, &str); 18] = [
     ("demo --robots 2 --no-capture --format json", "  samples "),
     ("run --config FLEET", "ready:"),
@@ -48,8 +48,7 @@ const RUNS: [(&str, &str); 18] = [
     ("train sim --seed 1 -o NEW", "epoch   1"),
 ];
 
-/// Subcommands that compute for a while, and leave nothing but whole files: a signal ends them at once, as it ends any
-/// program.
+/// Subcommands that compute for a while, and leave only whole files: a signal ends them at once.
 const COMPUTES: &[&str] = &[
     "data simulate NEW --steps 4000000",
     "mission --hours 24",
@@ -57,11 +56,11 @@ const COMPUTES: &[&str] = &[
     "bench kernel",
 ];
 
-/// Subcommands that end by themselves within moments, or as soon as they have read their files: [`crate::exits`] has
+/// Subcommands that end by themselves, at once or after reading their files. [`crate::exits`] has
 /// their codes.
 const ENDS: &str = "ask, info, cat, recover, import, data info, data check, data convert, doctor, export, \
     config init, config check, config show, config explain, analyze, eval, calibrate, \
-    model info, model import, model export, model compare, completions, man";
+    model info, model import, model export, model compare, completions, man, new";
 
 /// The command of a row, with its input files created.
 fn command(fleet: &Fleet, row: &str) -> Command {
@@ -137,7 +136,7 @@ fn a_signal_ends_what_computes_at_once_and_leaves_only_whole_files() {
     }
 }
 
-/// Runs a row until it computes, and ends it; tries again where this process got no processor until it was done.
+/// Runs a row until it computes, and ends it. Retries where it was done before this process looked.
 fn interrupted(row: &str, signal: Signal) -> (Fleet, Output) {
     for _ in 0..20 {
         let fleet = Fleet::new();
@@ -150,8 +149,8 @@ fn interrupted(row: &str, signal: Signal) -> (Fleet, Output) {
     panic!("{row} is done before any signal");
 }
 
-/// Sends a signal to a program that runs, and waits for its end; `None` if it was over before. It is stopped first, so
-/// that there is no doubt.
+/// Sends a signal to a running program, and waits for its end. `None` if it was over before: it is
+/// stopped first, to be sure.
 fn end_running(mut program: Program, signal: Signal) -> Option<Output> {
     program.signal(Signal::STOP);
     let stat = format!("/proc/{}/stat", program.pid());
@@ -169,7 +168,6 @@ fn end_running(mut program: Program, signal: Signal) -> Option<Output> {
     is_stopped.then_some(ended)
 }
 
-/// The files of a folder, if there is one.
 fn files_below(folder: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).into_iter().flatten();
     let paths = entries.map(|entry| entry.unwrap().path());

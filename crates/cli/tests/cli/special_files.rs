@@ -140,7 +140,7 @@ fn files_named_in_a_config_are_checked_before_anything_is_created() {
         }
         fs::write(
             &config,
-            format!("{text}\n[ledger]\ncheckpoint = \"{shown}\"\n"),
+            text.replace("checkpoint = \"\"", &format!("checkpoint = \"{shown}\"")),
         )
         .unwrap();
         let run = joulebus(["run".as_ref(), "--config".as_ref(), config.as_os_str()]);

@@ -1,4 +1,4 @@
-//! The live view in a pseudo-terminal: real programs, keys as a terminal sends them, and what it would show.
+//! The live view in a pseudo-terminal: real programs, a terminal's keys, and the resulting screen.
 
 use std::fs::File;
 use std::io::{Read as _, Write as _};
@@ -56,7 +56,7 @@ impl Terminal {
     }
 
     fn resize(&mut self, columns: u16, lines: u16) {
-        // What was drawn for the old size is no test of the new one.
+        // A screen for the old size is no test of the new one.
         *self.parser.lock().unwrap() = parser(columns.max(10), lines.max(3));
         let pty = self.pty.as_ref().unwrap();
         pty.resize(Size::new(lines, columns)).unwrap();
@@ -286,7 +286,7 @@ fn a_demo_of_80_columns_is_readable_and_ends_with_its_report() {
         !lines.concat().contains("the other way round")
     });
     terminal.press("q");
-    // What the robots did is told on the screen as before.
+    // The robots' alarms are on the screen as before.
     terminal.ends_well();
 }
 

@@ -21,7 +21,7 @@ use rustix::event::{PollFd, PollFlags, poll};
 /// Long enough that nothing becomes stale during a test.
 const HOUR_NS: u64 = 3_600_000_000_000;
 
-/// What the processes that the tests start do.
+/// The processes that the tests start.
 pub(crate) fn member() {
     run_member(|role, config| match role {
         "worker" => worker(config, true),
@@ -39,8 +39,8 @@ pub(crate) fn member() {
     });
 }
 
-/// Commands: `ticks FROM TO`, `wake`, `period NS`, `schema N`, `epoch N`, `pid N`, `update`, `end`. An impostor has
-/// the worker's ports, and not its lock.
+/// Commands: `ticks FROM TO`, `wake`, `period NS`, `schema N`, `epoch N`, `pid N`, `update`, `end`.
+/// An impostor has the worker's ports, but not its lock.
 fn worker(config: &Path, is_worker: bool) {
     let config = Config::load(config).unwrap();
     let limits = config.limits();
@@ -460,7 +460,7 @@ fn a_planner_that_polls_gets_every_frame_in_order_and_none_twice() {
         planner.ask("counts"),
         "6 frames, 1 gaps, 1 ticks, 1 workers"
     );
-    // Who wants the newest gets it alone.
+    // A call for the newest returns it alone.
     worker.ask("ticks 8 9");
     assert_eq!(planner.ask("next 60000"), "tick 9, missed 1");
     worker.finish();

@@ -13,8 +13,8 @@ const MAX_SOCKET_PATH_BYTES: usize = 107;
 const SOCKET_NAME_BYTES: usize = 39 + 6 + 2;
 /// The members' lock is the marker of a fleet's directory.
 pub const FLEET_MARKER: &str = "members.lock";
-/// Names in the fleet's directory of what its worker and the link of its host leave each other; the last member removes
-/// these files, and drafts of them, which end in `.new`.
+/// Names in the fleet's directory of the files that its worker and its host's link share. The last
+/// member removes them, and drafts of them, which end in `.new`.
 pub const STANDBY_FILES: [&str; 4] = ["permit", "keyframe", "replica", "request"];
 const MAX_FLEET_BYTES: usize = 32;
 const MAX_PREFIX_BYTES: usize = 8;
@@ -31,9 +31,9 @@ pub struct Domain {
 impl Domain {
     /// A domain for `fleet` under the private directory `root`. Creates nothing.
     ///
-    /// `fleet`: 1 to 32 of `a–z A–Z 0–9 - _`. `root`: absolute, best on a tmpfs. `prefix`: 1 to 8 of
-    /// `a–z 0–9 _`; together with a hash of root and fleet it begins the name of every shared-memory
-    /// object, so domains never touch each other's.
+    /// `fleet`: 1 to 32 of `a–z A–Z 0–9 - _`. `root`: absolute, best on a tmpfs. `prefix`: 1 to 8
+    /// of `a–z 0–9 _`; together with a hash of root and fleet it begins the name of every
+    /// shared-memory object, so domains never touch each other's.
     ///
     /// # Errors
     /// [`DomainError`] states the value and the allowed ones.

@@ -38,17 +38,17 @@ impl Default for Limits {
 const SPARE: usize = 2;
 /// Questions of a client that can be in transfer.
 pub const ACTIVE_QUERIES: usize = 1;
-/// Most clients that ask the worker.
-const MOST_QUERY_CLIENTS: usize = 16;
+/// Maximum number of clients that ask the worker.
+const MAX_QUERY_CLIENTS: usize = 16;
 /// The thread that answers questions waits as a planner does.
 const ANSWERING: usize = 1;
-/// Readers in the worker's own process: the checkpointer, and the thread that answers questions or, of diagnostics, the one
-/// that logs alarms.
+/// Readers in the worker's own process: the checkpointer, and a thread that answers questions or
+/// (of diagnostics) logs alarms.
 const OF_WORKER: usize = 2;
 /// Recorders that a fleet can have at once.
 const RECORDERS: usize = 2;
 /// Maximum number of frames that a journal lists, whatever the limits: 160 KiB.
-const MOST_LISTED: usize = 4_096;
+const MAX_LISTED: usize = 4_096;
 
 /// Bytes per robot in a piece of a keyframe: a robot takes about 350.
 const STATE_BYTES_PER_ROBOT: usize = 512;
@@ -107,10 +107,10 @@ impl Limits {
     #[must_use]
     pub const fn listed_frames(&self) -> usize {
         let waiting = self.max_sources * self.sample_frames;
-        if waiting < MOST_LISTED {
+        if waiting < MAX_LISTED {
             waiting
         } else {
-            MOST_LISTED
+            MAX_LISTED
         }
     }
 
@@ -144,14 +144,14 @@ impl Limits {
         }
     }
 
-    /// The most rows that a frame may have.
+    /// Maximum number of rows of a frame.
     #[must_use]
     pub fn rows(&self, rows: FrameRows) -> usize {
         match rows {
             FrameRows::Robots => self.capacity,
             FrameRows::Taken => self.listed_frames(),
             FrameRows::Bytes => self.state_piece_bytes(),
-            FrameRows::Words(words) => words,
+            FrameRows::UpTo(rows) => rows,
         }
     }
 
@@ -159,10 +159,10 @@ impl Limits {
     #[must_use]
     pub const fn query_clients(&self) -> usize {
         let wanted = self.max_planners + SPARE;
-        if wanted < MOST_QUERY_CLIENTS {
+        if wanted < MAX_QUERY_CLIENTS {
             wanted
         } else {
-            MOST_QUERY_CLIENTS
+            MAX_QUERY_CLIENTS
         }
     }
 
@@ -172,14 +172,12 @@ impl Limits {
         self.query_clients() * ACTIVE_QUERIES
     }
 
-    /// Listeners and notifiers of the event that wakes clients; of that which wakes the worker the other
-    /// way round.
+    /// Listeners and notifiers of the event that wakes clients; swapped, those of the worker's.
     #[must_use]
     pub const fn query_events(&self) -> (usize, usize) {
         (self.query_clients(), 1 + SPARE)
     }
 
-    /// Bytes of a piece of a keyframe.
     fn state_piece_bytes(&self) -> usize {
         let (least, most) = STATE_PIECE_BYTES;
         self.capacity

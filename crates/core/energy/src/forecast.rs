@@ -152,10 +152,12 @@ impl EnergyForecast {
         Some(self.energy_j + error_j)
     }
 
-    /// Probability that the energy is below `energy_j`, 0 to 1. `None` if
-    /// [`EnergyForecast::quantile_j`] is, and for a NaN.
-    pub fn probability_below(&self, energy_j: f32) -> Option<f32> {
-        let probability = quantiles::probability(self.errors_j.as_ref()?, energy_j - self.energy_j);
+    /// Probability that the energy is below an amount, 0 to 1: `energy_j`, with a normal error of
+    /// standard deviation `sd_j`, which may be 0. `None` if [`EnergyForecast::quantile_j`] is, and
+    /// for a NaN.
+    pub fn probability_below(&self, energy_j: f32, sd_j: f32) -> Option<f32> {
+        let errors_j = self.errors_j.as_ref()?;
+        let probability = quantiles::probability(errors_j, energy_j - self.energy_j, sd_j);
         (!probability.is_nan()).then_some(probability)
     }
 }

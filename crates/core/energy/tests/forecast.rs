@@ -341,8 +341,32 @@ proptest! {
         let (lower, upper) = (forecast.quantile_j(p).unwrap(), forecast.quantile_j(p + more * (0.999 - p)).unwrap());
         prop_assert!(lower <= upper);
         // An error is small beside the energy that it is added to.
-        let back = forecast.probability_below(lower).unwrap();
+        let back = forecast.probability_below(lower, 0.0).unwrap();
         prop_assert!((back - p).abs() < 2e-2, "{p} {back}");
+    }
+
+    /// Beside drawn errors of an amount, whatever their size beside those of the energy.
+    #[test]
+    fn an_uncertain_amount_has_the_mean_of_its_probabilities(
+        samples in samples(), plan in plan(), share in -2.0f32..2.0, sd in 0.0f32..4.0,
+    ) {
+        let model = model(&[0.5; TERMS], 0.0);
+        let state = observed(&model, &samples);
+        let (v_mps, omega_radps) = split(&plan);
+        let commands = Commands { period_s: 0.5, v_mps: &v_mps, omega_radps: &omega_radps };
+        let forecast = model.forecast(&state, commands);
+        let [low_j, high_j] = [0.05, 0.95].map(|p| forecast.quantile_j(p).unwrap());
+        let spread_j = (high_j - low_j) / 3.29;
+        let (about_j, sd_j) = (forecast.energy_j + share * spread_j, sd * spread_j);
+        let found = forecast.probability_below(about_j, sd_j).unwrap();
+        let (mut mean, mut weight) = (0.0, 0.0);
+        for place in -400..=400 {
+            let deviations = place as f32 / 100.0;
+            let density = (-0.5 * deviations * deviations).exp();
+            mean += density * forecast.probability_below(about_j + deviations * sd_j, 0.0).unwrap();
+            weight += density;
+        }
+        prop_assert!((found - mean / weight).abs() < 0.02, "{found} {}", mean / weight);
     }
 
     #[test]
@@ -415,7 +439,7 @@ fn what_is_not_known_has_no_interval() {
     assert_eq!(untrained.check(), Ok(()));
     assert!(median_j(&untrained, 1.0).is_none());
     let forecast = untrained.forecast(&state, plan(1.0));
-    assert!(forecast.probability_below(9.0).is_none());
+    assert!(forecast.probability_below(9.0, 1.0).is_none());
     // A command that is not a number.
     let unknown = commands(1.0, &[0.0, f32::NAN], &[0.0; 2]);
     let forecast = trained.forecast(&state, unknown);

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use joulebus_settings::NO_BATTERY;
 use joulebus_wire::InvalidReason;
 use serde::Serialize;
 
@@ -34,8 +35,9 @@ pub struct Answer {
     pub energy: Option<Range>,
     /// Energy left at the end, reserve included. `None` if energy or battery is unknown.
     pub left: Option<Left>,
-    /// Probability of finishing above the reserve, with the battery at its lower bound. `None` if
-    /// the model states no distribution of its errors for this plan.
+    /// Probability of finishing above the reserve, of which errors of the energy and of the battery
+    /// are part. What the plan is widened by counts in full. `None` if the model states no
+    /// distribution of its errors for this plan.
     pub probability: Option<f32>,
     /// Lower bound of the spare energy in the battery, less the upper bound of the energy, J.
     /// Negative if energy is missing.
@@ -54,7 +56,7 @@ pub struct Answer {
 #[non_exhaustive]
 pub enum Verdict {
     /// The upper bound of the energy fits into the lower bound of the spare energy, at the end of
-    /// every leg, and no caveat weakens that.
+    /// every leg, and the robot's state is known ([`Caveats`]).
     Yes,
     /// The expected energy fits into the best estimate, but not so surely.
     Tight,
@@ -103,9 +105,12 @@ fn name<S: serde::Serializer>(reason: &InvalidReason, to: S) -> Result<S::Ok, S:
     to.serialize_str(reason.name())
 }
 
-/// Reasons that weaken an answer. It is then [`Verdict::Tight`] at best. For steps outside the
-/// training data and beyond the longest horizon the interval includes the platform's minimum and
-/// maximum power.
+/// Reasons that weaken an answer.
+///
+/// What is not known of a *plan* widens its interval: steps outside the training data, and those
+/// beyond the longest horizon, count with the platform's minimum and maximum power. The answer is
+/// [`Verdict::Yes`] if the battery spares even that. If the *robot's state* is weak, no interval
+/// says by how much, and the answer is [`Verdict::Tight`] at best.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Caveats {
     /// Steps whose commands lie outside the training data.
@@ -119,6 +124,11 @@ pub struct Caveats {
 }
 
 impl Caveats {
+    /// Whether the robot's state is too weak for [`Verdict::Yes`].
+    pub(crate) const fn bar_yes(&self) -> bool {
+        self.no_reading || self.state_outside_training
+    }
+
     /// Whether there is any.
     #[must_use]
     pub const fn any(&self) -> bool {
@@ -156,7 +166,7 @@ impl fmt::Display for Unknown {
                 write!(out, "the robot's state does not fit this version or config")
             }
             Self::NoLevel => write!(out, "no power of the robot has been metered yet"),
-            Self::NoBattery => write!(out, "its platform has no `[battery]` in the config"),
+            Self::NoBattery => write!(out, "{NO_BATTERY}"),
             Self::BatteryUnknown => write!(
                 out,
                 "the energy in its battery is unknown, or less is measured than was counted"
@@ -171,12 +181,12 @@ impl fmt::Display for Caveats {
         let mut parts = Vec::new();
         if self.steps_outside_training > 0 {
             parts.push(format!(
-                "{} steps outside the model's training data",
+                "{} steps outside the model's training data, within what the platform can draw",
                 self.steps_outside_training
             ));
         }
         if self.beyond_horizon {
-            parts.push("longer than the model's errors are known for".to_owned());
+            parts.push("longer than the model's errors are known for, from there within what the platform can draw".to_owned());
         }
         if self.no_reading {
             parts.push("no reading at present".to_owned());

@@ -151,8 +151,9 @@ impl Estimate {
         finite.then_some(Range { mean_j, lo_j, hi_j })
     }
 
-    /// The probability that the plan draws less, J.
-    pub(crate) fn probability_below(&self, usable_j: f32) -> Option<f32> {
-        self.known?.probability_below(usable_j - self.widened_j)
+    /// The probability that the plan draws less than an amount with a standard deviation, J.
+    pub(crate) fn probability_below(&self, usable_j: f32, sd_j: f32) -> Option<f32> {
+        self.known?
+            .probability_below(usable_j - self.widened_j, sd_j)
     }
 }

@@ -9,10 +9,12 @@
 //! ω = 2/s · e
 //! ```
 //!
-//! each within the platform's limits. A point is reached within 5 cm. The next one is then
-//! followed. The robot therefore slows down before each point, turns while it drives, and drives
-//! backwards if the point is behind it. The gains are those of the Robotarium simulator's position
-//! controllers.
+//! each within the platform's limits. Where the caller does not ask for a speed, they are also
+//! within what the model has learned of commands: with an infinite speed, while the robot turns,
+//! and backwards. Samples may have any command that the platform takes. A point is reached within 5
+//! cm. The next one is then followed. The robot therefore slows down before each point, turns while
+//! it drives, and drives backwards if the point is behind it. The gains are those of the Robotarium
+//! simulator's position controllers.
 
 use std::f64::consts::PI;
 
@@ -64,8 +66,8 @@ pub struct Pose {
 pub struct Path {
     /// The points; the robot is at the first.
     pub points: Vec<Point>,
-    /// Speed towards each point, m/s. The first one is not used. Limited by the platform's, so
-    /// infinity means as fast as possible.
+    /// Speed towards each point, m/s. The first one is not used. Limited by the platform's;
+    /// infinity means as fast as the model knows.
     pub speed_mps: Vec<f64>,
     /// Heading at the first point, rad; `None`: towards the second.
     pub heading_rad: Option<f64>,
@@ -158,8 +160,12 @@ pub struct Follower {
     platform: String,
     period_s: f64,
     v_max_mps: f32,
+    /// Greatest velocities that the model knows, within the platform's limits: forwards and
+    /// backwards, m/s, and turning, rad/s.
+    known_mps: f32,
+    back_max_mps: f32,
     omega_max_radps: f32,
-    most_steps: usize,
+    max_steps: usize,
 }
 
 impl Follower {
@@ -177,24 +183,30 @@ impl Follower {
                 omega_max_radps,
             });
         }
+        let [backwards, forwards] = platform.energy.v_mps;
+        let [right, left] = platform.energy.omega_radps;
+        // What the model does not know at all is answered as what is outside its training data.
+        let known = |known: f32, limit: f32| if known > 0.0 { known.min(limit) } else { limit };
         Ok(Self {
             platform: settings.name.clone(),
             period_s: settings.period_ns as f64 * 1e-9,
             v_max_mps,
-            omega_max_radps,
-            most_steps: MAX_STEPS,
+            known_mps: known(forwards, v_max_mps),
+            back_max_mps: (-backwards).clamp(0.0, v_max_mps),
+            omega_max_radps: known(left.min(-right), omega_max_radps),
+            max_steps: MAX_STEPS,
         })
     }
 
     /// With at most this many steps a path, itself at most [`MAX_STEPS`].
     #[must_use]
-    pub fn within(mut self, most_steps: usize) -> Self {
-        self.most_steps = most_steps.min(MAX_STEPS);
+    pub fn within(mut self, max_steps: usize) -> Self {
+        self.max_steps = max_steps.min(MAX_STEPS);
         self
     }
 
-    pub(crate) const fn most_steps(&self) -> usize {
-        self.most_steps
+    pub(crate) const fn max_steps(&self) -> usize {
+        self.max_steps
     }
 
     /// The platform's name.
@@ -232,7 +244,7 @@ impl Follower {
     fn leg(&self, to: &mut Followed, path: &Path, point: usize) -> Result<(), PathError> {
         let (goal, speed_mps) = (path.points[point], path.speed_mps[point]);
         let begun = to.v_mps.len();
-        let speed_mps = speed_mps.min(self.v_max_mps.into());
+        let speed_mps = self.speed_mps(speed_mps);
         let first_m = distance_m(to.poses[to.poses.len() - 1].at, goal);
         let turn_s = PI / f64::from(self.omega_max_radps).min(TURN_GAIN);
         let patience_s = PATIENCE * (first_m / speed_mps + turn_s + 10.0 / GAIN);
@@ -243,11 +255,11 @@ impl Follower {
             if away_m <= REACH_M {
                 return Ok(());
             }
-            if to.v_mps.len() >= self.most_steps {
+            if to.v_mps.len() >= self.max_steps {
                 return Err(PathError::TooLong {
                     point,
                     distance_m: away_m,
-                    allowed: self.most_steps,
+                    allowed: self.max_steps,
                 });
             }
             if to.v_mps.len() - begun >= most {
@@ -261,16 +273,28 @@ impl Follower {
         }
     }
 
+    /// The speed that is driven if one is asked for, m/s.
+    fn speed_mps(&self, asked_mps: f64) -> f64 {
+        let limit_mps = if asked_mps.is_finite() {
+            self.v_max_mps
+        } else {
+            self.known_mps
+        };
+        asked_mps.min(limit_mps.into())
+    }
+
     /// The command towards a point: m/s and rad/s, within the limits.
     #[must_use]
     pub fn command(&self, pose: &Pose, goal: Point, speed_mps: f64) -> (f32, f32) {
         let (dx_m, dy_m) = (goal.x_m - pose.at.x_m, goal.y_m - pose.at.y_m);
         let error_rad = wrap(libm::atan2(dy_m, dx_m) - pose.heading_rad);
-        let along_mps = speed_mps.min(GAIN * distance_m(pose.at, goal));
+        let along_mps = self
+            .speed_mps(speed_mps)
+            .min(GAIN * distance_m(pose.at, goal));
         let v_mps = (along_mps * libm::cos(error_rad)) as f32;
         let omega_radps = (TURN_GAIN * error_rad) as f32;
         (
-            v_mps.clamp(-self.v_max_mps, self.v_max_mps),
+            v_mps.max(-self.back_max_mps),
             omega_radps.clamp(-self.omega_max_radps, self.omega_max_radps),
         )
     }

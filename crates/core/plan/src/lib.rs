@@ -11,9 +11,9 @@
 //! **Fail closed.** A verdict is [`Verdict::Yes`] only if the energy's upper bound at the requested
 //! coverage fits into the lower bound of the spare energy, at the end of every leg, and nothing
 //! weakens that statement. Commands outside the training data and plans longer than the longest
-//! calibrated horizon widen the interval to the platform's minimum and maximum power. These, a
-//! robot without readings and one outside the training data ([`Caveats`]) allow [`Verdict::Tight`]
-//! at best. Stale, invalid or unknown values give [`Verdict::Unknown`] with the reason.
+//! calibrated horizon widen the interval to the platform's minimum and maximum power. A robot
+//! without readings and one outside the training data ([`Caveats`]) allow [`Verdict::Tight`] at
+//! best. Stale, invalid or unknown values give [`Verdict::Unknown`] with the reason.
 //!
 //! **Units**: W, J, s, m, rad.
 //!
@@ -42,6 +42,7 @@ pub use error::{AskError, Differs, PathError, QuestionError, Refused};
 pub use fleet::Fleet;
 pub use follower::{Path, Point};
 pub use limits::MAX_STEPS;
+pub use payload::{decode_acknowledgement, encode_acknowledgement};
 pub use platform::{Frames, Platform, RobotRows};
 pub use question::{Plan, Question, Reply, Row};
 pub use robot::Robot;

@@ -1,9 +1,9 @@
 //! Questions and replies as payloads in shared memory and in recordings.
 
 use joulebus_wire::{
-    ANSWER_WORDS, AnswerHeader, AnswerRow, InvalidReason, QUERY_CANDIDATES, QUERY_ROBOTS,
-    QUERY_VALUES, QueryHeader, QueryKind, QueryRefusal, ROW_WORDS, SCHEMA_VERSION, answer_flag,
-    answer_parts, query_flag,
+    ANSWER_WORDS, Acknowledgement, Alarm, AnswerHeader, AnswerRow, InvalidReason, MAX_NAME_BYTES,
+    QUERY_CANDIDATES, QUERY_ROBOTS, QUERY_VALUES, QueryHeader, QueryKind, QueryRefusal, ROW_WORDS,
+    SCHEMA_VERSION, answer_flag, answer_parts, query_flag,
 };
 
 use crate::answer::{Answer, Caveats, Left, Range, Unknown, Verdict};
@@ -72,18 +72,7 @@ impl Question {
     /// [`Refused`], with the reason. Values that the robots' platforms do not allow are found when
     /// the question is answered.
     pub fn decode(header: &QueryHeader, values: &[f64], fleet: u64) -> Result<Self, Refused> {
-        if header.schema != SCHEMA_VERSION {
-            let (found, allowed) = (header.schema, SCHEMA_VERSION);
-            let text = format!("payloads of version {found}: this worker reads {allowed}");
-            return Err(Refused::new(QueryRefusal::Schema, text));
-        }
-        if header.fleet != fleet {
-            let text = format!(
-                "asked of the fleet whose name has hash {:016x}: this one has {fleet:016x}",
-                header.fleet
-            );
-            return Err(Refused::new(QueryRefusal::Fleet, text));
-        }
+        check(header, fleet)?;
         let ids = expected_values(header, values.len())?;
         let (ids, values) = values.split_at(ids);
         let robots = ids
@@ -96,6 +85,90 @@ impl Question {
             power: header.flags & query_flag::POWER != 0,
         })
     }
+}
+
+/// Encodes that the person `by` acknowledges an alarm, for the fleet whose name has this hash.
+///
+/// # Errors
+/// [`Acknowledgement::new`] says which names are allowed.
+pub fn encode_acknowledgement(
+    robot: u32,
+    alarm: Alarm,
+    by: &str,
+    fleet: u64,
+) -> Result<(QueryHeader, Vec<f64>), Refused> {
+    if Acknowledgement::new(robot, alarm, 0, by).is_none() {
+        return Err(no_name(by));
+    }
+    let name = by.chars().map(u32::from);
+    let values: Vec<f64> = [robot, alarm.code().into()]
+        .into_iter()
+        .chain(name)
+        .map(f64::from)
+        .collect();
+    let header = QueryHeader {
+        schema: SCHEMA_VERSION,
+        fleet,
+        kind: QueryKind::Acknowledge.code(),
+        robots: 1,
+        steps: count(values.len() - 2),
+        ..QueryHeader::default()
+    };
+    Ok((header, values))
+}
+
+/// Decodes an untrusted header and values as the acknowledgement of an alarm, taken at `at_ns`.
+///
+/// # Errors
+/// [`Refused`], with the reason. Whether the alarm is raised is found later.
+pub fn decode_acknowledgement(
+    header: &QueryHeader,
+    values: &[f64],
+    fleet: u64,
+    at_ns: u64,
+) -> Result<Acknowledgement, Refused> {
+    check(header, fleet)?;
+    expected_values(header, values.len())?;
+    let (id, code) = (robot(values[0])?, values[1]);
+    let is_code = |alarm: &Alarm| f64::from(alarm.code()) == code;
+    let alarm = Alarm::ALL.into_iter().find(is_code).ok_or_else(|| {
+        let text = format!("{code} is no code of an alarm of a robot");
+        Refused::new(QueryRefusal::Question, text)
+    })?;
+    let name = values[2..].iter().map(|value| value_as_char(*value));
+    let name: String = name
+        .map(|found| found.unwrap_or(char::REPLACEMENT_CHARACTER))
+        .collect();
+    Acknowledgement::new(id, alarm, at_ns, &name).ok_or_else(|| no_name(&name))
+}
+
+fn value_as_char(value: f64) -> Option<char> {
+    let code = value as u32;
+    char::from_u32(code).filter(|_| f64::from(code) == value)
+}
+
+fn no_name(found: &str) -> Refused {
+    let text = format!(
+        "{found:?} is no name: allowed are 1 to {MAX_NAME_BYTES} bytes without control characters"
+    );
+    Refused::new(QueryRefusal::Question, text)
+}
+
+/// Checks what a header is written for.
+fn check(header: &QueryHeader, fleet: u64) -> Result<(), Refused> {
+    if header.schema != SCHEMA_VERSION {
+        let (found, allowed) = (header.schema, SCHEMA_VERSION);
+        let text = format!("payloads of version {found}: this worker reads {allowed}");
+        return Err(Refused::new(QueryRefusal::Schema, text));
+    }
+    if header.fleet != fleet {
+        let text = format!(
+            "asked of the fleet whose name has hash {:016x}: this one has {fleet:016x}",
+            header.fleet
+        );
+        return Err(Refused::new(QueryRefusal::Fleet, text));
+    }
+    Ok(())
 }
 
 fn plan(header: &QueryHeader, robots: Vec<u32>, values: &[f64]) -> Result<Plan, Refused> {
@@ -130,6 +203,10 @@ fn plan(header: &QueryHeader, robots: Vec<u32>, values: &[f64]) -> Result<Plan, 
                     .then_some(Point::new(header.return_x_m, header.return_y_m)),
             }
         }
+        QueryKind::Acknowledge => {
+            let text = "an acknowledgement is no question about a plan".to_owned();
+            return Err(Refused::new(QueryRefusal::Kind, text));
+        }
     })
 }
 
@@ -149,13 +226,12 @@ fn expected_values(header: &QueryHeader, found: usize) -> Result<usize, Refused>
     let kind = kind(header)?;
     let counts = [header.robots, header.candidates, header.steps].map(|count| count as usize);
     let [robots, candidates, steps] = counts;
-    let most_robots = if kind == QueryKind::WhatIf {
-        1
-    } else {
-        QUERY_ROBOTS
+    let max_robots = match kind {
+        QueryKind::WhatIf | QueryKind::Acknowledge => 1,
+        QueryKind::Idle | QueryKind::Follow => QUERY_ROBOTS,
     };
     for (name, found, allowed) in [
-        ("robots", robots, most_robots),
+        ("robots", robots, max_robots),
         ("candidates", candidates, QUERY_CANDIDATES),
         ("steps or points", steps, QUERY_VALUES),
         ("values", found, QUERY_VALUES),
@@ -171,6 +247,7 @@ fn expected_values(header: &QueryHeader, found: usize) -> Result<usize, Refused>
         QueryKind::WhatIf => 2 * candidates * steps,
         QueryKind::Idle => 0,
         QueryKind::Follow => POINT_VALUES * steps,
+        QueryKind::Acknowledge => 1 + steps,
     };
     let expected = robots + values;
     if robots == 0 || found != expected {

@@ -104,7 +104,7 @@ pub struct Row {
 }
 
 impl Question {
-    /// The answer. `find` gives the robots' rows. Each path has at most `most_steps` steps, the
+    /// The answer. `find` gives the robots' rows. Each path has at most `max_steps` steps, the
     /// path back included: [`crate::MAX_STEPS`] unless time is short.
     ///
     /// # Errors
@@ -113,9 +113,9 @@ impl Question {
         self,
         fleet: &Fleet,
         find: impl Fn(u32) -> Option<RobotRows>,
-        most_steps: usize,
+        max_steps: usize,
     ) -> Result<Reply, QuestionError> {
-        let mut work = Work::begin(self, find, most_steps)?;
+        let mut work = Work::begin(self, find, max_steps)?;
         while !work.step(fleet)? {}
         Ok(work.finish())
     }
@@ -132,7 +132,7 @@ pub struct Work {
     robots: Vec<RobotRows>,
     /// The path, by the platform's place.
     routes: Vec<(u16, Route)>,
-    most_steps: usize,
+    max_steps: usize,
     done: usize,
     reply: Reply,
 }
@@ -145,7 +145,7 @@ impl Work {
     pub fn begin(
         question: Question,
         find: impl Fn(u32) -> Option<RobotRows>,
-        most_steps: usize,
+        max_steps: usize,
     ) -> Result<Self, QuestionError> {
         let ids = question.plan.robots().iter();
         let rows =
@@ -154,7 +154,7 @@ impl Work {
             robots: rows.collect::<Result<_, _>>()?,
             question,
             routes: Vec::new(),
-            most_steps,
+            max_steps,
             done: 0,
             reply: Reply::default(),
         })
@@ -168,10 +168,10 @@ impl Work {
         let Self {
             question,
             routes,
-            most_steps,
+            max_steps,
             ..
         } = self;
-        let begun = Self::begin(question, find, most_steps)?;
+        let begun = Self::begin(question, find, max_steps)?;
         Ok(Self { routes, ..begun })
     }
 
@@ -284,7 +284,7 @@ impl Work {
             Plan::Follow { path, back_to, .. } => {
                 let known = self.routes.iter().position(|(of, _)| *of == platform);
                 let Some(known) = known else {
-                    let route = Route::new(robot, path, *back_to, self.most_steps)?;
+                    let route = Route::new(robot, path, *back_to, self.max_steps)?;
                     self.routes.push((platform, route));
                     return Ok(false);
                 };

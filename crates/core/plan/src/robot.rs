@@ -40,6 +40,8 @@ struct Battery {
     /// Above the reserve.
     usable_j: f32,
     usable_lo_j: f32,
+    /// Same as `usable_j`, but negative below the reserve.
+    spare_j: f32,
 }
 
 impl<'a> Robot<'a> {
@@ -258,7 +260,7 @@ impl<'a> Robot<'a> {
                 mean_j: (battery.left_j - energy.mean_j).max(0.0),
                 lo_j: (battery.left_lo_j - energy.hi_j).max(0.0),
             }),
-            probability: estimate.probability_below(battery.usable_lo_j),
+            probability: estimate.probability_below(battery.spare_j, battery.sd_j()),
             margin_j: Some(battery.usable_lo_j - energy.hi_j),
             verdict,
             limiting_leg: (verdict != Verdict::Yes).then(|| limiting_leg.unwrap_or(last_leg)),
@@ -349,8 +351,15 @@ impl<'a> Robot<'a> {
     }
 }
 
+impl Battery {
+    /// Standard deviation of its energy: the lower bound is two of them below.
+    fn sd_j(&self) -> f32 {
+        0.5 * (self.left_j - self.left_lo_j).max(0.0)
+    }
+}
+
 fn verdict(battery: &Battery, energy: &Range, caveats: Caveats) -> Verdict {
-    if energy.hi_j <= battery.usable_lo_j && !caveats.any() {
+    if energy.hi_j <= battery.usable_lo_j && !caveats.bar_yes() {
         Verdict::Yes
     } else if energy.mean_j <= battery.usable_j {
         Verdict::Tight
@@ -443,6 +452,7 @@ fn battery(platform: &Platform, frames: &Frames<'_>) -> Result<Battery, Unknown>
         left_lo_j: (f64::from(budget.soc_lo) * settings.capacity_j) as f32,
         usable_j: budget.usable_j,
         usable_lo_j: budget.usable_lo_j,
+        spare_j: (f64::from(budget.left_j) - settings.reserve * settings.capacity_j) as f32,
     };
     let all = [
         battery.left_j,

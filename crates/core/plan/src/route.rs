@@ -52,14 +52,14 @@ pub(crate) struct Later;
 
 impl Route {
     /// Follows the path of a robot's platform, and the path back at the speed of its last leg.
-    /// Together they have at most `most_steps` steps.
+    /// Together they have at most `max_steps` steps.
     pub(crate) fn new(
         robot: &Robot<'_>,
         path: &Path,
         back_to: Option<Point>,
-        most_steps: usize,
+        max_steps: usize,
     ) -> Result<Self, AskError> {
-        let follower = Follower::new(robot.platform())?.within(most_steps);
+        let follower = Follower::new(robot.platform())?.within(max_steps);
         let there = follower.follow(path)?;
         let speed_mps = path.speed_mps.last().copied().unwrap_or(0.0);
         let back = back_to.map(|dock| Back { dock, speed_mps });
@@ -160,7 +160,7 @@ impl Back {
         };
         let home = follower.follow(&home)?;
         let found = steps + home.v_mps.len();
-        let allowed = follower.most_steps();
+        let allowed = follower.max_steps();
         if found > allowed {
             return Err(AskError::Steps { found, allowed });
         }

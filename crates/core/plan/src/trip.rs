@@ -54,7 +54,7 @@ impl Robot<'_> {
         self.can_finish_within(path, back_to, coverage, MAX_STEPS)
     }
 
-    /// Same as [`Robot::can_finish`], for a path and path back of at most `most_steps` steps in
+    /// Same as [`Robot::can_finish`], for a path and path back of at most `max_steps` steps in
     /// all, which bounds the time of the computation.
     ///
     /// # Errors
@@ -64,9 +64,9 @@ impl Robot<'_> {
         path: &Path,
         back_to: Option<Point>,
         coverage: f32,
-        most_steps: usize,
+        max_steps: usize,
     ) -> Result<Trip, AskError> {
-        let mut route = Route::new(self, path, back_to, most_steps)?;
+        let mut route = Route::new(self, path, back_to, max_steps)?;
         let answer = self.on(&route, coverage)?;
         // There are fewer than that.
         let mut ways = Ways(usize::MAX);

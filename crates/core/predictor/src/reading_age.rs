@@ -30,7 +30,7 @@ const NEVER: u8 = u8::MAX;
 impl ReadingAge {
     /// Maximum of the age feature: a second at 30 Hz, the slowest default poll period, so that a
     /// robot at rest for an hour is no outlier.
-    pub const LONGEST_STEPS: u8 = 30;
+    pub const MAX_STEPS: u8 = 30;
 
     /// Before the first measurement.
     pub const UNKNOWN: ReadingAge = ReadingAge {
@@ -117,12 +117,12 @@ impl ReadingAge {
         self.is_known().then_some(due)
     }
 
-    /// Sets its two features: the age in samples, up to [`ReadingAge::LONGEST_STEPS`], and whether
+    /// Sets its two features: the age in samples, up to [`ReadingAge::MAX_STEPS`], and whether
     /// a new measurement is due, 1 or 0. Both are NaN if unknown.
     #[inline(always)]
     pub fn fill(&self, row: &mut Features) {
         let (known, due) = (self.is_known(), self.is_due() == Some(true));
-        let age_steps = f32::from(self.age_steps.min(Self::LONGEST_STEPS));
+        let age_steps = f32::from(self.age_steps.min(Self::MAX_STEPS));
         let due = if due { 1.0 } else { 0.0 };
         row[FEATURES] = if known { age_steps } else { f32::NAN };
         row[FEATURES + 1] = if known { due } else { f32::NAN };

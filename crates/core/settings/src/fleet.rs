@@ -233,10 +233,10 @@ impl FleetSettings {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
-    fn settings() -> FleetSettings {
+    pub(crate) fn settings() -> FleetSettings {
         FleetSettings {
             capacity: 10,
             intake: Intake {

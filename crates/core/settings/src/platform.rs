@@ -7,6 +7,10 @@ use serde::Serialize;
 use crate::bounds::{self, within};
 use crate::error::SettingsError;
 
+/// What to do about a platform without a [`Battery`], for messages.
+pub const NO_BATTERY: &str =
+    "no [battery]: add its capacity_wh and initial_soc_lo to the platform's file";
+
 /// A robot platform.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Platform {

@@ -7,8 +7,8 @@ use crate::rows;
 bits! {
     /// Bits of [`Budget::flags`].
     pub mod budget_flag {
-        /// The platform's config describes a battery: energy left, usable and state of charge are known,
-        /// with their bounds.
+        /// The platform's config describes a battery: energy left, usable and state of charge are
+        /// known, with their bounds.
         pub const BATTERY: u32 = 1 << 0;
         /// Time to empty is known.
         pub const TIME_TO_EMPTY: u32 = 1 << 1;
@@ -18,8 +18,8 @@ bits! {
         pub const CHARGED: u32 = 1 << 3;
         /// The state of charge contains a measured one.
         pub const MEASURED: u32 = 1 << 4;
-        /// A measured state of charge says that less is left than was counted, and is not believed yet: the battery may be
-        /// another one, and the bounds need not hold.
+        /// A measured state of charge says that less is left than was counted, and is not believed
+        /// yet: the battery may be another one, and the bounds need not hold.
         pub const CONTRADICTED: u32 = 1 << 5;
     }
 }
@@ -29,9 +29,9 @@ rows! {
     ///
     /// The ledger part (`drawn_uj`, `drawn_remainder`, `metered_ns`, `unmetered_ns`, `stamp_ns`) is
     /// exact: `metered_ns + unmetered_ns` is the time from the first sample to `stamp_ns`. The
-    /// energy left is counted from it and fused with measured states of charge. The truth lies between
-    /// the bounds (`_lo`, `_hi`) with 95 % where the errors are as the platform's config says; they
-    /// widen with unmetered time by all that the robot could have drawn.
+    /// energy left is counted from it and fused with measured states of charge. The truth lies
+    /// between the bounds (`_lo`, `_hi`) with 95 % where the errors are as the platform's config
+    /// says; they widen with unmetered time by all that the robot could have drawn.
     pub struct Budget: "joulebus.Budget.v2", 128 {
         /// Id of the robot.
         pub robot: u32,
@@ -44,8 +44,8 @@ rows! {
         pub battery_changes: u32,
         /// Energy drawn over the metered time, µJ.
         pub drawn_uj: i64,
-        /// Remainder of the integral below one µJ, in µW·ns · 2: carried, so that no energy is rounded
-        /// away.
+        /// Remainder of the integral below one µJ, in µW·ns · 2: carried, so that no energy is
+        /// rounded away.
         pub drawn_remainder: i64,
         /// Forecast energy over the same metered time, µJ.
         pub forecast_uj: i64,

@@ -1,27 +1,28 @@
 //! What a channel is: a service of shared memory through which frames go, each a header and rows.
 //!
-//! A channel is declared once, here or in another crate. Its ports, its place in a capture, its way over a
-//! link and through a simulation follow from the declaration.
+//! A channel is declared once, here or in another crate. Ports, captures, links and simulations
+//! follow from the declaration.
 
 use crate::{
-    Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader, PlanState,
-    PlanStateHeader, QueriesHeader, RECORD_WORDS, Row, Sample, SampleHeader, Service, StateHeader,
-    TakenFrame, TickHeader,
+    Acknowledgement, AcknowledgementHeader, Budget, BudgetHeader, Diagnostic, DiagnosticHeader,
+    Forecast, ForecastHeader, MAX_ACKNOWLEDGED, PlanState, PlanStateHeader, QueriesHeader,
+    RECORD_WORDS, Row, Sample, SampleHeader, Service, StateHeader, TakenFrame, TickHeader,
 };
 
 /// A service of shared memory through which frames go.
 pub trait Channel: std::fmt::Debug + Copy + Send + Sync + 'static {
     /// Its service, which also names its topic in a capture.
     const SERVICE: Service;
-    /// Name of a frame's message in a capture, without the package; that of a row is [`crate::StructLayout::name`].
+    /// Name of a frame's message in a capture, without the package. A row has its
+    /// [`crate::StructLayout::name`].
     const MESSAGE: &'static str;
-    /// Who sends and who reads.
+    /// The senders and readers.
     const FLOW: Flow;
-    /// What its rows are.
+    /// The meaning of its rows.
     const ROWS: FrameRows;
-    /// What a frame begins with.
+    /// The header of a frame.
     type Header: FrameHeader;
-    /// What it consists of.
+    /// A row of a frame.
     type Row: Row;
 
     /// The robot of a row; none where rows are not of [`FrameRows::Robots`].
@@ -33,7 +34,7 @@ pub trait Channel: std::fmt::Debug + Copy + Send + Sync + 'static {
     }
 }
 
-/// Who sends on a channel and who reads, which sizes its service.
+/// The senders and readers of a channel, which size its service.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Flow {
     /// Sources send; the worker and recorders read.
@@ -54,7 +55,7 @@ pub enum Flow {
     },
 }
 
-/// What the rows of a frame are, which bounds their number.
+/// The meaning of a frame's rows, which bounds their number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FrameRows {
     /// One of each robot, which begins with the robot's id.
@@ -63,8 +64,8 @@ pub enum FrameRows {
     Taken,
     /// Bytes of a piece of a keyframe.
     Bytes,
-    /// Words, at most so many.
-    Words(usize),
+    /// Others, at most so many.
+    UpTo(usize),
 }
 
 /// Where a frame stands among those of its channel.
@@ -72,7 +73,7 @@ pub enum FrameRows {
 pub struct Place {
     /// The run of the worker, or of the source.
     pub run: u64,
-    /// The tick within it, the number of the source's frame, or the time of sending where frames have no number.
+    /// The tick within it, the number of the source's frame, or else the time of sending.
     pub number: u64,
 }
 
@@ -120,8 +121,9 @@ macro_rules! channels {
     )*};
 }
 
-/// Implements [`FrameHeader`]: the fields of the place; of the times of sending and of the period, each where there is one.
-/// `frame_header!(ForecastHeader { place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns; })`.
+/// Implements [`FrameHeader`] from the fields of the place, and of times and period if there are
+/// any:
+/// `frame_header!(Header { place: run, number; sent: sent_ns, sent_unix_ns; period: period_ns; })`.
 #[macro_export]
 macro_rules! frame_header {
     ($header:ident {
@@ -167,8 +169,8 @@ channels! {
     /// Samples of the robots, from their controllers.
     Samples: "samples", SampleHeader { place: source_epoch, frame_seq; sent: sent_ns, sent_unix_ns; },
         Sample, Flow::Sources, FrameRows::Robots;
-    /// Forecasts, of every tick. A planner can keep two frames beside the newest: that of its loop's variable while
-    /// the next is waited for, and one more.
+    /// Forecasts, of every tick. A planner can keep two frames beside the newest: one in its loop's
+    /// variable while it waits for the next, and one more.
     Forecasts: "forecasts", ForecastHeader {
             place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns;
         }, Forecast, Flow::Planners { kept: 2, history: 0 }, FrameRows::Robots;
@@ -178,7 +180,7 @@ channels! {
     /// Budgets: planners need the newest at once, and recorders read all.
     Budgets: "budgets", BudgetHeader { place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; },
         Budget, Flow::Planners { kept: 0, history: 1 }, FrameRows::Robots;
-    /// What plans start from: sent while somebody reads it.
+    /// The state that plans start from: sent while somebody reads it.
     PlanStates: "plan_states", PlanStateHeader {
             place: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns;
         }, PlanState, Flow::Planners { kept: 0, history: 1 }, FrameRows::Robots;
@@ -190,5 +192,9 @@ channels! {
         u8, Flow::Recorders { queued: 8, history: 0 }, FrameRows::Bytes;
     /// Records of questions and answers: a reader that comes later needs the newest counts.
     Queries: "queries", QueriesHeader { place: begun_ns, sent_ns; sent: sent_ns; },
-        u64, Flow::Recorders { queued: 6, history: 1 }, FrameRows::Words(RECORD_WORDS);
+        u64, Flow::Recorders { queued: 6, history: 1 }, FrameRows::UpTo(RECORD_WORDS);
+    /// All alarms that are acknowledged: a reader that comes later needs the newest at once.
+    Acknowledgements: "acknowledgements", AcknowledgementHeader {
+            place: server_epoch, number; sent: sent_ns, sent_unix_ns;
+        }, Acknowledgement, Flow::Planners { kept: 0, history: 1 }, FrameRows::UpTo(MAX_ACKNOWLEDGED);
 }

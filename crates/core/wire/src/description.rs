@@ -1,5 +1,4 @@
-//! The layouts as data, from which those of other languages are made: the C header, NumPy's types and the
-//! table in `docs/layout.md`.
+//! The layouts as data, from which the C header, NumPy's types and `docs/layout.md` are made.
 
 use crate::{
     Alarm, AnswerHeader, AnswerRow, Budget, BudgetHeader, ChargeState, Diagnostic,
@@ -13,7 +12,7 @@ use crate::{
 /// Constants that belong together: bits of a field, or its codes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Constants {
-    /// What they are of, in capitals: `SAMPLE`, `ALARM`.
+    /// Their prefix, in capitals: `SAMPLE`, `ALARM`.
     pub of: &'static str,
     /// Whether they are bits: each has a comment.
     pub bits: bool,
@@ -32,7 +31,7 @@ pub struct Constant {
     pub doc: &'static str,
 }
 
-/// What a controller, a planner or a program that asks reads and writes, a struct before those that contain it.
+/// Structs that controllers, planners and clients use, each before those that contain it.
 #[must_use]
 pub fn layouts() -> Vec<StructLayout> {
     vec![
@@ -100,6 +99,7 @@ fn codes() -> Vec<Constants> {
         ("WhatIf", QueryKind::WhatIf),
         ("Idle", QueryKind::Idle),
         ("Follow", QueryKind::Follow),
+        ("Acknowledge", QueryKind::Acknowledge),
     ];
     let reasons = (1..).map(InvalidReason::decode);
     let reasons = reasons.take_while(|reason| *reason != InvalidReason::Unknown);

@@ -1,5 +1,6 @@
 //! Residual scores and alarms per robot.
 
+use crate::alarm_card::{AlarmCard, OF_ROBOTS};
 use crate::declare::ZeroCopySend;
 use crate::layout::{bits, names};
 use crate::rows;
@@ -11,8 +12,8 @@ bits! {
         pub const RESIDUAL: u32 = 1 << 0;
         /// At least one residual has been scored.
         pub const SCORES: u32 = 1 << 1;
-        /// The forecast learns online: the fields from `network_w` to `level_w` are known. Otherwise they are
-        /// NaN.
+        /// The forecast learns online: the fields from `network_w` to `level_w` are known.
+        /// Otherwise they are NaN.
         pub const LEARNED: u32 = 1 << 2;
     }
 }
@@ -84,7 +85,8 @@ rows! {
         pub held_weight_last: f32,
         /// That of the stack.
         pub held_weight_stack: f32,
-        /// Gain of the last reading within the stack: signed, on its deviation from the model's autoregression.
+        /// Gain of the last reading within the stack: signed, on its deviation from the model's
+        /// autoregression.
         pub gain_last: f32,
         /// That of the network.
         pub gain_network: f32,
@@ -217,8 +219,7 @@ pub enum Alarm {
     BatteryCritical,
     /// The state of charge is below the platform's low level.
     BatteryLow,
-    /// The measured state of charge contradicts the energy drawn: it does not change, or jumps. It is
-    /// not used.
+    /// The measured state of charge does not follow the energy drawn, or jumps. It is not used.
     SocImplausible,
     /// No alarm.
     None,
@@ -227,8 +228,8 @@ pub enum Alarm {
 }
 
 names! {
-    /// All alarms that can be raised, in the order of their codes. Of one level, the first is the most
-    /// important.
+    /// All alarms that can be raised, in the order of their codes. Of one level, the most important
+    /// first.
     pub Alarm:
         NoData OutOfRange StuckSensor HeldTooLong BiasHigh BiasLow NoiseHigh ModelMismatch
         OutOfTraining OfflineCharging DeadlineMissed WatchdogStop CannotReturn BatteryCritical
@@ -260,18 +261,22 @@ impl Alarm {
         }
     }
 
+    /// What it means and what to do about it; `None` for [`Alarm::None`] and [`Alarm::Unknown`].
+    #[must_use]
+    pub const fn card(self) -> Option<&'static AlarmCard> {
+        match self {
+            Self::None | Self::Unknown => None,
+            raised => Some(&OF_ROBOTS[raised as usize]),
+        }
+    }
+
     /// The level that this alarm means.
     #[must_use]
     pub const fn level(self) -> Level {
-        match self {
-            Self::None | Self::OfflineCharging => Level::Ok,
-            Self::NoData => Level::Stale,
-            Self::OutOfRange
-            | Self::StuckSensor
-            | Self::CannotReturn
-            | Self::BatteryCritical
-            | Self::Unknown => Level::Error,
-            _ => Level::Warn,
+        match self.card() {
+            Some(card) => card.level,
+            None if matches!(self, Self::None) => Level::Ok,
+            None => Level::Error,
         }
     }
 }

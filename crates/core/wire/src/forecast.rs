@@ -1,4 +1,4 @@
-//! What the worker forecasts.
+//! Forecasts of the worker.
 
 use crate::InvalidReason;
 use crate::declare::ZeroCopySend;
@@ -144,22 +144,23 @@ rows! {
         pub schema: u32,
         /// Process id of the worker.
         pub pid: u32,
-        /// When this run of the worker began, monotonic ns: a restart has a greater one, however the wall clock
-        /// was set.
+        /// When this run of the worker began, monotonic ns: a restart has a greater one, however
+        /// the wall clock was set.
         #[run]
         pub worker_epoch: u64,
         /// Number of this tick within the epoch, from 1.
         pub tick: u64,
         /// Period of the tick, ns: a frame older than two of these is stale.
         pub period_ns: u64,
-        /// Hash of the model in use. Where platforms use different models: a combination of their hashes,
-        /// in the order of the platforms.
+        /// Hash of the model in use. Where platforms use different models: a combination of their
+        /// hashes, in the order of the platforms.
         pub model_hash: u64,
         /// Robots that the worker has capacity for.
         pub capacity: u32,
         /// Frames of samples taken in this tick.
         pub frames_taken: u32,
-        /// [`crate::SampleHeader::intended_ns`] of the first frame taken in this tick; 0 if none was.
+        /// [`crate::SampleHeader::intended_ns`] of the first frame taken in this tick; 0 if none
+        /// was.
         #[instant]
         pub first_intended_ns: u64,
         /// [`crate::SampleHeader::sent_ns`] of that frame; 0 if none was taken.

@@ -11,8 +11,9 @@ pub fn fnv1a(bytes: impl IntoIterator<Item = u8>) -> u64 {
     bytes.into_iter().fold(OFFSET_BASIS, step)
 }
 
-/// One hash of several: theirs if all are equal. Otherwise it depends on their order: FNV-1a over whole 64-bit
-/// words, with a rotation that moves the upper bits down, because multiplication propagates bits upwards only.
+/// One hash of several: theirs if all are equal. Otherwise it depends on their order: FNV-1a over
+/// whole 64-bit words, with a rotation that moves the upper bits down, because multiplication
+/// propagates bits upwards only.
 #[must_use]
 pub fn combine_hashes(hashes: impl IntoIterator<Item = u64, IntoIter: Clone>) -> u64 {
     let hashes = hashes.into_iter();

@@ -6,7 +6,7 @@ use bytemuck::Pod;
 
 use declare::ZeroCopySend;
 
-/// What [`crate::rows!`] needs where it is used.
+/// Names that [`crate::rows!`] needs where it is used.
 pub mod declare {
     pub use iceoryx2_bb_derive_macros::ZeroCopySend;
     pub use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
@@ -58,7 +58,7 @@ const fn element<T>(name: &'static str) -> StructLayout {
     }
 }
 
-/// The most instants or runs that a row has.
+/// Maximum number of instants or runs of a row.
 const MAX_MOVED: usize = 16;
 
 /// Offsets of the fields with a role, and their number.
@@ -90,7 +90,7 @@ fn each_at<R: Row>(
     }
 }
 
-/// What a field means wherever a frame is read.
+/// The meaning of a field wherever a frame is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FieldRole {
@@ -98,7 +98,7 @@ pub enum FieldRole {
     Value,
     /// An instant of the monotonic clock of the host where the frame was sent, ns.
     Instant,
-    /// The run of a source or of the worker: the instant at which it began, which names it on every host.
+    /// The run of a source or of the worker, named on every host by the instant at which it began.
     Run,
 }
 
@@ -106,6 +106,8 @@ pub enum FieldRole {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FieldType {
+    /// A byte; an array of them is text ([`crate::text`]).
+    U8,
     /// 16 bits, unsigned.
     U16,
     /// 32 bits, unsigned.
@@ -137,7 +139,7 @@ pub struct FieldLayout {
     pub offset: usize,
     /// Its bytes.
     pub size: usize,
-    /// What it means wherever a frame is read.
+    /// Its meaning wherever a frame is read.
     pub role: FieldRole,
 }
 
@@ -169,6 +171,7 @@ macro_rules! described {
 }
 
 described!(
+    u8 => FieldType::U8,
     u16 => FieldType::U16,
     u32 => FieldType::U32,
     u64 => FieldType::U64,
@@ -202,13 +205,14 @@ pub const fn field<P, T: Described>(
     }
 }
 
-/// Declares structs of shared memory: `Name: type name, bytes` and, where it is not 8, the alignment.
-/// The file imports [`crate::declare::ZeroCopySend`], which the derive names without a path, and its crate has `bytemuck` with
-/// `derive`.
+/// Declares structs of shared memory: `Name: type name, bytes` and, where it is not 8, the
+/// alignment. The file imports [`crate::declare::ZeroCopySend`], which the derive names without a
+/// path, and its crate has `bytemuck` with `derive`.
 ///
-/// The type name is what iceoryx2 compares between processes. [`Pod`] is derived, so the compiler refuses padding and fields with
-/// invalid bit patterns. Size and alignment are part of the schema: another one does not compile. [`Row::LAYOUT`] lists the
-/// fields, with their comments, for other languages. A field is marked `#[instant]` or `#[run]` where it is one of [`FieldRole`].
+/// iceoryx2 compares the type name between processes. [`Pod`] is derived, so the compiler refuses
+/// padding and fields with invalid bit patterns. Size and alignment are part of the schema: another
+/// one does not compile. [`Row::LAYOUT`] lists the fields, with their comments, for other
+/// languages. `#[instant]` and `#[run]` mark the fields of these [`FieldRole`]s.
 #[macro_export]
 macro_rules! rows {
     ($($(#[doc = $doc:literal])* $(#[derive($derive:ident)])?
@@ -254,7 +258,7 @@ macro_rules! rows {
     (@align $align:literal) => { $align };
 }
 
-/// Declares a module of bits of one field, with the table of them: `TABLE` has name, value and comment.
+/// Declares a module of bits of one field, with their `TABLE` of name, value and comment.
 macro_rules! bits {
     ($(#[doc = $doc:literal])* pub mod $module:ident {
         $($(#[doc = $bit_doc:literal])* pub const $name:ident: $type:ty = $value:expr;)*
@@ -271,8 +275,8 @@ macro_rules! bits {
 
 pub(crate) use bits;
 
-/// Lists the variants of an enum once: `ALL`, and after a semicolon those that are not among them. Each
-/// has the name that it has here.
+/// Lists the variants of an enum once: `ALL`, and after a semicolon those that are not among them.
+/// Each has the name that it has here.
 macro_rules! names {
     ($(#[$doc:meta])* $vis:vis $type:ident: $($variant:ident)+ $(; $($other:ident)+)?) => {
         impl $type {

@@ -13,6 +13,8 @@
 //! ```
 #![forbid(unsafe_code)]
 
+mod acknowledgement;
+mod alarm_card;
 mod budget;
 mod channel;
 mod description;
@@ -28,10 +30,14 @@ mod sample;
 mod service;
 mod state;
 
+pub use acknowledgement::{
+    Acknowledgement, AcknowledgementHeader, MAX_ACKNOWLEDGED, MAX_NAME_BYTES, text,
+};
+pub use alarm_card::AlarmCard;
 pub use budget::{Budget, BudgetHeader, ChargeState, budget_flag};
 pub use channel::{
-    Budgets, Channel, Diagnostics, Flow, Forecasts, FrameHeader, FrameRows, Place, PlanStates,
-    Queries, Samples, State, Ticks,
+    Acknowledgements, Budgets, Channel, Diagnostics, Flow, Forecasts, FrameHeader, FrameRows,
+    Place, PlanStates, Queries, Samples, State, Ticks,
 };
 pub use description::{Constant, Constants, constants, layouts};
 pub use diagnostic::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, Level, diagnostic_flag};

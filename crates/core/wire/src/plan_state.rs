@@ -1,4 +1,4 @@
-//! What a forecast of the energy of a plan starts from, per robot.
+//! The state from which a forecast of the energy of a plan starts, per robot.
 
 use crate::Quality;
 use crate::declare::ZeroCopySend;
@@ -26,8 +26,9 @@ bits! {
 rows! {
     /// What a plan of one robot starts from. 192 bytes.
     ///
-    /// While the robot's next sample is overdue, lag window and reading age include `open_steps` periods
-    /// that the model bridged with its own forecasts, as the forecast published in the same tick does.
+    /// While the robot's next sample is overdue, lag window and reading age include `open_steps`
+    /// periods that the model bridged with its own forecasts, as the forecast published in the same
+    /// tick does.
     pub struct PlanState: "joulebus.PlanState.v1", 192 {
         /// Id of the robot.
         pub robot: u32,
@@ -148,8 +149,8 @@ impl PlanState {
 pub const LISTED_MODELS: usize = 16;
 
 rows! {
-    /// Header of a frame of [`PlanState`]s. A planner computes with models and settings of its own: the
-    /// hashes tell whether they are the worker's.
+    /// Header of a frame of [`PlanState`]s. A planner computes with models and settings of its own:
+    /// the hashes tell whether they are the worker's.
     #[derive(Eq)]
     pub struct PlanStateHeader: "joulebus.PlanStateHeader.v1", 200 {
         /// [`crate::SCHEMA_VERSION`].

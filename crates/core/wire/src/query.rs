@@ -1,33 +1,34 @@
 //! Questions about plans, and their answers: for processes that do not compute for themselves.
 //!
-//! A client sends a [`QueryHeader`] with a slice of `f64`; the worker answers with an
-//! [`AnswerHeader`] and a slice of words of 8 bytes: [`AnswerRow`]s, then the power of every step as
-//! `f32` if it was asked for; or, if the question is refused, the reason's text in UTF-8.
+//! A client sends a [`QueryHeader`] with a slice of `f64`. The worker answers with an
+//! [`AnswerHeader`] and a slice of words of 8 bytes: [`AnswerRow`]s, then the power of every step
+//! as `f32` if it was asked for. A refused question gets the reason's text in UTF-8 instead.
 //!
 //! | kind | values of the question |
 //! |---|---|
-//! | [`QueryKind::WhatIf`] | the robot's id; then candidate by candidate, step by step: v in m/s, ω in rad/s |
+//! | [`QueryKind::WhatIf`] | the robot's id; then v in m/s, ω in rad/s for each candidate's steps |
 //! | [`QueryKind::Idle`] | ids of the robots |
-//! | [`QueryKind::Follow`] | ids of the robots; then for each point x in m, y in m, and the speed towards it in m/s |
+//! | [`QueryKind::Follow`] | ids of the robots; then x in m, y in m, speed to it in m/s per point |
+//! | [`QueryKind::Acknowledge`] | the robot's id; the alarm's code; then the characters of a name |
 
 use crate::declare::ZeroCopySend;
 use crate::layout::{bits, names};
 use crate::rows;
 
-/// Most values of a question.
+/// Maximum number of values of a question.
 pub const QUERY_VALUES: usize = 4_096;
-/// Most words of an answer.
+/// Maximum number of words of an answer.
 pub const ANSWER_WORDS: usize = 4_608;
-/// Most robots of a question.
+/// Maximum number of robots of a question.
 pub const QUERY_ROBOTS: usize = 64;
-/// Most candidates of a question.
+/// Maximum number of candidates of a question.
 pub const QUERY_CANDIDATES: usize = 256;
-/// Most steps of a path that the worker follows, the way back included: five minutes at 30 Hz.
+/// Maximum number of steps of a followed path, with the return: five minutes at 30 Hz.
 pub const QUERY_STEPS: usize = 9_000;
-/// Most words of a frame of records.
+/// Maximum number of words of a frame of records.
 pub const RECORD_WORDS: usize = 16_384;
 
-/// What is asked.
+/// Kinds of questions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum QueryKind {
     /// The energy of each of several sequences of commands of one robot.
@@ -36,6 +37,8 @@ pub enum QueryKind {
     Idle,
     /// The energy of a path, and of returning; of several robots, the best first.
     Follow,
+    /// No question: a person acknowledges an alarm.
+    Acknowledge,
 }
 
 impl QueryKind {
@@ -52,6 +55,7 @@ impl QueryKind {
             1 => Self::WhatIf,
             2 => Self::Idle,
             3 => Self::Follow,
+            4 => Self::Acknowledge,
             _ => return None,
         })
     }
@@ -98,7 +102,7 @@ rows! {
         pub robots: u32,
         /// Number of candidates, at most [`QUERY_CANDIDATES`]; 0 unless they are asked about.
         pub candidates: u32,
-        /// Steps of each candidate, or points of the path.
+        /// Steps of each candidate, points of the path, or characters of a name.
         pub steps: u32,
         /// Coverage of the intervals, 0.5 to 0.999.
         pub coverage: f32,
@@ -198,8 +202,8 @@ rows! {
         pub flags: u16,
         /// 1 yes, 2 tight, 3 no, 4 unknown; others are of a newer version.
         pub verdict: u16,
-        /// Why it is unknown: 1 stale, 2 invalid, 3 warm-up, 4 unreadable, 5 no level, 6 no battery,
-        /// 7 battery unknown, 8 no budget; 0 if it is not.
+        /// Why it is unknown: 1 stale, 2 invalid, 3 warm-up, 4 unreadable, 5 no level, 6 no
+        /// battery, 7 battery unknown, 8 no budget; 0 if it is not.
         pub unknown: u16,
         /// Code of the [`crate::InvalidReason`], or readings so far in the warm-up.
         pub unknown_detail: u16,
@@ -263,13 +267,15 @@ pub enum QueryRefusal {
     ClientGone,
     /// The answer could not be sent.
     Unsent,
+    /// The alarm to be acknowledged is not raised.
+    NotRaised,
 }
 
 names! {
     /// All reasons; the position is the index into [`QueryCounts::refused`].
     pub QueryRefusal:
         Schema Fleet Kind TooLarge Length UnknownRobot Question Deadline NoFrame Busy Ending
-        ClientGone Unsent
+        ClientGone Unsent NotRaised
 }
 
 impl QueryRefusal {
@@ -322,9 +328,9 @@ impl QueryCounts {
 }
 
 rows! {
-    /// Header of a frame of records: the questions since the last frame, with their answers. The payload
-    /// is words of 8 bytes, read by [`records`]. Sent while somebody reads it; the newest frame, whose
-    /// counts show what was answered and refused, is kept for readers that come later.
+    /// Header of a frame of records: the questions since the last frame, with their answers. The
+    /// payload is words of 8 bytes, read by [`records`]. Sent while somebody reads it; the newest
+    /// frame, whose counts show what was answered and refused, is kept for readers that come later.
     #[derive(Eq)]
     pub struct QueriesHeader: "joulebus.QueriesHeader.v1", 184 {
         /// [`crate::SCHEMA_VERSION`].
@@ -402,8 +408,7 @@ pub fn records(mut payload: &[u64]) -> impl Iterator<Item = Record<'_>> {
     })
 }
 
-/// The contents of an answer: rows, powers, and the text of a refusal; empty where lengths in the header
-/// exceed the words.
+/// Rows, powers and refusal's text of an answer. Empty where the header's lengths exceed the words.
 #[must_use]
 pub fn answer_parts<'a>(
     header: &AnswerHeader,
@@ -482,11 +487,11 @@ mod tests {
         for reason in QueryRefusal::ALL {
             assert_eq!(QueryRefusal::decode(reason.code()), Some(reason));
         }
-        for code in [0, 14, u32::MAX] {
+        for code in [0, 15, u32::MAX] {
             assert_eq!(QueryRefusal::decode(code), None);
         }
-        for kind in [QueryKind::WhatIf, QueryKind::Idle, QueryKind::Follow] {
-            assert_eq!(QueryKind::decode(kind.code()), Some(kind));
+        for code in 1..=4 {
+            assert_eq!(QueryKind::decode(code).map(QueryKind::code), Some(code));
         }
         assert_eq!(QueryKind::decode(0), None);
     }

@@ -50,7 +50,8 @@ rows! {
         /// When the command was issued, monotonic ns. Strictly increasing per robot.
         #[instant]
         pub stamp_ns: u64,
-        /// When the power was *measured*, monotonic ns; equal to the previous one for a held reading.
+        /// When the power was *measured*, monotonic ns; equal to the previous one for a held
+        /// reading.
         #[instant]
         pub measured_ns: u64,
         /// Linear velocity just commanded, after saturation, m/s.
@@ -184,16 +185,16 @@ rows! {
         pub pid: u32,
         /// Id of the source, stable over restarts (a hash of its name).
         pub source_id: u64,
-        /// When this run of the source began, monotonic ns: a restart has a greater one, however the wall clock
-        /// was set.
+        /// When this run of the source began, monotonic ns: a restart has a greater one, however
+        /// the wall clock was set.
         #[run]
         pub source_epoch: u64,
         /// Number of this frame within the epoch, from 0.
         pub frame_seq: u64,
         /// Samples sent in this epoch before this frame, from which a reader computes its loss.
         pub samples_before: u64,
-        /// Intended send time, monotonic ns. Latency is measured from here, so that a stalled source
-        /// does not hide its own delay (coordinated omission).
+        /// Intended send time, monotonic ns. Latency is measured from here, so that a stalled
+        /// source does not hide its own delay (coordinated omission).
         #[instant]
         pub intended_ns: u64,
         /// When the frame was sent, monotonic ns.

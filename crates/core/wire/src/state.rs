@@ -7,9 +7,9 @@ use crate::rows;
 rows! {
     /// Header of a piece of a keyframe. The payload is bytes.
     ///
-    /// A keyframe is too long for one frame: it is sent in pieces, in order, and is complete when they
-    /// add up to `total_bytes`. `joulebus_fleet::FleetState` defines the encoding. A keyframe with a
-    /// missing piece is discarded; the next one follows soon.
+    /// A keyframe is too long for one frame: it is sent in pieces, in order, and is complete when
+    /// they add up to `total_bytes`. `joulebus_fleet::FleetState` defines the encoding. A keyframe
+    /// with a missing piece is discarded; the next one follows soon.
     #[derive(Eq)]
     pub struct StateHeader: "joulebus.StateHeader.v1", 64 {
         /// [`crate::SCHEMA_VERSION`].

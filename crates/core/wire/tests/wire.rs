@@ -51,7 +51,7 @@ fn the_first_alarm_is_the_most_important_and_the_level_the_worst() {
         .with(Alarm::StuckSensor);
     assert_eq!(set.first(), Alarm::StuckSensor);
     assert_eq!(set.level(), Level::Error);
-    // Of a worse level, whatever its code.
+    // An alarm of a worse level comes first, whatever its code.
     let set = set.without(Alarm::StuckSensor).with(Alarm::CannotReturn);
     assert_eq!(set.first(), Alarm::CannotReturn);
     assert_eq!(AlarmSet::default().first(), Alarm::None);
@@ -89,7 +89,8 @@ fn every_time_of_a_frame_is_an_instant_a_run_or_known_to_mean_the_same_everywher
         .chain(fields::<PlanStates>())
         .chain(fields::<Ticks>())
         .chain(fields::<State>())
-        .chain(fields::<Queries>());
+        .chain(fields::<Queries>())
+        .chain(fields::<Acknowledgements>());
     for (of, field) in all {
         let role = match field.name {
             name if durations.contains(&name) || name.ends_with("_unix_ns") => FieldRole::Value,

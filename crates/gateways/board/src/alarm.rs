@@ -1,6 +1,7 @@
-//! A change of an alarm as JSON.
+//! A change of an alarm, and what the alarm means, as JSON.
 
-use joulebus_consumer::FleetAlarm;
+use joulebus_consumer::{Change, FleetAlarm};
+use joulebus_wire::{Acknowledgement, AlarmCard};
 use serde::Serialize;
 
 /// An alarm change, as `joulebus alarms --format json` and webhooks report it.
@@ -16,10 +17,66 @@ pub struct AlarmRecord {
     pub alarm: &'static str,
     /// ok, warn, error or stale.
     pub level: &'static str,
-    /// raised, cleared, or left: the robot is not in the fleet any more.
+    /// raised, acknowledged, cleared, or left: the robot is not in the fleet any more.
     pub change: &'static str,
-    /// Time from the raise to the clearance, s. Null for a raise.
+    /// Time from the raise to the clearance, s. Null while it is raised.
     pub lasted_s: Option<f64>,
+    /// Who has acknowledged it since it was raised.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub acknowledged: Option<AcknowledgedRecord>,
+    /// What it means and what to do. Only of a raise.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub card: Option<CardRecord>,
+}
+
+/// Who has acknowledged an alarm, and when, as JSON.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct AcknowledgedRecord {
+    /// The person's name.
+    pub by: String,
+    /// Unix time, ns.
+    pub at_unix_ns: u64,
+}
+
+impl AcknowledgedRecord {
+    /// Of a row; `unix_of` converts its time to Unix time, ns.
+    #[must_use]
+    pub fn new(row: &Acknowledgement, unix_of: impl Fn(u64) -> u64) -> Self {
+        Self {
+            by: row.by().to_owned(),
+            at_unix_ns: unix_of(row.at_ns),
+        }
+    }
+}
+
+/// What an alarm means: an [`AlarmCard`] as JSON.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct CardRecord {
+    /// Name of the alarm.
+    pub alarm: &'static str,
+    /// ok, warn, error or stale.
+    pub level: &'static str,
+    /// What is the case while it is raised.
+    pub meaning: &'static str,
+    /// What to look at.
+    pub check: &'static str,
+    /// Keys of the configuration that decide when it is raised.
+    pub keys: &'static [&'static str],
+    /// How soon it is raised after its cause, with the shipped settings.
+    pub found_within: &'static str,
+}
+
+impl From<&AlarmCard> for CardRecord {
+    fn from(card: &AlarmCard) -> Self {
+        Self {
+            alarm: card.name,
+            level: card.level.name(),
+            meaning: card.meaning,
+            check: card.check,
+            keys: card.keys,
+            found_within: card.found_within,
+        }
+    }
 }
 
 impl AlarmRecord {
@@ -34,6 +91,13 @@ impl AlarmRecord {
             level: change.level.name(),
             change: change.change.name(),
             lasted_s: change.lasted_s(),
+            acknowledged: change.acknowledged.map(|row| {
+                let unix_of = |at_ns| stamp_ns.saturating_sub(change.at_ns.saturating_sub(at_ns));
+                AcknowledgedRecord::new(&row, unix_of)
+            }),
+            card: (change.change == Change::Raised)
+                .then(|| AlarmCard::named(change.alarm).map(CardRecord::from))
+                .flatten(),
         }
     }
 }

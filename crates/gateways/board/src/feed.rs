@@ -2,12 +2,10 @@
 
 use std::fmt;
 use std::ops::DerefMut;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
-use joulebus_bus::{Bus, FrameBuf, SampleReader, clock};
+use joulebus_bus::{Background, Bus, FrameBuf, SampleReader, clock};
 use joulebus_config::Config;
 use joulebus_connect::{ConnectError, join};
 use joulebus_consumer::{
@@ -31,15 +29,9 @@ pub enum FeedError {
     /// Reading fails permanently.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// There is no thread for it.
-    #[error("cannot start a thread: {0}")]
-    Thread(std::io::Error),
-    /// The thread ended before it had joined.
-    #[error("the planner ended before it joined the fleet")]
-    Ended,
-    /// A defect.
-    #[error("the planner's thread panicked")]
-    Panicked,
+    /// There is no thread for it, or it panicked.
+    #[error("the planner's thread: {0}")]
+    Thread(#[from] std::io::Error),
 }
 
 /// A planner with all its readers. Belongs to the thread that opened it.
@@ -243,8 +235,7 @@ impl Tap {
 #[derive(Debug)]
 pub struct Feed {
     board: Arc<Mutex<Board>>,
-    stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<Result<(), FeedError>>>,
+    thread: Background<Result<(), FeedError>>,
 }
 
 impl Feed {
@@ -254,33 +245,16 @@ impl Feed {
     /// It cannot join.
     pub fn start(config: &Config, name: &'static str, taps: bool) -> Result<Self, FeedError> {
         let board = Arc::new(Mutex::new(Board::new(clock::monotonic_ns())));
-        let stop = Arc::new(AtomicBool::new(false));
-        let (ready, started) = std::sync::mpsc::sync_channel(1);
-        let (shared, stopped, config) = (Arc::clone(&board), Arc::clone(&stop), config.clone());
-        let thread = std::thread::Builder::new()
-            .name("joulebus-feed".to_owned())
-            .spawn(move || {
-                let mut reading = Reading::open(&config, name, taps)?;
-                // The receiver lives until the thread has joined.
-                let _ = ready.send(());
-                while !stopped.load(Ordering::Relaxed) {
-                    reading.turn(|| lock(&shared))?;
-                }
-                Ok(())
-            })
-            .map_err(FeedError::Thread)?;
-        let mut feed = Self {
-            board,
-            stop,
-            thread: Some(thread),
-        };
-        match started.recv() {
-            Ok(()) => Ok(feed),
-            Err(_) => {
-                feed.join()?;
-                Err(FeedError::Ended)
+        let (shared, config) = (Arc::clone(&board), config.clone());
+        let (thread, ()) = Background::run("joulebus-feed", move |thread| {
+            let mut reading = Reading::open(&config, name, taps)?;
+            thread.joined(());
+            while !thread.is_stopping() {
+                reading.turn(|| lock(&shared))?;
             }
-        }
+            Ok::<_, FeedError>(())
+        })?;
+        Ok(Self { board, thread })
     }
 
     /// The current board.
@@ -291,34 +265,16 @@ impl Feed {
     /// True if the thread still reads.
     #[must_use]
     pub fn is_reading(&self) -> bool {
-        self.thread
-            .as_ref()
-            .is_some_and(|thread| !thread.is_finished())
+        !self.thread.has_ended()
     }
 
     /// Leaves the fleet and returns the last board.
     ///
     /// # Errors
     /// The error that ended the thread.
-    pub fn finish(mut self) -> Result<Board, FeedError> {
-        self.join()?;
-        Ok(self.board().clone())
-    }
-
-    fn join(&mut self) -> Result<(), FeedError> {
-        self.stop.store(true, Ordering::Relaxed);
-        match self.thread.take().map(JoinHandle::join) {
-            None => Ok(()),
-            Some(Ok(result)) => result,
-            Some(Err(_)) => Err(FeedError::Panicked),
-        }
-    }
-}
-
-impl Drop for Feed {
-    fn drop(&mut self) {
-        // `finish` returns the error.
-        let _ = self.join();
+    pub fn finish(self) -> Result<Board, FeedError> {
+        self.thread.join()?;
+        Ok(lock(&self.board).clone())
     }
 }
 

@@ -13,7 +13,7 @@ mod search;
 mod sort;
 mod stages;
 
-pub use alarm::AlarmRecord;
+pub use alarm::{AcknowledgedRecord, AlarmRecord, CardRecord};
 pub use board::{Board, Link, Newest, Point, Raised, Row, WorkerRun};
 pub use feed::{Feed, FeedError, Reading};
 pub use record::{FrameRecord, LearnedRecord, RobotRecord, quality_name};

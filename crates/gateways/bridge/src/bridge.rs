@@ -3,17 +3,17 @@
 use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{SyncSender, sync_channel};
-use std::thread::{self, JoinHandle};
+use std::sync::mpsc::sync_channel;
+use std::thread;
 use std::time::Duration;
 
 use crate::arguments::BridgeArguments;
-use anyhow::{Context as _, anyhow};
-use joulebus_bus::yield_to_the_worker;
+use joulebus_bus::{Background, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
+use joulebus_settings::NO_BATTERY;
 use serde::Serialize;
 use serde_json::json;
 
@@ -28,6 +28,7 @@ use crate::outbound::{self, Sink};
 use crate::publishing::{self, PublishedRecord};
 use crate::ros2::{Counts, Ros2};
 use crate::shared::Shared;
+use crate::usual;
 
 /// Interval between checks for a stop.
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
@@ -60,7 +61,10 @@ impl BridgeReport {
     /// number of messages that should have been mapped but could not be.
     fn outcome(&self, unmapped: u64) -> Outcome {
         Outcome::unless_lost(
-            self.not_written > 0 || self.published.frames_failed > 0 || unmapped > 0,
+            self.not_written > 0
+                || self.published.frames_failed > 0
+                || self.published.samples_refused > 0
+                || unmapped > 0,
         )
     }
 }
@@ -91,7 +95,15 @@ struct RosCheckReport {
 pub(crate) fn run(args: &BridgeArguments, output: Output) -> anyhow::Result<Outcome> {
     let stop = Stop::on_signals()?;
     let config = args.config.load()?;
-    let settings = Settings::load(&args.file, &config)?;
+    let usual = usual::mapping(args)?;
+    let settings = match &usual {
+        Some(mapping) => Settings::parse(mapping, &args.file, &config)?,
+        None => Settings::load(&args.file, &config)?,
+    };
+    if let (Some(mapping), Some(path)) = (&usual, &args.write) {
+        return usual::write_new(mapping, path);
+    }
+    usual.as_deref().inspect(|mapping| usual::print(mapping));
     if args.check {
         output.report(&checked(&config, &settings))?;
         return Ok(Outcome::Done);
@@ -130,7 +142,7 @@ fn ros_checked(ros2: &Ros2Settings) -> RosCheckReport {
     }
 }
 
-type Thread<T> = JoinHandle<anyhow::Result<T>>;
+type Thread<T> = Background<anyhow::Result<T>>;
 
 /// The running threads.
 struct Bridge {
@@ -167,13 +179,21 @@ impl Bridge {
         }
         bridge.start_outbound(config, settings, sides)?;
         if let Some(connection) = connection {
-            let thread = spawn("joulebus-mqtt", move || {
+            let (thread, ()) = Background::run("joulebus-mqtt", move |thread| {
                 yield_to_the_worker(NICE);
-                connection.run().map_err(Into::into)
+                thread.joined(());
+                connection.run().map_err(anyhow::Error::from)
             })?;
             bridge.connections.push(thread);
         }
         let (fleet, robots) = (config.fleet(), settings.robots.len());
+        for platform in &config.settings().platforms {
+            let mut ids = settings.robots.iter().map(|(id, _)| id);
+            let bridged = ids.any(|id| platform.robots.iter().any(|range| range.contains(&id)));
+            if bridged && platform.battery.is_none() && settings.writes_budgets() {
+                say(&format!("platform {}: {NO_BATTERY}", platform.name));
+            }
+        }
         say(&format!("bridging {robots} robots of fleet {fleet}"));
         Ok(bridge)
     }
@@ -182,20 +202,12 @@ impl Bridge {
         if !settings.is_source() {
             return Ok(());
         }
-        let (ready, joined) = sync_channel(1);
         let (config, shared) = (config.clone(), Arc::clone(&self.shared));
         let (name, robots) = (settings.name.clone(), settings.robots.clone());
-        let thread = spawn("joulebus-publish", move || {
-            publishing::run(&config, &name, &robots, &shared, || {
-                // The caller waits for this.
-                let _ = ready.send(());
-            })
+        let (thread, ()) = Background::run("joulebus-publish", move |thread| {
+            publishing::run(&config, &name, &robots, &shared, thread)
         })?;
-        if joined.recv().is_err() {
-            join(thread)?;
-        } else {
-            self.publishing = Some(thread);
-        }
+        self.publishing = Some(thread);
         Ok(())
     }
 
@@ -206,21 +218,16 @@ impl Bridge {
         ros2: &Ros2Settings,
         sides: &mut Vec<Box<dyn Sink>>,
     ) -> anyhow::Result<()> {
-        let (ready, opened) = sync_channel(1);
         let (fleet, name) = (config.fleet().to_owned(), settings.name.clone());
         let (ros2, robots) = (ros2.clone(), settings.robots.clone());
         let (shared, counts) = (Arc::clone(&self.shared), Arc::clone(&self.ros2));
-        let thread = spawn("joulebus-ros2", move || {
+        let (thread, sink) = Background::run("joulebus-ros2", move |thread| {
             yield_to_the_worker(NICE);
             let of = (fleet.as_str(), name.as_str());
             let (connection, sink) = Ros2::open(&ros2, of, &robots, &shared, &counts)?;
-            // The caller waits for this.
-            let _ = ready.send(sink);
-            connection.run().map_err(Into::into)
+            thread.joined(sink);
+            connection.run().map_err(anyhow::Error::from)
         })?;
-        let Ok(sink) = opened.recv() else {
-            return join(thread);
-        };
         self.connections.push(thread);
         if sink.has_topics() {
             sides.push(Box::new(sink));
@@ -263,8 +270,9 @@ impl Bridge {
         if whats.any(|what| what == What::AlarmChanges) {
             let (config, name) = (config.clone(), settings.name.clone());
             let (shared, lost) = (Arc::clone(&self.shared), Arc::clone(&self.lost));
-            let thread = spawn("joulebus-alarms", move || {
+            let (thread, ()) = Background::run("joulebus-alarms", move |thread| {
                 yield_to_the_worker(NICE);
+                thread.joined(());
                 read_alarms(&config, &name, &changes, &shared, &lost)
             })?;
             self.others.push(thread);
@@ -284,28 +292,10 @@ impl Bridge {
         let (config, name) = (config.clone(), settings.name.clone());
         let shared = Arc::clone(&self.shared);
         let every = settings.publish_interval();
-        self.start_joining("joulebus-tell", move |ready| {
-            outbound::run(&config, (&name, every), &shared, &mut sides, || {
-                // The caller waits for this.
-                let _ = ready.send(());
-            })
-        })
-    }
-
-    /// Starts a thread, and waits until it has joined the fleet.
-    fn start_joining(
-        &mut self,
-        name: &str,
-        work: impl FnOnce(SyncSender<()>) -> anyhow::Result<()> + Send + 'static,
-    ) -> anyhow::Result<()> {
-        let (ready, joined) = sync_channel(1);
-        let thread = spawn(name, move || {
+        let (thread, ()) = Background::run("joulebus-tell", move |thread| {
             yield_to_the_worker(NICE);
-            work(ready)
+            outbound::run(&config, (&name, every), &shared, &mut sides, thread)
         })?;
-        if joined.recv().is_err() {
-            return join(thread);
-        }
         self.others.push(thread);
         Ok(())
     }
@@ -314,17 +304,18 @@ impl Bridge {
     fn is_over(&self) -> bool {
         let publishing = self.publishing.as_ref();
         let mut others = self.others.iter().chain(&self.connections);
-        publishing.is_some_and(JoinHandle::is_finished) || others.any(JoinHandle::is_finished)
+        publishing.is_some_and(Background::has_ended) || others.any(Background::has_ended)
     }
 
     /// Ends all threads. The connections end last, after the messages that the other threads have
     /// handed to them.
     fn finish(&mut self, config: &Config, settings: &Settings) -> anyhow::Result<BridgeReport> {
         self.shared.stop();
-        let published = self.publishing.take().map(join);
-        let mut ended: Vec<anyhow::Result<()>> = self.others.drain(..).map(join).collect();
+        let published = self.publishing.take().map(Background::join);
+        let others = self.others.drain(..).map(Background::join);
+        let mut ended: Vec<anyhow::Result<()>> = others.collect();
         self.shared.close();
-        ended.extend(self.connections.drain(..).map(join));
+        ended.extend(self.connections.drain(..).map(Background::join));
         ended.into_iter().collect::<anyhow::Result<()>>()?;
         let outlet = self.outlet.as_ref();
         // Guards in one expression would wait for each other.
@@ -347,20 +338,12 @@ impl Bridge {
     }
 }
 
-fn spawn<T: Send + 'static>(
-    name: &str,
-    work: impl FnOnce() -> anyhow::Result<T> + Send + 'static,
-) -> anyhow::Result<Thread<T>> {
-    let thread = thread::Builder::new().name(name.to_owned());
-    thread
-        .spawn(work)
-        .with_context(|| format!("cannot start the thread {name}"))
-}
-
-fn join<T>(thread: Thread<T>) -> anyhow::Result<T> {
-    thread
-        .join()
-        .map_err(|_| anyhow!("a thread of the bridge panicked"))?
+/// Threads that run are waited for, also where a later one could not be started.
+impl Drop for Bridge {
+    fn drop(&mut self) {
+        self.shared.stop();
+        self.shared.close();
+    }
 }
 
 impl fmt::Display for BridgeReport {
@@ -384,12 +367,14 @@ impl fmt::Display for BridgeReport {
         let PublishedRecord {
             frames,
             samples,
+            samples_refused,
             frames_unheard,
             frames_failed,
         } = published;
         writeln!(
             out,
-            "published {samples} samples in {frames} frames, {frames_unheard} without a worker, {frames_failed} not sent"
+            "published {samples} samples in {frames} frames, {samples_refused} refused by the worker, \
+             {frames_unheard} frames without a worker, {frames_failed} not sent"
         )?;
         writeln!(out, "wrote {written} messages, {not_written} lost")?;
         for line in unmapped {
@@ -458,9 +443,14 @@ mod tests {
             frames_failed: 1,
             ..PublishedRecord::default()
         };
+        let refused = PublishedRecord {
+            samples_refused: 1,
+            ..PublishedRecord::default()
+        };
         for (published, not_written, unmapped, outcome) in [
             (unheard, 0, 0, Outcome::Done),
             (failed, 0, 0, Outcome::Incomplete),
+            (refused, 0, 0, Outcome::Incomplete),
             (unheard, 1, 0, Outcome::Incomplete),
             (unheard, 0, 1, Outcome::Incomplete),
         ] {

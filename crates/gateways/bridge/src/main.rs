@@ -11,6 +11,7 @@ mod outbound;
 mod publishing;
 mod ros2;
 mod shared;
+mod usual;
 
 use std::process::ExitCode;
 

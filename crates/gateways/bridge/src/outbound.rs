@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use joulebus_board::{Board, Reading};
-use joulebus_bus::clock;
+use joulebus_bus::{Running, clock};
 use joulebus_config::Config;
 use joulebus_consumer::ConnectError;
 
@@ -46,7 +46,7 @@ fn open(config: &Config, name: &str, every: Duration) -> Result<Reading, Connect
 }
 
 /// Reads the fleet and publishes it until the bridge stops. The most frequent topic is due every
-/// `every`. Calls `ready` when the fleet is joined.
+/// `every`. Says when the fleet is joined.
 ///
 /// # Errors
 /// The fleet cannot be joined, or reading fails permanently.
@@ -55,10 +55,10 @@ pub(crate) fn run(
     (name, every): (&str, Duration),
     shared: &Arc<Shared>,
     sides: &mut [Box<dyn Sink>],
-    ready: impl FnOnce(),
+    thread: &Running,
 ) -> anyhow::Result<()> {
     let mut reading = open(config, name, every)?;
-    ready();
+    thread.joined(());
     let board = RefCell::new(Board::new(clock::monotonic_ns()));
     while !shared.is_stopped() {
         reading.turn(|| board.borrow_mut())?;

@@ -1,13 +1,13 @@
 //! The thread that publishes samples at each platform's rate, independent of the rate of the
 //! messages.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
-use std::thread;
 use std::time::Duration;
 
-use joulebus_bus::clock;
+use joulebus_bus::{Running, clock};
 use joulebus_config::Config;
+use joulebus_program::output::say;
 use joulebus_publisher::{Grid, PublishError, Publisher};
 use serde::Serialize;
 
@@ -25,6 +25,9 @@ const LOG_EVERY_NS: u64 = 1_000_000_000;
 pub(crate) struct PublishedRecord {
     pub(crate) frames: u64,
     pub(crate) samples: u64,
+    /// Samples that the worker refuses for their values. The first of each robot and reason is
+    /// logged.
+    pub(crate) samples_refused: u64,
     /// Frames without a reading worker.
     pub(crate) frames_unheard: u64,
     /// Frames that could not be sent.
@@ -37,7 +40,7 @@ struct Group {
     robots: Vec<u32>,
 }
 
-/// Publishes until the bridge stops. Calls `ready` when the fleet is joined.
+/// Publishes until the bridge stops. Says when the fleet is joined.
 ///
 /// # Errors
 /// The fleet cannot be joined, or its files were removed.
@@ -46,19 +49,20 @@ pub(crate) fn run(
     name: &str,
     robots: &Robots,
     shared: &Arc<Shared>,
-    ready: impl FnOnce(),
+    thread: &Running,
 ) -> anyhow::Result<PublishedRecord> {
     let mut publisher = Publisher::with_config(config, name)?;
-    ready();
+    thread.joined(());
     let mut groups = groups(config, robots, clock::monotonic_ns());
     let (mut record, mut states) = (PublishedRecord::default(), Vec::new());
     let mut news_ns = clock::monotonic_ns();
+    let mut refused = BTreeSet::new();
     while !shared.is_stopped() {
         let now_ns = clock::monotonic_ns();
         let due_ns = groups.iter().map(|group| group.grid.due_ns()).min();
         let wait_ns = due_ns.map_or(POLL_INTERVAL_NS, |due_ns| due_ns.saturating_sub(now_ns));
         if wait_ns > 0 {
-            thread::sleep(Duration::from_nanos(wait_ns.min(POLL_INTERVAL_NS)));
+            std::thread::sleep(Duration::from_nanos(wait_ns.min(POLL_INTERVAL_NS)));
             continue;
         }
         states.clear();
@@ -83,6 +87,7 @@ pub(crate) fn run(
             count(
                 publisher.publish_intended(intended_ns, states.iter().copied()),
                 &mut record,
+                &mut refused,
             )?;
         }
     }
@@ -112,12 +117,19 @@ fn groups(config: &Config, robots: &Robots, now_ns: u64) -> Vec<Group> {
 fn count(
     sent: Result<joulebus_publisher::Sent, PublishError>,
     record: &mut PublishedRecord,
+    refused: &mut BTreeSet<(u32, &'static str)>,
 ) -> Result<(), PublishError> {
     match sent {
         Ok(sent) => {
             record.frames += 1;
             record.samples += sent.samples as u64;
+            record.samples_refused += sent.refused as u64;
             record.frames_unheard += u64::from(sent.readers == 0);
+            if let Some(first) = sent.first_refused
+                && refused.insert((first.robot, first.reason.name()))
+            {
+                say(&format!("refused: {first}"));
+            }
             if let Some(error) = sent.not_woken {
                 tracing::warn!(%error, "the worker was not woken");
             }

@@ -2,11 +2,10 @@
 //! memory, in a worker's place.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::Duration;
 
-use joulebus_bus::{SendError, WorkerLock, clock};
+use joulebus_bus::{Running, SendError, WorkerLock, clock};
 use joulebus_config::Config;
 use joulebus_connect::join;
 use joulebus_wire::WakeEvent;
@@ -33,15 +32,14 @@ const MERGE_INTERVAL: Duration = Duration::from_millis(5);
 /// lease, so no earlier lease is left.
 const TERM_TIMEOUT_NS: u64 = 2 * MAX_TTL_S as u64 * 1_000_000_000;
 
-/// Follows until `stop`. Calls `ready` when the outputs can be read.
+/// Follows until it is told to end. Says when the outputs can be read.
 ///
 /// # Errors
 /// The fleet cannot be joined, its files were removed, or the network is refused.
 pub(crate) fn run(
     (config, settings, follow): (&Config, &Settings, &Follow),
     (network, lock): (&Arc<Network>, &WorkerLock),
-    stop: &AtomicBool,
-    ready: impl FnOnce(),
+    thread: &Running,
 ) -> anyhow::Result<Vec<IngressRecord>> {
     let mut bus = join(config, "link")?;
     bus.needs_lock(lock);
@@ -60,8 +58,8 @@ pub(crate) fn run(
         has_message: false,
         reported: Worker::Unknown,
     };
-    ready();
-    while !stop.load(Ordering::Relaxed) {
+    thread.joined(());
+    while !thread.is_stopping() {
         bus.check()?;
         following.poll(&inbox)?;
     }

@@ -2,10 +2,9 @@
 //! sends them to the workers' hosts.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use bytemuck::{bytes_of, cast_slice};
-use joulebus_bus::{FrameBuf, ReceiveError, SampleReader, WorkerLock, clock};
+use joulebus_bus::{FrameBuf, ReceiveError, Running, SampleReader, WorkerLock, clock};
 use joulebus_config::Config;
 use joulebus_connect::join;
 use joulebus_wire::{Sample, SampleHeader};
@@ -22,16 +21,15 @@ use crate::refusals::Refusals;
 /// Maximum sleep: the delay until a request or a stop is noticed.
 const POLL_INTERVAL_NS: u64 = 20_000_000;
 
-/// Sends the samples published here to the links `to`, to each those of its shard, until `stop`.
-/// Calls `ready` when the fleet is joined.
+/// Sends the samples published here to the links `to`, to each those of its shard, until it is told
+/// to end. Says when the fleet is joined.
 ///
 /// # Errors
 /// The fleet cannot be joined, its files were removed, or the network is refused.
 pub(crate) fn run(
     (config, settings, to): (&Config, &Settings, &[String]),
     (network, lock): (&Arc<Network>, &WorkerLock),
-    stop: &AtomicBool,
-    ready: impl FnOnce(),
+    thread: &Running,
 ) -> anyhow::Result<(Vec<EgressRecord>, Refusals)> {
     let limits = config.limits();
     let mut bus = join(config, "link")?;
@@ -44,8 +42,8 @@ pub(crate) fn run(
     let mut frame = FrameBuf::new(limits.capacity);
     let absent_ns = clock::monotonic_ns().saturating_add(ABSENCE_TIMEOUT_NS);
     let mut is_known = false;
-    ready();
-    while !stop.load(Ordering::Relaxed) {
+    thread.joined(());
+    while !thread.is_stopping() {
         bus.check()?;
         while is_taken(&mut samples, &mut frame)? {
             let (header, samples) = (frame.header(), frame.samples());

@@ -3,11 +3,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::Duration;
 
-use joulebus_bus::{SampleWriter, SendError, clock, process_id};
+use joulebus_bus::{Running, SampleWriter, SendError, clock, process_id};
 use joulebus_config::Config;
 use joulebus_connect::join;
 use joulebus_wire::{Sample, SampleHeader, fnv1a};
@@ -27,15 +26,14 @@ const POLL_INTERVAL: Duration = Duration::from_millis(20);
 /// ends the sleep.
 const AFTER_MESSAGE: Duration = Duration::from_millis(40);
 
-/// Takes samples until `stop`. Calls `ready` when the fleet is joined.
+/// Takes samples until it is told to end. Says when the fleet is joined.
 ///
 /// # Errors
 /// The fleet cannot be joined, its files were removed, or the network is refused.
 pub(crate) fn run(
     (config, settings, takes): (&Config, &Settings, &[Take]),
     network: &Arc<Network>,
-    stop: &AtomicBool,
-    ready: impl FnOnce(),
+    thread: &Running,
 ) -> anyhow::Result<Vec<IngressRecord>> {
     let limits = config.limits();
     let bus = join(config, "link")?;
@@ -49,9 +47,9 @@ pub(crate) fn run(
         let ingress = Ingress::open(network, from, of_fleet, selection, &mut inbox)?;
         hosts.insert(take.from.as_str(), (ingress, &take.robots));
     }
-    ready();
+    thread.joined(());
     let mut wait = POLL_INTERVAL;
-    while !stop.load(Ordering::Relaxed) {
+    while !thread.is_stopping() {
         bus.check()?;
         for (ingress, _) in hosts.values_mut() {
             ingress.request_if_due();

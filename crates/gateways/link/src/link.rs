@@ -3,14 +3,12 @@
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::sync_channel;
-use std::thread::{self, JoinHandle};
+use std::thread;
 use std::time::Duration;
 
 use crate::arguments::LinkArguments;
-use anyhow::{Context as _, anyhow};
-use joulebus_bus::{WorkerLock, clock, yield_to_the_worker};
+use anyhow::Context as _;
+use joulebus_bus::{Background, Running, WorkerLock, clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_plan_server::PlanServer;
 use joulebus_program::exit::Outcome;
@@ -88,7 +86,7 @@ pub(crate) fn run(args: &LinkArguments, output: Output) -> anyhow::Result<Outcom
     let Some(mut link) = Link::start(&config, &settings, &stop)? else {
         return Ok(Outcome::Done);
     };
-    while !stop.is_asked() && !link.threads.iter().any(JoinHandle::is_finished) {
+    while !stop.is_asked() && !link.threads.iter().any(Background::has_ended) {
         thread::sleep(POLL_INTERVAL);
     }
     let report = link.finish(&config, &settings)?;
@@ -191,8 +189,7 @@ struct Done {
 
 /// The running threads.
 struct Link {
-    stop: Arc<AtomicBool>,
-    threads: Vec<JoinHandle<anyhow::Result<Done>>>,
+    threads: Vec<Background<anyhow::Result<Done>>>,
     /// Answers planners' questions on a host without a worker.
     questions: Option<PlanServer>,
     /// The worker lock of a host without a worker. Released after the threads that need it have
@@ -204,7 +201,6 @@ impl Link {
     /// Starts all threads. `None` if a stop is requested before the router answers.
     fn start(config: &Config, settings: &Settings, stop: &Stop) -> anyhow::Result<Option<Self>> {
         let mut link = Self {
-            stop: Arc::default(),
             threads: Vec::new(),
             questions: None,
             lock: None,
@@ -254,9 +250,9 @@ impl Link {
         };
         let (of, over) = (config.clone(), Arc::clone(network));
         let fleet = settings.fleet(config);
-        self.spawn("joulebus-outputs", move |stop, ready| {
+        self.spawn("joulebus-outputs", move |thread| {
             let over = (&over, leadership.as_deref());
-            let (given, refused) = outputs::run((&of, fleet), over, stop, ready)?;
+            let (given, refused) = outputs::run((&of, fleet), over, thread)?;
             Ok(Done {
                 given,
                 refused,
@@ -268,8 +264,8 @@ impl Link {
         }
         let (of, over, takes) = (config.clone(), Arc::clone(network), takes.to_vec());
         let with = settings.clone();
-        self.spawn("joulebus-intake", move |stop, ready| {
-            let taken = intake::run((&of, &with, &takes), &over, stop, ready)?;
+        self.spawn("joulebus-intake", move |thread| {
+            let taken = intake::run((&of, &with, &takes), &over, thread)?;
             Ok(Done {
                 taken,
                 ..Done::default()
@@ -288,8 +284,8 @@ impl Link {
         let leadership = Arc::new(leadership);
         let (of, with, over) = (config.clone(), settings.clone(), Arc::clone(network));
         let (its, of_shard) = (Arc::clone(&leadership), standby.clone());
-        self.spawn("joulebus-standby", move |stop, ready| {
-            let taken = standby::follow((&of, &with, &of_shard), (&over, &its), stop, ready)?;
+        self.spawn("joulebus-standby", move |thread| {
+            let taken = standby::follow((&of, &with, &of_shard), (&over, &its), thread)?;
             Ok(Done {
                 taken,
                 ..Done::default()
@@ -298,9 +294,9 @@ impl Link {
         if let Some(lease) = standby.lease.clone() {
             let (of, with) = (config.clone(), settings.clone());
             let (its, of_shard) = (Arc::clone(&leadership), standby.clone());
-            self.spawn("joulebus-lease", move |stop, ready| {
+            self.spawn("joulebus-lease", move |thread| {
                 let by = (&of_shard, &lease);
-                standby::hold((&of, &with), by, (&its, permit), stop, ready)?;
+                standby::hold((&of, &with), by, (&its, permit), thread)?;
                 Ok(Done::default())
             })?;
         }
@@ -316,8 +312,8 @@ impl Link {
         let (of, over, follow) = (config.clone(), Arc::clone(network), follow.clone());
         let with = settings.clone();
         let lock = self.lock.clone().context("the lock is taken first")?;
-        self.spawn("joulebus-follow", move |stop, ready| {
-            let taken = follow::run((&of, &with, &follow), (&over, &lock), stop, ready)?;
+        self.spawn("joulebus-follow", move |thread| {
+            let taken = follow::run((&of, &with, &follow), (&over, &lock), thread)?;
             Ok(Done {
                 taken,
                 ..Done::default()
@@ -334,8 +330,8 @@ impl Link {
         let (of, over, to) = (config.clone(), Arc::clone(network), to.to_vec());
         let with = settings.clone();
         let lock = self.lock.clone().context("the lock is taken first")?;
-        self.spawn("joulebus-forward", move |stop, ready| {
-            let (given, refused) = forward::run((&of, &with, &to), (&over, &lock), stop, ready)?;
+        self.spawn("joulebus-forward", move |thread| {
+            let (given, refused) = forward::run((&of, &with, &to), (&over, &lock), thread)?;
             Ok(Done {
                 given,
                 refused,
@@ -348,28 +344,15 @@ impl Link {
     fn spawn(
         &mut self,
         name: &str,
-        work: impl FnOnce(&AtomicBool, Box<dyn FnOnce()>) -> anyhow::Result<Done> + Send + 'static,
+        work: impl FnOnce(&Running) -> anyhow::Result<Done> + Send + 'static,
     ) -> anyhow::Result<()> {
-        let (ready, joined) = sync_channel(1);
-        let stop = Arc::clone(&self.stop);
-        let thread = thread::Builder::new().name(name.to_owned()).spawn(move || {
-            let signal_ready = move || {
-                // The caller of `spawn` waits for this.
-                let _ = ready.send(());
-            };
-            work(&stop, Box::new(signal_ready))
-        });
-        let thread = thread.with_context(|| format!("cannot start the thread {name}"))?;
-        if joined.recv().is_err() {
-            join(thread)?;
-            return Ok(());
-        }
+        let (thread, ()) = Background::run(name, work)?;
         self.threads.push(thread);
         Ok(())
     }
 
     fn finish(&mut self, config: &Config, settings: &Settings) -> anyhow::Result<LinkReport> {
-        self.stop.store(true, Ordering::Relaxed);
+        self.threads.iter().for_each(Background::stop);
         if let Some(questions) = self.questions.take() {
             let _ = questions.finish();
         }
@@ -380,7 +363,7 @@ impl Link {
             taken: Vec::new(),
             refused: Refusals::default(),
         };
-        let ended: Vec<_> = self.threads.drain(..).map(join).collect();
+        let ended: Vec<_> = self.threads.drain(..).map(Background::join).collect();
         for done in ended {
             let done = done?;
             report.given.extend(done.given);
@@ -389,12 +372,6 @@ impl Link {
         }
         Ok(report)
     }
-}
-
-fn join(thread: JoinHandle<anyhow::Result<Done>>) -> anyhow::Result<Done> {
-    thread
-        .join()
-        .map_err(|_| anyhow!("a thread of the link panicked"))?
 }
 
 impl LinkReport {

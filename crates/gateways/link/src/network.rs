@@ -106,7 +106,7 @@ pub(crate) struct Inbox {
 struct Entry {
     sender: SyncSender<Event>,
     counts: Arc<Counts>,
-    most_bytes: usize,
+    max_bytes: usize,
 }
 
 #[derive(Debug, Default)]
@@ -124,7 +124,7 @@ impl Inbox {
         let entry = Entry {
             sender,
             counts: Arc::default(),
-            most_bytes: max_message_bytes.saturating_mul(MAX_QUEUED_LONGEST),
+            max_bytes: max_message_bytes.saturating_mul(MAX_QUEUED_LONGEST),
         };
         Self {
             entry,
@@ -155,7 +155,7 @@ impl Entry {
     fn put(&self, event: Event) {
         let (bytes, counts) = (event.bytes(), &self.counts);
         let before = counts.waiting_bytes.fetch_add(bytes, Ordering::Relaxed);
-        let has_room = before.saturating_add(bytes) <= self.most_bytes;
+        let has_room = before.saturating_add(bytes) <= self.max_bytes;
         if !has_room || self.sender.try_send(event).is_err() {
             counts.waiting_bytes.fetch_sub(bytes, Ordering::Relaxed);
             counts.overflowed.fetch_add(1, Ordering::Relaxed);

@@ -3,11 +3,10 @@
 use std::fmt::Display;
 use std::os::unix::fs::MetadataExt as _;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use bytemuck::{bytes_of, cast_slice};
-use joulebus_bus::{Bus, Reader, clock, process_id};
+use joulebus_bus::{Bus, Reader, Running, clock, process_id};
 use joulebus_config::Config;
 use joulebus_connect::join;
 use joulebus_consumer::{
@@ -46,24 +45,23 @@ const STATE_POLL_INTERVAL_NS: u64 = 100_000_000;
 /// without `--standby`. A worker whose permit has ended sends for 50 ms at most.
 const UNPERMITTED: u32 = 100;
 
-/// Sends until `stop`. Calls `ready` when the fleet is joined.
+/// Sends until it is told to end. Says when the fleet is joined.
 ///
 /// # Errors
 /// The fleet cannot be joined, its files were removed, or the network is refused.
 pub(crate) fn run(
     (config, fleet): (&Config, FleetId),
     (network, leadership): (&Arc<Network>, Option<&Leadership>),
-    stop: &AtomicBool,
-    ready: impl FnOnce(),
+    thread: &Running,
 ) -> anyhow::Result<(Vec<EgressRecord>, Refusals)> {
     let mut planner = Subscriber::with_config(config, "link")?;
     let mut egress = Egress::open(network, Kind::Outputs, None, fleet)?;
     let mut feeds = Feeds::new(config);
     let mut state = leadership.map(StateFeed::new);
-    ready();
+    thread.joined(());
     let mut wait = POLL_INTERVAL;
     let mut unpermitted = 0_u32;
-    while !stop.load(Ordering::Relaxed) {
+    while !thread.is_stopping() {
         let before = egress.leader;
         wait = match planner.wait_next(wait) {
             Ok(Event::Frame(frame)) => {

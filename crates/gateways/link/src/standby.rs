@@ -3,13 +3,12 @@
 
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
 use std::thread;
 use std::time::Duration;
 
 use anyhow::Context as _;
-use joulebus_bus::{Domain, WorkerLock, clock};
+use joulebus_bus::{Domain, Running, WorkerLock, clock};
 use joulebus_config::Config;
 use joulebus_standby::{Permit, SavedState};
 use joulebus_wire::StateHeader;
@@ -38,7 +37,7 @@ const HANG_TIMEOUT_TICKS: u64 = 5;
 /// Nanoseconds in a second.
 const NANOSECONDS: u64 = 1_000_000_000;
 
-/// Holds the lease, or waits for it, until `stop`.
+/// Holds the lease, or waits for it, until it is told to end.
 ///
 /// # Errors
 /// A file that the settings name cannot be read.
@@ -46,8 +45,7 @@ pub(crate) fn hold(
     (config, settings): (&Config, &Settings),
     (standby, lease): (&Standby, &LeaseSettings),
     (leadership, permit): (&Leadership, Option<Permit>),
-    stop: &AtomicBool,
-    ready: impl FnOnce(),
+    thread: &Running,
 ) -> anyhow::Result<()> {
     let mut etcd = Etcd::new(lease, (config.fleet(), &standby.shard, &settings.name))?;
     let leader_lease = permit.and_then(|permit| {
@@ -72,8 +70,8 @@ pub(crate) fn hold(
     let mut holder = None;
     let hang_timeout_ns = HANG_TIMEOUT_NS.max(HANG_TIMEOUT_TICKS * config.tick_period_ns());
     let mut worker = LocalWorker::new(config.domain()?, hang_timeout_ns);
-    ready();
-    while !stop.load(Ordering::Relaxed) {
+    thread.joined(());
+    while !thread.is_stopping() {
         candidate.observe_term(leadership.highest_term());
         candidate.is_able(worker.is_able(leadership));
         // Boot time counts suspension: a lease also ends while this host is suspended.
@@ -188,7 +186,7 @@ impl PermitWriter<'_> {
     }
 }
 
-/// Follows the other candidates until `stop`.
+/// Follows the other candidates until it is told to end.
 ///
 /// It keeps the leader's state for this host's worker and notices leaders of later terms. Without a
 /// lease it executes the operator's requests.
@@ -198,8 +196,7 @@ impl PermitWriter<'_> {
 pub(crate) fn follow(
     (config, settings, standby): (&Config, &Settings, &Standby),
     (network, leadership): (&Arc<Network>, &Leadership),
-    stop: &AtomicBool,
-    ready: impl FnOnce(),
+    thread: &Running,
 ) -> anyhow::Result<Vec<IngressRecord>> {
     let capacity = config.limits().capacity;
     let mut inbox = Inbox::new(max_state_message_bytes(capacity));
@@ -218,8 +215,8 @@ pub(crate) fn follow(
         is_by_hand: standby.lease.is_none(),
         claim: 0,
     };
-    ready();
-    while !stop.load(Ordering::Relaxed) {
+    thread.joined(());
+    while !thread.is_stopping() {
         following.poll(&inbox)?;
     }
     let records = following.others.iter().map(|(_, ingress)| ingress.record());

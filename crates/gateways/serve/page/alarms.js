@@ -18,7 +18,7 @@ const rank = (alarm) => RANKS.indexOf(LEVELS[alarm] ?? "warn");
 /** Names of alarms, the worst first, otherwise as they came. */
 export const worstFirst = (alarms) => alarms.toSorted((a, b) => rank(a) - rank(b));
 
-/** Makes a list show these entries: each a list of [class, text, address or nothing]; what is equal stays. */
+/** Makes a list show these entries: each a list of [class, text, address or robot of an alarm, or nothing]; what is equal stays. */
 function fill(list, entries) {
   while (list.children.length > entries.length) list.lastElementChild.remove();
   entries.forEach((parts, at) => {
@@ -40,10 +40,15 @@ function item(parts, shape) {
   const li = document.createElement("li");
   li.shape = shape;
   for (const [className, text, href] of parts) {
-    const node = document.createElement(href ? "a" : "span");
+    const isAlarm = className === "alarm";
+    const node = document.createElement(isAlarm ? "button" : href ? "a" : "span");
     node.className = className;
+    if (isAlarm) {
+      node.title = "What it means and what to check";
+      node.dataset.robot = href;
+    }
     node.textContent = text;
-    if (href) node.href = href;
+    if (href && !isAlarm) node.href = href;
     li.append(node);
   }
   return li;
@@ -55,10 +60,11 @@ const robotPart = (named, robot) => (named ? [["robot", `Robot ${robot}`, link(r
 
 export function raisedItems(list, raised, nowMs, named = true) {
   const sorted = raised.toSorted((a, b) => rank(a.alarm) - rank(b.alarm));
-  const entries = sorted.slice(0, RAISED_SHOWN).map(({ robot, alarm, since_unix_ns: since }) => {
+  const entries = sorted.slice(0, RAISED_SHOWN).map(({ robot, alarm, since_unix_ns: since, acknowledged }) => {
     const sinceMs = format.unixMs(since);
     const age = sinceMs === null ? "" : `for ${format.duration(Math.max(0, Math.floor((nowMs - sinceMs) / 1000)))}`;
-    return [[`mark ${LEVELS[alarm] ?? "warn"}`, ""], ...robotPart(named, robot), ["alarm", alarm], ["age", age]];
+    return [[`mark ${LEVELS[alarm] ?? "warn"}`, ""], ...robotPart(named, robot), ["alarm", alarm, robot],
+      ...(acknowledged ? [["by", `acknowledged by ${acknowledged.by}`]] : []), ["age", age]];
   });
   const more = raised.length - entries.length;
   if (more > 0) entries.push([["none", `and ${format.count(more)} more`]]);
@@ -70,10 +76,12 @@ export function changeItems(list, changes, named = true) {
   const entries = changes.slice(0, RAISED_SHOWN).map((change) => {
     const at = format.unixMs(change.at_unix_ns);
     const raised = format.unixMs(change.raised_unix_ns);
-    const lasted = change.change !== "raised" && at !== null && raised !== null
+    const isEnd = change.change === "cleared" || change.change === "left";
+    const by = change.acknowledged && !isEnd ? ` by ${change.acknowledged.by}` : "";
+    const lasted = isEnd && at !== null && raised !== null
       ? ` after ${format.duration((at - raised) / 1000)}` : "";
-    return [["at", format.timeOfDay(at)], ...robotPart(named, change.robot), ["alarm", change.alarm],
-      [`change ${change.change}`, `${change.change}${lasted}`]];
+    return [["at", format.timeOfDay(at)], ...robotPart(named, change.robot), ["alarm", change.alarm, change.robot],
+      [`change ${change.change}`, `${change.change}${by}${lasted}`]];
   });
   if (entries.length === 0) entries.push([["none", "None since the server started."]]);
   fill(list, entries);

@@ -1,9 +1,13 @@
 // Numbers as text: unit after a thin space, "–" where a value is unknown.
 
 export const UNKNOWN = "–";
+export const NO_BATTERY = "no [battery]: add its capacity_wh and initial_soc_lo to the platform's file";
 const SPACE = "\u202f";
 
 export const isKnown = (value) => typeof value === "number" && Number.isFinite(value);
+
+/** Whether the config describes no battery of a robot whose energy is counted. */
+export const lacksBattery = (robot) => isKnown(robot.metered_s) && typeof robot.soc_measured !== "boolean";
 
 /** Rounded to so many decimals, or null; never "-0". */
 export function fixed(value, decimals) {

@@ -3,6 +3,7 @@
 import { AlarmsView } from "./alarms.js";
 import * as address from "./address.js";
 import { emptyBoard, take } from "./board.js";
+import { showCards } from "./card.js";
 import * as format from "./format.js";
 import { RobotList } from "./list.js";
 import { RobotView } from "./robot.js";
@@ -42,6 +43,7 @@ const robotView = new RobotView({ close: () => closeRobot() });
 const alarmsView = new AlarmsView();
 const workerView = new WorkerView();
 const whatIf = new WhatIf();
+showCards(board);
 
 const stream = new Stream({
   onMessage: (kind, message) => {

@@ -95,6 +95,7 @@ export class RobotView {
     }
     this.part("mark").className = `mark ${format.levelName(robot.level)}`;
     this.part("soc-figure").hidden = !format.isKnown(robot.soc);
+    this.part("no-battery").hidden = !format.lacksBattery(robot);
     this.#weights(robot.learned);
     raisedItems(this.part("alarms"), board.raised.filter((alarm) => alarm.robot === this.id), nowMs, false);
     changeItems(this.part("changes"), board.changes.filter((change) => change.robot === this.id), false);

@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, anyhow};
 use joulebus_board::AlarmRecord;
+use joulebus_bus::{Background, Running};
 use joulebus_capture_recorder::host_clock;
 use joulebus_config::Config;
 use joulebus_consumer::FleetAlarms;
@@ -60,7 +61,7 @@ pub(crate) struct WebhookReport {
 pub(crate) struct Webhook {
     host: String,
     shared: Arc<Shared>,
-    reading: JoinHandle<anyhow::Result<()>>,
+    reading: Background<anyhow::Result<()>>,
     sending: JoinHandle<()>,
 }
 
@@ -113,25 +114,12 @@ impl Webhook {
         let host = address.host().unwrap_or_default().to_owned();
         let (records, waiting) = sync_channel(MAX_WAITING);
         let shared = Arc::<Shared>::default();
-        let (ready, opened) = sync_channel(1);
-        let reading = {
-            let (config, shared) = (config.clone(), Arc::clone(&shared));
-            let thread = thread::Builder::new().name("joulebus-alarms".to_owned());
-            thread.spawn(move || {
-                let alarms = FleetAlarms::with_config(&config, "webhook")?;
-                // The caller waits for it.
-                let _ = ready.send(());
-                read(alarms, config.fleet(), &records, &shared)
-            })?
-        };
-        if opened.recv().is_err() {
-            let ended = reading
-                .join()
-                .map_err(|_| anyhow!("the thread of --webhook panicked"))?;
-            return Err(ended
-                .err()
-                .unwrap_or_else(|| anyhow!("--webhook ended at its start")));
-        }
+        let (of, inside) = (config.clone(), Arc::clone(&shared));
+        let (reading, ()) = Background::run("joulebus-alarms", move |thread| {
+            let alarms = FleetAlarms::with_config(&of, "webhook")?;
+            thread.joined(());
+            read(thread, alarms, of.fleet(), &records, &inside)
+        })?;
         let (fleet, inside) = (config.fleet().to_owned(), Arc::clone(&shared));
         let thread = thread::Builder::new().name("joulebus-webhook".to_owned());
         let sending =
@@ -151,7 +139,7 @@ impl Webhook {
 
     /// Whether it has ended by itself. [`Webhook::finish`] returns the reason.
     pub(crate) fn is_over(&self) -> bool {
-        self.reading.is_finished()
+        self.reading.has_ended()
     }
 
     /// Delivers the queued changes within five seconds, and leaves the fleet.
@@ -162,15 +150,15 @@ impl Webhook {
         let shared = &self.shared;
         // No other call sets it.
         let _ = shared.end_by.set(Instant::now() + END_LIMIT);
-        let panicked = || anyhow!("a thread of --webhook panicked");
-        let read = self.reading.join().map_err(|_| panicked())?;
+        let read = self.reading.join();
         while !self.sending.is_finished() && !shared.is_late() {
             thread::sleep(POLL_INTERVAL);
         }
         // Otherwise the thread waits for the answer to a request that was sent before the end. It
         // ends with the process.
         if self.sending.is_finished() {
-            self.sending.join().map_err(|_| panicked())?;
+            let panicked = |_| anyhow!("a thread of --webhook panicked");
+            self.sending.join().map_err(panicked)?;
         }
         read?;
         let count = |count: &AtomicU64| count.load(Ordering::Relaxed);
@@ -240,13 +228,14 @@ fn agent(roots: RootCerts) -> Agent {
 
 /// Queues every change until a stop is requested.
 fn read(
+    thread: &Running,
     mut alarms: FleetAlarms,
     fleet: &str,
     records: &SyncSender<AlarmRecord>,
     shared: &Shared,
 ) -> anyhow::Result<()> {
     let clock = host_clock();
-    while shared.end_by.get().is_none() {
+    while !thread.is_stopping() {
         alarms.wait(|change| {
             let record = AlarmRecord::new(fleet, &change, clock.unix_ns(change.at_ns));
             shared.changes.fetch_add(1, Ordering::Relaxed);
@@ -443,6 +432,8 @@ mod tests {
                 level: "stale",
                 change: "raised",
                 lasted_s: None,
+                acknowledged: None,
+                card: None,
             };
             records.send(record).unwrap();
         }

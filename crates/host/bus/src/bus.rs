@@ -73,7 +73,7 @@ impl Bus {
         }
         let (member, mut joined) = Membership::join(domain)?;
         joined.incomplete += remove_incomplete(domain)?;
-        remove_dead_nodes(domain, &member.config, &mut joined);
+        remove_dead_nodes(&member.config, &mut joined);
         // Memory held by dead processes has been freed.
         check_free(PROCESS_BYTES)?;
         let node = create_node(domain, &member.config, &node_name)?;
@@ -111,7 +111,7 @@ impl Bus {
         self.lock_need = Some(self.member.presence.need([lock.path()]));
     }
 
-    /// What joining removed.
+    /// The cleanup when joining.
     #[must_use]
     pub const fn joined(&self) -> SweepReport {
         self.joined

@@ -16,9 +16,11 @@ use iceoryx2_cal::shm_allocator::bump_allocator::BumpAllocator;
 use iceoryx2_cal::shm_allocator::pool_allocator::PoolAllocator;
 use iceoryx2_cal::zero_copy_connection::common::details::{Connection, SharedManagementData};
 
+use crate::description::Description;
 use crate::reserved::Reserved;
 
-/// Interoperates with [`ipc::Service`]; differs from it only in the creation of objects.
+/// Interoperates with [`ipc::Service`]; differs from it only in the creation of objects, and in the
+/// removal of descriptions.
 #[derive(Debug, Clone)]
 pub(crate) struct Ipc;
 
@@ -38,7 +40,7 @@ impl Service for Ipc {
         Reserved<State<RelocatableCountingBitSet, ()>>,
     >;
 
-    type StaticStorage = <Usual as Service>::StaticStorage;
+    type StaticStorage = Description;
     type ConfigSerializer = <Usual as Service>::ConfigSerializer;
     type Bag = <Usual as Service>::Bag;
     type ServiceNameHasher = <Usual as Service>::ServiceNameHasher;

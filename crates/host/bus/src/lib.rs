@@ -7,23 +7,24 @@
 //! | port | direction | payload |
 //! |---|---|---|
 //! | [`SampleWriter`] → [`SampleReader`] | sources → worker | [`joulebus_wire::Samples`] |
-//! | [`Bus::writer`] → [`Bus::reader`] | worker → planners, recorders | each other [`joulebus_wire::Channel`] |
-//! | [`QueryClient`] ⇄ [`QueryServer`] | planners ⇄ worker | [`joulebus_wire::QueryHeader`] and values, [`joulebus_wire::AnswerHeader`] and words |
+//! | [`Bus::writer`] → [`Bus::reader`] | worker → planners, recorders | the other channels |
+//! | [`QueryClient`] ⇄ [`QueryServer`] | planners ⇄ worker | questions and answers |
 //! | [`Waker`] → [`Waiter`] | sources → worker, worker → planners | events |
 //!
 //! Ports, the [`Bus`] and the [`Waiter`] belong to the thread that made them. Every member runs a
 //! cleanup thread that removes stale files of dead processes ([`Bus::housekeeping`]). The last
-//! member to leave removes everything of the domain, in `/dev/shm` and in the root directory; what joulebus
-//! did not make, by its marker and names, it neither changes nor removes. A member whose own files are
-//! removed gets [`FilesRemoved`] from every port.
+//! member to leave removes all files of the domain, in `/dev/shm` and in the root directory. What
+//! joulebus did not make, by its marker and names, it neither changes nor removes. A member whose
+//! own files are removed gets [`FilesRemoved`] from every port.
 //!
-//! A process may join several domains, and may use iceoryx2 for itself: the global configuration and
-//! the logger of iceoryx2 are left to it. `docs/decisions/iceoryx2.md` lists the defects of iceoryx2
-//! that this crate works around, each with a test.
+//! A process may join several domains, and may use iceoryx2 for itself: the global configuration
+//! and the logger of iceoryx2 are left to it. `docs/decisions/iceoryx2.md` lists the defects of
+//! iceoryx2 that this crate works around, each with a test.
 #![deny(unsafe_code)]
 
 mod bus;
 mod cleanup;
+mod description;
 mod directory;
 mod iceoryx_config;
 mod iceoryx_log;
@@ -52,7 +53,7 @@ pub use liveness::peer_watch::PeerWatch;
 pub use liveness::presence::FilesRemoved;
 pub use liveness::worker_lock::{WorkerLock, WorkerLockError, WorkerOwner};
 pub use membership::JoinError;
-pub use os::background::{Background, Panicked, Steps};
+pub use os::background::{Background, Panicked, Running, Steps};
 pub use os::clock;
 pub use os::memory::touch_own_memory;
 pub use os::process_id;

@@ -20,7 +20,7 @@ const ROOT_MARKER: &str = ".joulebus";
 /// Prefix of every marker.
 const FIRST_LINE: &str = "joulebus directory 1\n";
 /// Maximum number of bytes read from a marker.
-const LONGEST: u64 = 512;
+const MAX_BYTES: u64 = 512;
 /// Name prefixes of directories being created and being removed.
 const ASIDE: [&str; 2] = ["new", "gone"];
 
@@ -47,7 +47,6 @@ impl Marked {
         }
     }
 
-    /// The directory of the fleet.
     pub(crate) fn fleet(domain: &Domain) -> Self {
         let (fleet, prefix) = (domain.fleet(), domain.shm_prefix());
         Self {
@@ -264,7 +263,7 @@ fn own_text(file: File) -> io::Result<Option<String>> {
         return Ok(None);
     }
     let mut text = Vec::new();
-    file.take(LONGEST).read_to_end(&mut text)?;
+    file.take(MAX_BYTES).read_to_end(&mut text)?;
     Ok(String::from_utf8(text).ok())
 }
 

@@ -4,8 +4,8 @@
 use std::io;
 
 use joulebus_wire::{
-    ANSWER_WORDS, AnswerHeader, Budgets, Channel, Diagnostics, Forecasts, PlanStates, QUERY_VALUES,
-    Queries, QueryHeader, Samples, State, Ticks,
+    ANSWER_WORDS, Acknowledgements, AnswerHeader, Budgets, Channel, Diagnostics, Forecasts,
+    PlanStates, QUERY_VALUES, Queries, QueryHeader, Samples, State, Ticks,
 };
 use rustix::process::{Resource, getrlimit};
 
@@ -23,7 +23,7 @@ const CONNECTION_BYTES: usize = 16 * 1024;
 pub(crate) const PROCESS_BYTES: usize = 192 * 1024;
 /// A service's description and lists of ports, and the files of a port.
 pub(crate) const PORT_BYTES: usize = 64 * 1024;
-/// Descriptors of a process before it connects to anybody: node, locks, thirteen services.
+/// Descriptors of a process before it connects to anybody: node, locks, fourteen services.
 const BASE_DESCRIPTORS: u64 = 96;
 /// File descriptors that opening a node, service or port takes, upper bound.
 const PORT_DESCRIPTORS: u64 = 16;
@@ -120,8 +120,8 @@ pub(crate) fn shared_memory() -> Result<(u64, u64), CapacityError> {
     ))
 }
 
-/// Checks that a node, service or port would have the file descriptors and `needed` bytes of shared memory: the
-/// errors of iceoryx2 do not state that one of them is lacking (#624).
+/// Checks that a node, service or port would have the file descriptors and `needed` bytes of shared
+/// memory: iceoryx2's errors do not name the lack of one of them (#624).
 pub(crate) fn check_left(needed: usize) -> Result<(), CapacityError> {
     check_free(needed)?;
     let limit = descriptors_limit();
@@ -152,8 +152,8 @@ pub(crate) fn segment_bytes<C: Channel>(limits: &Limits, max_len: usize) -> u64 
     (limits.shape(C::FLOW).frames() * frame + SEGMENT_OVERHEAD) as u64
 }
 
-/// Bytes of the memory that the port for answers writes to, as iceoryx2 counts them: for each question that
-/// can be in transfer, in both its queue and its client's hands, one response buffered, borrowed and loaned.
+/// Bytes of the memory that the port for answers writes to, as iceoryx2 counts them: for each
+/// question in a queue or a client's hands, one response buffered, borrowed and loaned.
 pub(crate) const fn server_bytes(clients: usize) -> u64 {
     let frame = FRAME_OVERHEAD + size_of::<AnswerHeader>() + 8 * ANSWER_WORDS;
     (clients * 2 * ACTIVE_QUERIES * 3 * frame + SEGMENT_OVERHEAD) as u64
@@ -177,8 +177,9 @@ fn needed_bytes(limits: &Limits, ports: Ports) -> u64 {
         + of::<State>(limits)
         + of::<Ticks>(limits)
         + of::<Queries>(limits)
+        + of::<Acknowledgements>(limits)
         + server_bytes(limits.query_clients());
-    let connections = ports.workers * (ports.sources + 4 * ports.planners);
+    let connections = ports.workers * (ports.sources + 5 * ports.planners);
     let processes = ports.sources + ports.workers + ports.planners;
     let small = connections * CONNECTION_BYTES + processes * PROCESS_BYTES;
     ports.sources as u64 * samples + ports.workers as u64 * of_worker + small as u64
@@ -186,7 +187,7 @@ fn needed_bytes(limits: &Limits, ports: Ports) -> u64 {
 
 fn descriptors(limits: &Limits) -> u64 {
     let connections =
-        limits.shape(Samples::FLOW).publishers + 5 * limits.shape(Forecasts::FLOW).subscribers;
+        limits.shape(Samples::FLOW).publishers + 6 * limits.shape(Forecasts::FLOW).subscribers;
     BASE_DESCRIPTORS + CONNECTION_DESCRIPTORS * connections as u64
 }
 

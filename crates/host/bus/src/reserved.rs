@@ -1,10 +1,10 @@
 //! Shared memory whose pages are allocated before the first write.
 //!
 //! iceoryx2 sizes an object, and its pages are allocated at the first write. In a full file system
-//! that write, or even a read, raises SIGBUS in the process that executes it (#624). Here all pages are
-//! allocated before the first access, so lack of memory is an error in the creating process. Layout
-//! and names are those of iceoryx2 0.10.0: its own programs and packages of other languages open
-//! these objects, and vice versa.
+//! that write, or even a read, raises SIGBUS in the process that executes it (#624). Here all pages
+//! are allocated before the first access, so lack of memory is an error in the creating process.
+//! Layout and names are those of iceoryx2 0.10.0: its own programs and packages of other languages
+//! open these objects, and vice versa.
 #![allow(unsafe_code)] // Memory is initialised before others can open it.
 
 use std::cell::Cell;
@@ -155,7 +155,7 @@ impl<T: Shareable> Builder<'_, T> {
                 }
                 _ => DynamicStorageCreateError::InternalError,
             })?;
-        // SAFETY: the descriptor is open for as long as the memory is mapped, which outlives the call.
+        // SAFETY: the descriptor is open while the memory is mapped, which outlives the call.
         let file = unsafe { BorrowedFd::borrow_raw(memory.file_descriptor().native_handle()) };
         reserve(file, memory.size() as u64).map_err(|_| shortage(size))?;
         Ok(memory)
@@ -166,9 +166,9 @@ impl<T: Shareable> Builder<'_, T> {
         let rest = memory.size() - size_of::<Content<T>>();
         // SAFETY: the object is at least as long as its content, so this is one past that at most.
         let behind = unsafe { start.add(1) }.cast();
-        // SAFETY: the object is mapped for writing, page-aligned, and long enough. Zeros, as the system hands
-        // them out, are a value of both fields. No other process opens it before its permissions say that
-        // it is complete, so the reference is the only one.
+        // SAFETY: the object is mapped for writing, page-aligned, and long enough. Zeros, as the
+        // system hands them out, are a value of both fields. No other process opens it before its
+        // permissions say that it is complete, so the reference is the only one.
         let content = unsafe { start.as_mut() };
         let mut allocator = BumpAllocator::new(behind, rest);
         if !(self.initialize)(&mut content.value, &mut allocator) {

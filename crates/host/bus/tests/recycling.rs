@@ -1,5 +1,6 @@
-//! Planners and sources join and leave during a worker's life, and leave nothing behind: no descriptor,
-//! no object in shared memory, no file. `JOULEBUS_LIVES=50000` for a long run. Alone in its process, whose descriptors it counts.
+//! Planners and sources join and leave during a worker's life, and leave nothing behind: no
+//! descriptor, no object in shared memory, no file. `JOULEBUS_LIVES=50000` for a long run. Alone in
+//! its process, whose descriptors it counts.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::fs;
@@ -9,10 +10,9 @@ use std::time::{Duration, Instant};
 use joulebus_bus::{Bus, Domain, FrameBuf, Limits, WorkerLock};
 use joulebus_wire::{Forecast, ForecastHeader, Forecasts, Sample, SampleHeader};
 
-/// Default number of planners and sources, one after the other; many times the limits of the services.
+/// Default number of planners and sources in turn; many times the limits of the services.
 const LIVES: u64 = 400;
 
-/// Files below a directory.
 fn files(directory: &Path) -> usize {
     let entries = fs::read_dir(directory).into_iter().flatten().flatten();
     entries

@@ -85,17 +85,6 @@ impl Demo {
             Some("robots") => format!("robots = [\"0-{last}\"]\n"),
             _ => format!("{line}\n"),
         });
-        // The platform is the last section of the file.
-        lines.collect::<String>() + BATTERY
+        lines.collect()
     }
 }
-
-/// A battery for the simulated robots, which makes budgets available. Its 10 Wh are an assumption,
-/// because no source states the GTernal's capacity.
-const BATTERY: &str = "
-[platform.battery]
-capacity_wh = 10.0
-reserve = 0.1
-initial_soc = 1.0
-initial_soc_lo = 0.9
-";

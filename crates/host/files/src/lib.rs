@@ -91,34 +91,34 @@ pub fn open(path: &Path) -> io::Result<File> {
     Ok(file)
 }
 
-/// All bytes of a regular file of at most `most_bytes`.
+/// All bytes of a regular file of at most `max_bytes`.
 ///
 /// # Errors
 /// As of [`open`]; [`Refused::TooLong`].
-pub fn read(path: &Path, most_bytes: u64) -> io::Result<Vec<u8>> {
+pub fn read(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
     let file = open(path)?;
-    let allowed = |found: u64| match found > most_bytes {
+    let allowed = |found: u64| match found > max_bytes {
         true => Err(Refused::TooLong {
             found,
-            allowed: most_bytes,
+            allowed: max_bytes,
         }),
         false => Ok(()),
     };
     allowed(file.metadata()?.len())?;
     let mut bytes = Vec::new();
     // The file may grow, or the system may not know its length.
-    file.take(most_bytes.saturating_add(1))
+    file.take(max_bytes.saturating_add(1))
         .read_to_end(&mut bytes)?;
     allowed(bytes.len() as u64)?;
     Ok(bytes)
 }
 
-/// The text of a regular file of at most `most_bytes`.
+/// The text of a regular file of at most `max_bytes`.
 ///
 /// # Errors
 /// As of [`read`]; the text is not UTF-8.
-pub fn read_to_string(path: &Path, most_bytes: u64) -> io::Result<String> {
-    String::from_utf8(read(path, most_bytes)?)
+pub fn read_to_string(path: &Path, max_bytes: u64) -> io::Result<String> {
+    String::from_utf8(read(path, max_bytes)?)
         .map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error.utf8_error()))
 }
 
@@ -126,12 +126,12 @@ pub fn read_to_string(path: &Path, most_bytes: u64) -> io::Result<String> {
 ///
 /// # Errors
 /// Those of [`read_to_string`], and [`Refused::Readable`].
-pub fn read_secret(path: &Path, most_bytes: u64) -> io::Result<String> {
+pub fn read_secret(path: &Path, max_bytes: u64) -> io::Result<String> {
     let mode = look(path)?.permissions().mode() & 0o777;
     if mode & 0o077 != 0 {
         return Err(Refused::Readable { mode }.into());
     }
-    read_to_string(path, most_bytes)
+    read_to_string(path, max_bytes)
 }
 
 fn regular(about: Metadata) -> io::Result<Metadata> {

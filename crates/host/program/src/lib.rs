@@ -17,6 +17,7 @@ pub mod model_source;
 pub mod options;
 pub mod output;
 pub mod platform;
+pub mod shell;
 pub mod stop;
 pub mod utc;
 pub mod verb;

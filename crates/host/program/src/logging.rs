@@ -54,7 +54,7 @@ pub fn start(verbose: u8, format: LogFormat) {
 
 fn by_verbosity(verbose: u8) -> Targets {
     // The bus handles and reports the conditions that iceoryx2 warns about.
-    let (level, iceoryx2) = match verbose {
+    let (level, libraries) = match verbose {
         0 => (LevelFilter::WARN, LevelFilter::ERROR),
         1 => (LevelFilter::INFO, LevelFilter::ERROR),
         2 => (LevelFilter::DEBUG, LevelFilter::WARN),
@@ -62,6 +62,8 @@ fn by_verbosity(verbose: u8) -> Targets {
     };
     let targets = Targets::new().with_default(level);
     targets
-        .with_target("iceoryx2", iceoryx2)
+        .with_target("iceoryx2", libraries)
+        // It warns of each message to a peer on another network of the host than the chosen one.
+        .with_target("rustdds", libraries)
         .with_target(ALARMS, level.max(LevelFilter::INFO))
 }

@@ -12,8 +12,8 @@ use joulebus_wire::Sample;
 /// Frames sent and not yet answered.
 #[derive(Debug)]
 pub struct Window {
-    most_frames: usize,
-    most_samples: usize,
+    max_frames: usize,
+    max_samples: usize,
     frames: VecDeque<Outstanding>,
     answered: HashMap<u32, u64>,
     /// Start of the tick before the last one seen.
@@ -34,13 +34,13 @@ struct OfRobot {
 }
 
 impl Window {
-    /// A window of at most `most_frames` frames, with at most `most_samples` samples of a robot in
+    /// A window of at most `max_frames` frames, with at most `max_samples` samples of a robot in
     /// them.
     #[must_use]
-    pub fn new(most_frames: usize, most_samples: usize) -> Self {
+    pub fn new(max_frames: usize, max_samples: usize) -> Self {
         Self {
-            most_frames,
-            most_samples,
+            max_frames,
+            max_samples,
             frames: VecDeque::new(),
             answered: HashMap::new(),
             before_last_ns: 0,
@@ -58,9 +58,9 @@ impl Window {
         let fits = |(robot, of_frame): (&u32, &OfRobot)| {
             let outstanding = self.frames.iter().filter_map(|sent| sent.robots.get(robot));
             let samples: usize = outstanding.map(|of_robot| of_robot.samples).sum();
-            samples + of_frame.samples <= self.most_samples
+            samples + of_frame.samples <= self.max_samples
         };
-        self.frames.len() < self.most_frames && by_robot(frame).iter().all(fits)
+        self.frames.len() < self.max_frames && by_robot(frame).iter().all(fits)
     }
 
     /// Records a frame sent at `sent_ns`.
@@ -102,7 +102,7 @@ impl Window {
     /// The worker is gone, with everything that it had not answered. Returns the number of frames.
     pub fn forget(&mut self) -> u64 {
         let lost = self.frames.len() as u64;
-        *self = Self::new(self.most_frames, self.most_samples);
+        *self = Self::new(self.max_frames, self.max_samples);
         lost
     }
 }

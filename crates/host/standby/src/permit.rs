@@ -9,7 +9,7 @@ use crate::places::{remove, replace};
 
 const FIRST_LINE: &str = "joulebus permit 1";
 /// A file that is longer is not a permit's, bytes.
-const LONGEST_BYTES: u64 = 512;
+const MAX_BYTES: u64 = 512;
 const NEVER: &str = "never";
 
 /// The permit of this host's worker.
@@ -41,7 +41,7 @@ impl Permit {
             path: path.to_owned(),
             source,
         };
-        let bytes = match joulebus_files::read(path, LONGEST_BYTES) {
+        let bytes = match joulebus_files::read(path, MAX_BYTES) {
             Ok(bytes) => bytes,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(failed(error)),

@@ -401,13 +401,13 @@ pub fn assign_unread_leaving_out(
 }
 
 impl Assignment {
-    /// All rows, or, if there are more than `most_rows`, about as many of each part as its share of
+    /// All rows, or, if there are more than `max_rows`, about as many of each part as its share of
     /// them. They are stretches of at most [`STRETCH_ROWS`] consecutive rows, evenly spread over
     /// the part, at least one of each part.
-    pub fn thin(&self, most_rows: usize) -> Thinned {
+    pub fn thin(&self, max_rows: usize) -> Thinned {
         let found: usize = self.summary.rows.iter().sum();
-        let stretch = match found > most_rows {
-            true => (most_rows / MIN_STRETCHES).clamp(1, STRETCH_ROWS),
+        let stretch = match found > max_rows {
+            true => (max_rows / MIN_STRETCHES).clamp(1, STRETCH_ROWS),
             false => found.max(1),
         };
         let mut rows = [0; 3];
@@ -419,8 +419,8 @@ impl Assignment {
                 starts.map(move |start| (source, start..range.end.min(start + stretch)))
             });
             let each: Vec<(usize, Range<usize>)> = each.collect();
-            let wanted = match found > most_rows {
-                true => (each.len() * most_rows / found).max(1),
+            let wanted = match found > max_rows {
+                true => (each.len() * max_rows / found).max(1),
                 false => each.len(),
             };
             for (at, (source, range)) in each.iter().enumerate() {

@@ -50,7 +50,7 @@ pub use compare::{Comparison, Difference, MemberScore, Verdict, compare};
 pub use design::{Design, DesignReport, Fold, Part};
 pub(crate) use open::each;
 pub use open::{ROWS_IN_MEMORY, open_recordings, read_recordings};
-pub use options::{LONGEST_HORIZON, Options, ScoreError};
+pub use options::{MAX_HORIZON, Options, ScoreError};
 pub(crate) use portion::Misfit;
 pub use portion::{Portion, score_portion};
 pub use recording::{Contents, Recording, check_apart, recorded_platform};

@@ -37,18 +37,18 @@ pub enum Parts<'a> {
     Given([&'a [Recording]; 3]),
 }
 
-/// The rows of each part, at most about `most_rows` in all ([`Assignment::thin`]), and a
+/// The rows of each part, at most about `max_rows` in all ([`Assignment::thin`]), and a
 /// description of the split.
 ///
 /// # Errors
 /// [`TrainingDataError`].
 pub fn training_data(
     parts: Parts<'_>,
-    most_rows: usize,
+    max_rows: usize,
 ) -> Result<(Dataset, SplitSummary), TrainingDataError> {
     let (recordings, assignment, described) = assigned(parts)?;
     let found: usize = assignment.summary.rows.iter().sum();
-    let thinned = assignment.thin(most_rows);
+    let thinned = assignment.thin(max_rows);
     let taken: usize = thinned.rows.iter().sum();
     let (described, name) = match taken < found {
         false => (described, assignment.summary.name),

@@ -14,6 +14,8 @@ mod run;
 mod scenario;
 mod summary;
 mod tuned;
+#[cfg(test)]
+mod turning_back;
 
 pub use error::MissionError;
 pub use picture::{PictureError, picture};

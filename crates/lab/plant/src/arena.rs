@@ -50,8 +50,8 @@ impl Mul<f64> for Vector {
 
 /// Maximum commanded linear velocity, m/s.
 pub const V_MAX_MPS: f64 = 0.2;
-/// Maximum commanded angular velocity, rad/s.
-pub const OMEGA_MAX_RADPS: f64 = 3.6;
+/// Maximum commanded angular velocity, rad/s: both wheels at [`V_MAX_MPS`], in opposite directions.
+pub const OMEGA_MAX_RADPS: f64 = 2.0 * V_MAX_MPS / ROBOT_M;
 /// Control period, s.
 pub const STEP_S: f64 = 0.033;
 /// Half of the arena's sides, m: the origin is the centre, x runs along the long side.

@@ -16,7 +16,7 @@ use crate::protocol::{Driver, Protocol, TRIAL_S};
 use joulebus_statistics::noise::Noise;
 use thiserror::Error;
 
-const LONGEST_STEP_S: f64 = 1.0;
+const MAX_STEP_S: f64 = 1.0;
 
 /// Random streams of one robot: manufacturing variation, state, motion.
 const STREAMS: u64 = 3;
@@ -91,6 +91,16 @@ impl Plant {
         }))
     }
 
+    /// The same fleet, whose robots from `robot` on drive their protocols as fast as their wheels
+    /// turn: [`V_MAX_MPS`](crate::arena::V_MAX_MPS) forwards and backwards, as fast on the spot.
+    #[must_use]
+    pub fn at_full_speed_from(mut self, robot: usize) -> Self {
+        for robot in self.robots.iter_mut().skip(robot) {
+            robot.driver = robot.driver.clone().at_full_speed();
+        }
+        self
+    }
+
     fn of(robots: impl Iterator<Item = Robot>) -> Self {
         let robots: Vec<Robot> = robots.collect();
         let readings = robots.iter().enumerate();
@@ -125,7 +135,7 @@ impl Plant {
     /// positive has no effect, a step beyond one second is clamped to one second.
     pub fn step(&mut self, dt_s: f64) -> &[SimReading] {
         if dt_s > 0.0 {
-            let dt_s = dt_s.min(LONGEST_STEP_S);
+            let dt_s = dt_s.min(MAX_STEP_S);
             let end_ns = self.now_ns + libm::round(dt_s * 1e9) as u64;
             for (i, (robot, reading)) in self.robots.iter_mut().zip(&mut self.readings).enumerate()
             {

@@ -12,11 +12,12 @@ use joulebus_models::load_models;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::file::write;
 use joulebus_program::output::{Output, say};
+use joulebus_program::shell::word;
 use joulebus_settings::bounds;
 use serde::Serialize;
 
 use crate::judgement::{AcceptArguments, report};
-use crate::next_command::{recordings, word};
+use crate::next_command::recordings;
 use crate::recordings::{ColumnArguments, find_recordings};
 use crate::train::train_recordings;
 use joulebus_program::model_range;

@@ -8,8 +8,7 @@ use joulebus_dataset::trial::{ColumnMap, MappedColumn, Method, TrialError};
 use joulebus_eval::score::{ROWS_IN_MEMORY, Recording, open_recordings};
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::say;
-
-use crate::next_command::quoted;
+use joulebus_program::shell::quoted;
 
 /// Recordings on the command line.
 #[derive(Debug, Clone, clap::Args)]

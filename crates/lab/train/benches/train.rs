@@ -17,6 +17,7 @@ fn main() {
         training_robots: 4,
         validation_robots: 1,
         held_out_robots: 1,
+        full_speed_robots: 0,
         ticks: 8_005,
     });
     println!(

@@ -1,6 +1,6 @@
-//! Times the calls of Rust that `crates/languages/c/tests/speed/calls.cpp` makes through the C++ layer, by the same protocol:
-//! each line on stdin is a call and how often to make it, each line on stdout the time of all of them, ns. For
-//! `tools/c_speed.py`.
+//! Times the calls of Rust that `crates/languages/c/tests/speed/calls.cpp` makes through the C++
+//! layer, by the same protocol: each line on stdin is a call and its number, each line on stdout
+//! the time of all of them, ns. For `tools/c_speed.py`.
 
 use std::error::Error;
 use std::hint::black_box;
@@ -23,7 +23,7 @@ fn waves(count: usize, scale: f32, from: usize) -> Vec<f32> {
     (0..count).map(|at| scale * wave(at + from)).collect()
 }
 
-/// What calls are made on.
+/// The objects of the calls.
 struct Calls {
     model: Model,
     planner: joulebus_consumer::Subscriber,

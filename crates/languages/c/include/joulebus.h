@@ -1020,13 +1020,13 @@ typedef struct joulebus_robot_state {
      */
     uint32_t robot;
     /**
-     * JOULEBUS_SAMPLE bits: which of the fields below are known, and HELD, CHARGING, FULL (which implies CHARGING) and
-     * SWAPPED. Others are refused.
+     * JOULEBUS_SAMPLE bits: which of the fields below are known, and HELD, CHARGING, FULL (which
+     * implies CHARGING) and SWAPPED. Others are refused.
      */
     uint32_t flags;
     /**
-     * When the power was measured, monotonic ns. 0: when the frame is published, or, for a held reading, when the
-     * repeated reading was measured.
+     * When the power was measured, monotonic ns. 0: when the frame is published, or, for a held
+     * reading, when the repeated reading was measured.
      */
     uint64_t measured_ns;
     /**
@@ -1084,9 +1084,9 @@ typedef struct joulebus_sent {
      */
     uint32_t woken;
     /**
-     * 0.
+     * Samples of it that the worker refuses for their values, by the limits of the config.
      */
-    uint32_t reserved;
+    uint32_t refused;
 } joulebus_sent;
 
 /**
@@ -1136,7 +1136,8 @@ typedef struct joulebus_forecasts {
      */
     size_t count;
     /**
-     * Ticks of this worker whose frames were skipped or lost since the last frame that was returned.
+     * Ticks of this worker whose frames were skipped or lost since the last frame that was
+     * returned.
      */
     uint64_t ticks_missed;
     /**
@@ -1298,8 +1299,8 @@ typedef struct joulebus_waypoint {
  */
 typedef struct joulebus_question {
     /**
-     * JOULEBUS_QUERY_KIND_WHAT_IF: candidates of one robot; IDLE: robots that stand still; FOLLOW: robots that follow
-     * a path, which are answered the best first.
+     * JOULEBUS_QUERY_KIND_WHAT_IF: candidates of one robot; IDLE: robots that stand still; FOLLOW:
+     * robots that follow a path, which are answered the best first.
      */
     uint32_t kind;
     /**
@@ -1363,8 +1364,8 @@ typedef struct joulebus_question {
      */
     double return_y_m;
     /**
-     * Heading at the first point, rad, counter-clockwise from east, with JOULEBUS_QUERY_HEADING; else towards the
-     * second point.
+     * Heading at the first point, rad, counter-clockwise from east, with JOULEBUS_QUERY_HEADING;
+     * else towards the second point.
      */
     double heading_rad;
 } joulebus_question;
@@ -1386,8 +1387,8 @@ typedef struct joulebus_answers {
      */
     size_t row_count;
     /**
-     * Place for the power of every step, W, candidate by candidate, of WHAT_IF and of FOLLOW with one robot; NULL if
-     * it is not wanted.
+     * Place for the power of every step, W, candidate by candidate, of WHAT_IF and of FOLLOW with
+     * one robot; NULL if it is not wanted.
      */
     float *power_w;
     /**
@@ -1437,7 +1438,8 @@ typedef struct joulebus_rollout {
      */
     uint32_t reserved;
     /**
-     * Linear velocities, m/s: those of the first candidate of the first robot, step by step, then the next candidate.
+     * Linear velocities, m/s: those of the first candidate of the first robot, step by step, then
+     * the next candidate.
      */
     const float *v_mps;
     /**
@@ -1449,8 +1451,8 @@ typedef struct joulebus_rollout {
      */
     const float *readings_w;
     /**
-     * The command of each robot before the first step: v in m/s, omega in rad/s. NULL: the first step has no
-     * derivatives.
+     * The command of each robot before the first step: v in m/s, omega in rad/s. NULL: the first
+     * step has no derivatives.
      */
     const float *before;
 } joulebus_rollout;
@@ -1470,15 +1472,17 @@ const char *joulebus_version(void);
 uint32_t joulebus_schema_version(void);
 
 /**
- * Refuses a program whose header is not of this library's release, with both versions. What opens a handle checks it.
+ * Refuses a program whose header is not of this library's release, with both versions. What opens
+ * a handle checks it.
  *
  * @param header JOULEBUS_HEADER.
  */
 joulebus_error joulebus_check_version(const char *header);
 
 /**
- * The message of the last call that failed in this thread: what was found, what is allowed, what to do, with the words
- * of the Rust library. NULL if none has failed. Valid until the next call that fails in this thread.
+ * The message of the last call that failed in this thread: what was found, what is allowed, what
+ * to do, with the words of the Rust library. NULL if none has failed. Valid until the next call
+ * that fails in this thread.
  */
 const char *joulebus_last_error(void);
 
@@ -1493,7 +1497,8 @@ const char *joulebus_error_name(int32_t error);
 const char *joulebus_alarm_name(uint16_t code);
 
 /**
- * The name of the reason why a robot has no forecast, like "NotFinite": the detail of JOULEBUS_QUALITY_INVALID.
+ * The name of the reason why a robot has no forecast, like "NotFinite": the detail of
+ * JOULEBUS_QUALITY_INVALID.
  */
 const char *joulebus_invalid_name(uint16_t code);
 
@@ -1512,7 +1517,8 @@ uint64_t joulebus_monotonic_ns(void);
  *
  * @param header      JOULEBUS_HEADER.
  * @param config_path The fleet's config file.
- * @param source_name 1 to 128 bytes that tell the sources of a fleet apart and stay the same over restarts.
+ * @param source_name 1 to 128 bytes that tell the sources of a fleet apart and stay the same over
+ *                    restarts.
  * @param publisher   The new handle.
  */
 joulebus_error joulebus_publisher_open(const char *header,
@@ -1521,13 +1527,15 @@ joulebus_error joulebus_publisher_open(const char *header,
                                        struct joulebus_publisher **publisher);
 
 /**
- * Sends one frame: each robot at most once, numbered and stamped with the current time. Never blocks; when the worker
- * is too slow, the oldest frame is overwritten, and the worker counts it. Values are sent unchecked: what is not finite
- * or beyond the platform's limits is refused by the worker, counted by reason.
+ * Sends one frame: each robot at most once, numbered and stamped with the current time. Never
+ * blocks; when the worker is too slow, the oldest frame is overwritten, and the worker counts it.
+ * Values are sent unchecked: what is not finite or beyond the platform's limits is refused by the
+ * worker, counted by reason.
  *
  * @param robots      The robots' states; NULL if count is 0.
  * @param count       How many.
- * @param intended_ns When the frame was due, monotonic ns: latencies are measured from there. 0: now.
+ * @param intended_ns When the frame was due, monotonic ns: latencies are measured from there. 0:
+ *                    now.
  * @param sent        The frame that was sent; NULL if it is not wanted.
  */
 joulebus_error joulebus_publisher_publish(struct joulebus_publisher *publisher,
@@ -1537,8 +1545,9 @@ joulebus_error joulebus_publisher_publish(struct joulebus_publisher *publisher,
                                           struct joulebus_sent *sent);
 
 /**
- * As joulebus_publisher_publish, of samples with the caller's own numbers and stamps: for recordings and simulations.
- * Do not mix both for the same robot: seq and stamp_ns of each must increase strictly.
+ * As joulebus_publisher_publish, of samples with the caller's own numbers and stamps: for
+ * recordings and simulations. Do not mix both for the same robot: seq and stamp_ns of each must
+ * increase strictly.
  */
 joulebus_error joulebus_publisher_publish_samples(struct joulebus_publisher *publisher,
                                                   const joulebus_sample *samples,
@@ -1553,7 +1562,8 @@ joulebus_error joulebus_publisher_get_counts(struct joulebus_publisher *publishe
                                              struct joulebus_publisher_counts *counts);
 
 /**
- * Leaves the fleet. A worker that has not noticed this source yet takes none of its frames. NULL is closed already.
+ * Leaves the fleet. A worker that has not noticed this source yet takes none of its frames. NULL
+ * is closed already.
  */
 joulebus_error joulebus_publisher_close(struct joulebus_publisher *publisher);
 
@@ -1571,10 +1581,11 @@ joulebus_error joulebus_subscriber_open(const char *header,
                                         struct joulebus_subscriber **subscriber);
 
 /**
- * Waits for a frame that was not returned before, the worker's end, a frame that is too old, or a signal. Of several
- * frames it returns the newest; skipped ones are counted. Frames stay where they are in shared memory: the event's
- * pointers are valid until the next call of joulebus_subscriber_wait, joulebus_subscriber_latest or joulebus_subscriber_close
- * with this subscriber.
+ * Waits for a frame that was not returned before, the worker's end, a frame that is too old, or a
+ * signal. Of several frames it returns the newest; skipped ones are counted. Frames stay where
+ * they are in shared memory: the event's pointers are valid until the next call of
+ * joulebus_subscriber_wait, joulebus_subscriber_latest or joulebus_subscriber_close with this
+ * subscriber.
  *
  * @param timeout_ns Time to wait, ns; UINT64_MAX for ever, 0 not at all.
  * @param event      What happened.
@@ -1584,11 +1595,12 @@ joulebus_error joulebus_subscriber_wait(struct joulebus_subscriber *subscriber,
                                         struct joulebus_event *event);
 
 /**
- * A descriptor that is readable when joulebus_subscriber_wait is likely to have something to return, for event loops: a
- * frame has arrived, or the worker's process has exited. When it is readable, call joulebus_subscriber_wait with a
- * time of 0 until it returns JOULEBUS_EVENT_KIND_TIMED_OUT; call it as well where it has not been readable for
- * look_within_ns, since it tells nothing of a worker that is silent, and may miss a frame that arrives while an earlier one is
- * read. It belongs to the subscriber, and must not be closed.
+ * A descriptor that is readable when joulebus_subscriber_wait is likely to have something to
+ * return, for event loops: a frame has arrived, or the worker's process has exited. When it is
+ * readable, call joulebus_subscriber_wait with a time of 0 until it returns
+ * JOULEBUS_EVENT_KIND_TIMED_OUT; call it as well where it has not been readable for
+ * look_within_ns, since it tells nothing of a worker that is silent, and may miss a frame that
+ * arrives while an earlier one is read. It belongs to the subscriber, and must not be closed.
  *
  * @param descriptor     To be polled for reading only.
  * @param look_within_ns Longest time to wait for it from now on, ns; at most 100 ms.
@@ -1598,25 +1610,25 @@ joulebus_error joulebus_subscriber_readiness(struct joulebus_subscriber *subscri
                                              uint64_t *look_within_ns);
 
 /**
- * The newest frame, without waiting, whether or not it was returned before; its header is NULL until the first has
- * arrived. Pointers are valid as of joulebus_subscriber_wait.
+ * The newest frame, without waiting, whether or not it was returned before; its header is NULL
+ * until the first has arrived. Pointers are valid as of joulebus_subscriber_wait.
  */
 joulebus_error joulebus_subscriber_latest(struct joulebus_subscriber *subscriber,
                                           struct joulebus_forecasts *frame);
 
 /**
- * One robot of the frame that was returned last, in constant time while no robots join or leave; NULL if it is not in
- * the frame, or the frame was taken. Valid as of joulebus_subscriber_wait.
+ * One robot of the frame that was returned last, in constant time while no robots join or leave;
+ * NULL if it is not in the frame, or the frame was taken. Valid as of joulebus_subscriber_wait.
  */
 joulebus_error joulebus_subscriber_robot(struct joulebus_subscriber *subscriber,
                                          uint32_t robot,
                                          const joulebus_forecast **row);
 
 /**
- * Takes the frame that was returned last out of the subscriber, to keep it: there is no current frame then until a newer one
- * arrives. Its pointers stay valid until joulebus_frame_close, also after the subscriber is closed and the worker has ended.
- * Two may be kept; with more, reading is an error until one is closed. Without a frame,
- * JOULEBUS_ERROR_NO_FRAME.
+ * Takes the frame that was returned last out of the subscriber, to keep it: there is no current
+ * frame then until a newer one arrives. Its pointers stay valid until joulebus_frame_close, also
+ * after the subscriber is closed and the worker has ended. Two may be kept; with more, reading is
+ * an error until one is closed. Without a frame, JOULEBUS_ERROR_NO_FRAME.
  *
  * @param frame The new handle.
  * @param view  The frame that is kept; NULL if it is not wanted.
@@ -1631,16 +1643,17 @@ joulebus_error joulebus_subscriber_take_current(struct joulebus_subscriber *subs
 joulebus_error joulebus_frame_close(struct joulebus_frame *frame);
 
 /**
- * The fleet's newest diagnostics, without waiting. The first call opens them: frames sent from then on are read. The
- * header is NULL until the first has arrived. Valid until the next call of this function, or joulebus_subscriber_close.
+ * The fleet's newest diagnostics, without waiting. The first call opens them: frames sent from
+ * then on are read. The header is NULL until the first has arrived. Valid until the next call of
+ * this function, or joulebus_subscriber_close.
  */
 joulebus_error joulebus_subscriber_diagnostics(struct joulebus_subscriber *subscriber,
                                                struct joulebus_diagnostics *frame);
 
 /**
- * The fleet's newest budgets, without waiting. The first call opens them: frames sent before are read as soon as the
- * worker sends again. The header is NULL until the first has arrived. Valid until the next call of this function, or
- * joulebus_subscriber_close.
+ * The fleet's newest budgets, without waiting. The first call opens them: frames sent before are
+ * read as soon as the worker sends again. The header is NULL until the first has arrived. Valid
+ * until the next call of this function, or joulebus_subscriber_close.
  */
 joulebus_error joulebus_subscriber_budgets(struct joulebus_subscriber *subscriber,
                                            struct joulebus_budgets *frame);
@@ -1657,8 +1670,9 @@ joulebus_error joulebus_subscriber_get_status(struct joulebus_subscriber *subscr
 joulebus_error joulebus_subscriber_close(struct joulebus_subscriber *subscriber);
 
 /**
- * Joins the fleet of a config file as a planner that asks, and loads the models that the config names. The worker
- * writes what plans start from while there is one: keep it for as long as there are questions.
+ * Joins the fleet of a config file as a planner that asks, and loads the models that the config
+ * names. The worker writes what plans start from while there is one: keep it for as long as there
+ * are questions.
  *
  * @param header      JOULEBUS_HEADER.
  * @param config_path The fleet's config file, the worker's.
@@ -1671,8 +1685,8 @@ joulebus_error joulebus_questions_open(const char *header,
                                        struct joulebus_questions **questions);
 
 /**
- * Waits until the newest frame is at most two ticks old, and returns its tick and its age; after the time, those of the
- * frame that there is.
+ * Waits until the newest frame is at most two ticks old, and returns its tick and its age; after
+ * the time, those of the frame that there is.
  *
  * @param timeout_ns Time to wait, ns.
  * @param tick       Tick of the newest frame.
@@ -1685,15 +1699,16 @@ joulebus_error joulebus_questions_wait(struct joulebus_questions *questions,
                                        uint64_t *age_ns);
 
 /**
- * The platform of a robot, as the config describes it; of one that belongs to none, JOULEBUS_ERROR_QUESTION.
+ * The platform of a robot, as the config describes it; of one that belongs to none,
+ * JOULEBUS_ERROR_QUESTION.
  */
 joulebus_error joulebus_questions_platform(struct joulebus_questions *questions,
                                            uint32_t robot,
                                            struct joulebus_platform *platform);
 
 /**
- * The energy of each of several sequences of commands of one robot, and whether it makes them, as of the newest frame.
- * Allocates nothing after the first call with so many candidates.
+ * The energy of each of several sequences of commands of one robot, and whether it makes them, as
+ * of the newest frame. Allocates nothing after the first call with so many candidates.
  *
  * @param candidates  Number of sequences.
  * @param steps       Steps of each, at most 1,000,000.
@@ -1702,7 +1717,8 @@ joulebus_error joulebus_questions_platform(struct joulebus_questions *questions,
  * @param omega_radps As many angular velocities, rad/s.
  * @param coverage    Coverage of the intervals, 0.5 to 0.999.
  * @param answers     Place for candidates answers.
- * @param power_w     Place for candidates * steps powers, W, candidate by candidate; NULL if they are not wanted.
+ * @param power_w     Place for candidates * steps powers, W, candidate by candidate; NULL if they
+ *                    are not wanted.
  */
 joulebus_error joulebus_questions_what_if(struct joulebus_questions *questions,
                                           uint32_t robot,
@@ -1731,7 +1747,8 @@ joulebus_error joulebus_questions_ask(struct joulebus_questions *questions,
 joulebus_error joulebus_questions_close(struct joulebus_questions *questions);
 
 /**
- * Joins the fleet of a config file as a program that asks. Loads no models. The worker need not run yet.
+ * Joins the fleet of a config file as a program that asks. Loads no models. The worker need not
+ * run yet.
  *
  * @param header      JOULEBUS_HEADER.
  * @param config_path The fleet's config file.
@@ -1744,13 +1761,14 @@ joulebus_error joulebus_client_open(const char *header,
                                     struct joulebus_client **client);
 
 /**
- * Asks the worker, and waits for its answer. If the worker ends meanwhile, this returns at once. A question has at most
- * JOULEBUS_MAX_QUERY_ROBOTS robots, JOULEBUS_MAX_QUERY_CANDIDATES candidates and JOULEBUS_MAX_QUERY_VALUES values.
+ * Asks the worker, and waits for its answer. If the worker ends meanwhile, this returns at once. A
+ * question has at most JOULEBUS_MAX_QUERY_ROBOTS robots, JOULEBUS_MAX_QUERY_CANDIDATES candidates
+ * and JOULEBUS_MAX_QUERY_VALUES values.
  *
  * @param question   What is asked.
  * @param timeout_ns Time to wait, ns; later the worker does not answer any more.
- * @param answers    Memory for the answers; filled with what they are of. Powers that do not fit into a frame are left
- *                   out: power_count is 0 then.
+ * @param answers    Memory for the answers; filled with what they are of. Powers that do not fit
+ *                   into a frame are left out: power_count is 0 then.
  */
 joulebus_error joulebus_client_ask(struct joulebus_client *client,
                                    const struct joulebus_question *question,
@@ -1774,12 +1792,12 @@ joulebus_error joulebus_predictor_open(const char *header,
                                        struct joulebus_predictor **predictor);
 
 /**
- * Forecasts of rows of features, W. Bits are those of every other way to compute them. A NaN in a row makes that row's
- * forecast NaN and changes no other.
+ * Forecasts of rows of features, W. Bits are those of every other way to compute them. A NaN in a
+ * row makes that row's forecast NaN and changes no other.
  *
- * @param features rows * width values: v, omega, their derivatives, their magnitudes, the last five readings, newest
- *                 first (m, rad, s, W); of width 13 also the age of the newest reading in steps, and 1 where the next is
- *                 due, else 0.
+ * @param features rows * width values: v, omega, their derivatives, their magnitudes, the last
+ *                 five readings, newest first (m, rad, s, W); of width 13 also the age of the
+ *                 newest reading in steps, and 1 where the next is due, else 0.
  * @param rows     Robots.
  * @param width    11 or 13. 13 is not copied.
  * @param power_w  Place for rows forecasts.
@@ -1795,8 +1813,8 @@ joulebus_error joulebus_predictor_predict(struct joulebus_predictor *predictor,
  *
  * @param rollout  The commands, and what each robot starts from.
  * @param energy_j Place for robots * candidates energies, J.
- * @param power_w  Place for robots * candidates * steps powers, W, in the order of the commands; NULL if they are not
- *                 wanted.
+ * @param power_w  Place for robots * candidates * steps powers, W, in the order of the commands;
+ *                 NULL if they are not wanted.
  */
 joulebus_error joulebus_predictor_rollout(struct joulebus_predictor *predictor,
                                           const struct joulebus_rollout *rollout,
@@ -1809,7 +1827,8 @@ joulebus_error joulebus_predictor_rollout(struct joulebus_predictor *predictor,
 joulebus_error joulebus_predictor_hash(struct joulebus_predictor *predictor, uint64_t *hash);
 
 /**
- * Closes a predictor, by any thread; calls that use it meanwhile are finished. NULL is closed already.
+ * Closes a predictor, by any thread; calls that use it meanwhile are finished. NULL is closed
+ * already.
  */
 joulebus_error joulebus_predictor_close(struct joulebus_predictor *predictor);
 

@@ -1,4 +1,4 @@
-//! What a call returns, the message of the last one that failed in this thread, and the border that no panic
+//! Results of calls, the message of this thread's last failure, and the border that no panic
 //! crosses.
 
 use std::any::Any;
@@ -30,7 +30,7 @@ impl Failure {
         Self::new(joulebus_error::Argument, text)
     }
 
-    /// Of a panic: a defect of joulebus.
+    /// The failure of a panic: a defect of joulebus.
     pub(crate) fn defect(panic: &(dyn Any + Send)) -> Self {
         let said = panic.downcast_ref::<&str>().copied();
         let said = said.or_else(|| panic.downcast_ref::<String>().map(String::as_str));
@@ -62,7 +62,7 @@ pub(crate) fn entry(call: impl FnOnce() -> Result<(), Failure>) -> joulebus_erro
 fn remember(text: &str) {
     let bytes: Vec<u8> = text.bytes().filter(|byte| *byte != 0).collect();
     let text = CString::new(bytes).ok();
-    // A thread that ends has no messages any more; a signal handler that interrupts this must not call.
+    // An ending thread has no messages. A signal handler that interrupts this must not call.
     let _ = LAST.try_with(|last| {
         if let Ok(mut last) = last.try_borrow_mut() {
             *last = text;

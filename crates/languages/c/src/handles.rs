@@ -1,9 +1,10 @@
 //! Handles: numbers in the shape of pointers, which are never followed.
 //!
-//! Ports of shared memory belong to the thread that opened them. So does a table of what is open, and a handle is a
-//! place in it with the number of the thread and of the place's use. What is closed already, of another thread, of the
-//! process that forked this one, or no handle at all is found out without touching memory. Whatever is open when its
-//! thread ends stays open until the process ends, whose remains other members of the fleet remove.
+//! Ports of shared memory belong to the thread that opened them. So does a table of open ports, and
+//! a handle is a place in it with the number of the thread and of the place's use. A handle that is
+//! closed, of another thread, of the process that forked this one, or made up is refused without
+//! touching memory. Open ports of a thread that ends stay open until the process ends. Then other
+//! members of the fleet remove its remains.
 
 use std::cell::{Cell, RefCell};
 use std::mem::{ManuallyDrop, forget, replace};
@@ -20,12 +21,12 @@ const PLACE_BITS: u32 = 16;
 const USE_BITS: u32 = 20;
 const THREAD_BITS: u32 = 24;
 
-/// What is open in one thread, of one kind. Never dropped: iceoryx2 may be gone already when a thread ends.
+/// Open ports of one kind in one thread. Never dropped: at a thread's end iceoryx2 may be gone.
 pub(crate) type Table<T> = ManuallyDrop<RefCell<Vec<Place<T>>>>;
 
-/// What a handle stands for.
+/// The kind of object that a handle stands for.
 pub(crate) trait Kind: Sized + 'static {
-    /// What C points to.
+    /// The type that C points to.
     type Handle;
     /// In messages.
     const NAME: &'static str;
@@ -57,7 +58,6 @@ macro_rules! kind {
 }
 pub(crate) use kind;
 
-/// A place in a table.
 #[derive(Debug)]
 pub(crate) struct Place<T> {
     uses: u64,
@@ -73,7 +73,7 @@ enum State<T> {
     Open(Box<T>),
 }
 
-/// What a handle says.
+/// The contents of a handle.
 #[derive(Debug, Clone, Copy)]
 struct Token {
     kind: u64,
@@ -195,7 +195,7 @@ pub(crate) fn close<T: Kind>(handle: *mut T::Handle) -> Result<(), Failure> {
     Ok(())
 }
 
-/// What the number says, if it is a handle of this kind and of this thread.
+/// The contents of a number that is a handle of this kind and of this thread.
 fn check<T: Kind>(handle: *mut T::Handle) -> Result<Token, Failure> {
     let name = T::NAME;
     if handle.is_null() {

@@ -1,4 +1,4 @@
-//! Memory of the caller: checked as far as it can be, which is neither whether it is mapped nor how long it is.
+//! Memory of the caller, checked as far as possible: not whether it is mapped, nor its length.
 
 use std::ffi::{CStr, c_char};
 use std::marker::PhantomData;
@@ -15,7 +15,7 @@ pub(crate) struct Out<'a, T> {
 
 impl<T> Out<'_, T> {
     pub(crate) fn set(&mut self, value: T) {
-        // SAFETY: `out` made it, whose caller promises a place that may be written; it is aligned and not null.
+        // SAFETY: `out` made it, whose caller promises a writable place; aligned and not null.
         #[allow(unsafe_code, reason = "memory of the caller")]
         unsafe {
             self.to.write(value);
@@ -54,7 +54,7 @@ pub(crate) unsafe fn array<'a, T: Copy>(
         return Ok(&[]);
     }
     check(name, first, count)?;
-    // SAFETY: not null, aligned, not longer than an object can be; the caller promises the elements.
+    // SAFETY: not null, aligned, not longer than an object; the caller promises the elements.
     Ok(unsafe { slice::from_raw_parts(first, count) })
 }
 
@@ -72,7 +72,7 @@ pub(crate) unsafe fn array_mut<'a, T: Copy>(
         return Ok(&mut []);
     }
     check(name, first, count)?;
-    // SAFETY: not null, aligned, not longer than an object can be; the caller promises the elements.
+    // SAFETY: not null, aligned, not longer than an object; the caller promises the elements.
     Ok(unsafe { slice::from_raw_parts_mut(first, count) })
 }
 

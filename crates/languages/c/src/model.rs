@@ -6,7 +6,7 @@ use joulebus_predictor::{MAX_MODEL_BYTES, Model, Network};
 use crate::abi::types::joulebus_error;
 use crate::failure::Failure;
 
-/// What a name of a built-in model begins with, as in the config.
+/// Prefix of the names of built-in models, as in the config.
 const BUILTIN: &str = "builtin:";
 
 /// The network of a `.safetensors` file, or of `builtin:NAME`.

@@ -7,7 +7,7 @@ use crate::abi::types::{joulebus_answers, joulebus_question, joulebus_waypoint};
 use crate::failure::Failure;
 use crate::memory::{array, array_mut, check_apart, product};
 
-/// What a C program may say in a question's flags.
+/// Flags that a C program may set in a question.
 const FLAGS: u32 = query_flag::RETURN | query_flag::HEADING;
 
 /// A question.
@@ -37,7 +37,7 @@ pub(crate) unsafe fn read(from: &joulebus_question, power: bool) -> Result<Quest
         Some(QueryKind::Follow) => follow(from, robots, unsafe {
             array("path", from.path, from.points)
         }?),
-        None => {
+        Some(QueryKind::Acknowledge) | None => {
             return Err(Failure::argument(format!(
                 "kind of a question is {}, allowed are JOULEBUS_QUERY_KIND_WHAT_IF, _IDLE and _FOLLOW",
                 from.kind
@@ -89,7 +89,6 @@ fn follow(from: &joulebus_question, robots: &[u32], path: &[joulebus_waypoint]) 
     }
 }
 
-/// Places for answers.
 pub(crate) struct Places<'a> {
     rows: &'a mut [AnswerRow],
     power_w: &'a mut [f32],

@@ -8,7 +8,7 @@ use crate::failure::Failure;
 /// The release of this library.
 pub(crate) const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// What `JOULEBUS_HEADER` says in this library's header.
+/// The value of `JOULEBUS_HEADER` in this library's header.
 pub(crate) fn header() -> String {
     format!("{VERSION}, schema {SCHEMA_VERSION}")
 }
@@ -27,7 +27,7 @@ pub(crate) fn check(found: &str) -> Result<(), Failure> {
     Err(Failure::new(joulebus_error::Version, text))
 }
 
-/// What to install when the fleet speaks another version.
+/// The remedy when the fleet speaks another version.
 pub(crate) fn remedy() -> String {
     format!(
         "this library is joulebus {VERSION}: `joulebus --version` on the worker's side says which release to install"

@@ -9,7 +9,7 @@ use pyo3::intern;
 use pyo3::prelude::*;
 use pyo3::types::{PyFloat, PyInt};
 
-/// Most values that a new array gets as a copy.
+/// Maximum number of values that a new array gets as a copy.
 const COPIED: usize = 256;
 
 /// The numbers of an array-like, in row-major order: a copy.
@@ -132,8 +132,8 @@ fn copy<T: Element + Copy, U>(
     ))
 }
 
-/// The array-like as an array of `dtype` in row-major order. Only real numbers are converted: text, objects,
-/// truth values and complex numbers are refused.
+/// The array-like as an array of `dtype` in row-major order. Only real numbers are converted: text,
+/// objects, truth values and complex numbers are refused.
 fn converted<'py>(
     name: &str,
     given: &Bound<'py, PyAny>,
@@ -189,7 +189,6 @@ pub(crate) fn shape_text(shape: &[usize]) -> String {
     }
 }
 
-/// A shape that is not allowed.
 pub(crate) fn shape_error(name: &str, found: &[usize], allowed: &str) -> PyErr {
     PyValueError::new_err(format!(
         "{name} has shape {}, allowed: {allowed}",

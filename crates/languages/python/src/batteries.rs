@@ -1,5 +1,4 @@
-//! Batteries of simulated robots that draw what a model forecasts: what `EnergyRobotarium` does at each step, in one
-//! call.
+//! Batteries of simulated robots that draw what a model forecasts: a step of `EnergyRobotarium`.
 
 use std::ops::Range;
 use std::path::PathBuf;
@@ -34,8 +33,8 @@ pub(crate) struct Batteries {
 
 #[pymethods]
 impl Batteries {
-    /// All numbers have been checked by `EnergyRobotarium` and `EnergyVectorEnv`. `arenas`: groups of as many robots
-    /// each, one after the other; every one has all the chargers to itself.
+    /// All numbers have been checked by `EnergyRobotarium` and `EnergyVectorEnv`. `arenas`: groups
+    /// of as many robots each, one after the other. Each arena has all the chargers to itself.
     #[new]
     #[pyo3(signature = (model, period_s, capacity_j, left_j, chargers, charge_power_w, radius_m, arenas = 1))]
     #[allow(clippy::too_many_arguments, reason = "arguments of one call in Python")]
@@ -76,8 +75,8 @@ impl Batteries {
         })
     }
 
-    /// A step at velocities `(2, robots)`, m/s and rad/s, that ended at poses `(3, robots)`, m. Returns whether a
-    /// battery is empty.
+    /// A step at velocities `(2, robots)`, m/s and rad/s, that ended at poses `(3, robots)`, m.
+    /// Returns whether a battery is empty.
     fn step(
         &mut self,
         velocities: PyReadonlyArray2<'_, f64>,

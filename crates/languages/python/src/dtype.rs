@@ -7,7 +7,7 @@ use joulebus_wire::{FieldLayout, FieldType, layouts};
 /// Name, type and offset of each field, and the size of the whole.
 pub(crate) type Layout = (Vec<(&'static str, String, usize)>, usize);
 
-/// That of a payload without structs inside; `None` of another name.
+/// The layout of a payload without structs inside; `None` for another name.
 pub(crate) fn layout(name: &str) -> Option<Layout> {
     let found = layouts().into_iter().find(|layout| layout.name == name)?;
     let field = |field: &FieldLayout| {
@@ -19,7 +19,7 @@ pub(crate) fn layout(name: &str) -> Option<Layout> {
     Some((fields, found.size))
 }
 
-/// That of a forecast: asked for with every frame.
+/// The layout of a forecast: asked for with every frame.
 pub(crate) fn forecast() -> &'static Layout {
     static FORECAST: OnceLock<Layout> = OnceLock::new();
     FORECAST.get_or_init(|| layout("Forecast").unwrap_or_default())

@@ -12,7 +12,7 @@ use crate::array::{Doubles, array, shape_error, shape_text};
 use crate::error::ModelError;
 use crate::model;
 
-/// Robots from which on other Python threads may run meanwhile: below, releasing costs more than computing.
+/// Robots from which on other Python threads may run meanwhile: below, releasing costs more.
 const RELEASED_FROM: usize = 32;
 /// Power of a robot at rest that nothing is known of, mW.
 const INITIAL_MW: f64 = 3_500.0;
@@ -24,7 +24,7 @@ pub(crate) struct EnergyPredictor {
     network: Network,
     period_s: f32,
     robots: Vec<Robot>,
-    /// Of all arguments so far; empty while all were single numbers.
+    /// Shape of all arguments so far; empty while all were single numbers.
     shape: Vec<usize>,
 }
 
@@ -81,7 +81,7 @@ impl EnergyPredictor {
         self.advance(v_cmd, w_cmd, None)
     }
 
-    /// As `step`; the next one continues with `measured_power` (mW), and with the forecast where it is NaN.
+    /// As `step`; the next one continues with `measured_power` (mW), or if NaN with the forecast.
     fn step_with_correction<'py>(
         &mut self,
         v_cmd: &Bound<'py, PyAny>,
@@ -103,7 +103,7 @@ impl EnergyPredictor {
 }
 
 impl EnergyPredictor {
-    /// Of several robots at rest.
+    /// A predictor of several robots at rest.
     pub(crate) fn open(path: PathBuf, period_s: f64, robots: usize) -> PyResult<Self> {
         if !(period_s > 0.0 && period_s.is_finite()) {
             return Err(PyValueError::new_err(format!(
@@ -225,7 +225,7 @@ impl EnergyPredictor {
         network.predict(&rows, &mut forecasts_w);
         let range = &network.card().training_range;
         for (at, (robot, forecast_w)) in self.robots.iter_mut().zip(&forecasts_w).enumerate() {
-            // Of its own forecasts only what the training data had is fed back.
+            // Its own forecast is fed back only within the range of the training data.
             let measured_w = measured.map_or(f32::NAN, |measured| watt(of(measured, at)));
             let newest_w = if measured_w.is_nan() {
                 range.fed_back_w(*forecast_w)

@@ -44,7 +44,7 @@ create_exception!(
     "A capture or a trial is refused."
 );
 
-/// An error of the system on a file, as the exception that Python itself raises: `FileNotFoundError` and so on.
+/// An error of the system on a file, as Python's own exception: `FileNotFoundError` and so on.
 pub(crate) fn of_file(path: &Path, error: &io::Error) -> PyErr {
     let message = format!("cannot read {}: {error}", path.display());
     let kind: PyErr = io::Error::new(error.kind(), message.clone()).into();
@@ -55,7 +55,7 @@ pub(crate) fn of_file(path: &Path, error: &io::Error) -> PyErr {
     }
 }
 
-/// What reading failed of; of a frame of another version also what to install.
+/// Why reading failed; for a frame of another version also what to install.
 pub(crate) fn of_read(error: &joulebus_consumer::ReadError) -> String {
     match error {
         joulebus_consumer::ReadError::Schema { .. } => format!(

@@ -1,7 +1,8 @@
-//! The lab: what the verbs `train`, `eval`, `analyze`, `report` and `data simulate` compute, by the same functions.
+//! The lab: the computations of `train`, `eval`, `analyze`, `report` and `data simulate`.
 //!
-//! Settings arrive as JSON and results leave as JSON, with the names and numbers of the verbs' `--format json`. Each
-//! computation runs on a thread of its own while Python's thread looks at its signals ([`job`]).
+//! Settings arrive as JSON and results leave as JSON, with the names and numbers of the verbs'
+//! `--format json`. Each computation has a thread of its own while Python's looks at signals
+//! ([`job`]).
 
 mod analysis;
 mod evaluation;
@@ -39,7 +40,6 @@ fn settings<T: DeserializeOwned>(json: &str) -> PyResult<T> {
     })
 }
 
-/// A result as JSON.
 fn json(result: &impl Serialize) -> PyResult<String> {
     serde_json::to_string(result).map_err(|error| PyRuntimeError::new_err(error.to_string()))
 }

@@ -1,9 +1,9 @@
-//! The native half of the Python package `joulebus`: `joulebus._native`. The other half, in `python/joulebus`,
-//! documents what users call and adds what needs no speed.
+//! The native half of the Python package `joulebus`: `joulebus._native`. The other half, in
+//! `python/joulebus`, documents what users call and adds what needs no speed.
 //!
-//! Array arguments are copied before the interpreter is released, so that another Python thread that writes
-//! into them changes no computation. No `unsafe` is written here: arrays over shared memory are made by NumPy
-//! itself, from `__array_interface__` (`planner.rs`).
+//! Array arguments are copied before the interpreter is released, so another Python thread that
+//! writes into them changes no computation. No `unsafe` is written here: NumPy itself makes arrays
+//! over shared memory, from `__array_interface__` (`planner.rs`).
 #![forbid(unsafe_code)]
 #![allow(
     clippy::needless_pass_by_value,

@@ -9,7 +9,7 @@ use pyo3::PyResult;
 
 use crate::error::{ModelError, of_file};
 
-/// What a name of a built-in model begins with, as in the config.
+/// Prefix of the names of built-in models, as in the config.
 const BUILTIN: &str = "builtin:";
 
 /// The network of a file, or of `builtin:NAME`.

@@ -21,13 +21,13 @@ use crate::port_thread::PortThread;
 
 /// Longest wait without a look at Python's signals: Ctrl-C works within twice this.
 pub(crate) const SLICE: Duration = Duration::from_millis(40);
-/// Longest time-out; longer ones are the same as none.
-const LONGEST: Duration = Duration::from_secs(1 << 32);
+/// Maximum timeout; longer ones are the same as none.
+const MAX_TIMEOUT: Duration = Duration::from_secs(1 << 32);
 
 /// Tick and rows of the newest frame, if one arrived.
 type Rows = PyResult<Option<(u64, Vec<u8>)>>;
 
-/// What the thread has.
+/// The state of the thread.
 pub(crate) struct State {
     // Dropped first: the frames only keep their memory.
     ports: Option<Open>,
@@ -41,7 +41,7 @@ struct Open {
     budgets: Option<Feed<Budgets>>,
 }
 
-/// What happened, as the thread tells it.
+/// An event, as the thread reports it.
 #[allow(clippy::large_enum_variant, reason = "there is one at a time")]
 enum Told {
     Frame(Memory),
@@ -80,18 +80,18 @@ impl PlannerPorts {
                 diagnostics,
                 budgets,
             };
-            Ok::<_, String>(State {
+            Ok(State {
                 ports: Some(open),
                 frames: HashMap::new(),
                 next: 0,
             })
         };
         let thread = py.detach(|| PortThread::start(open))?;
-        let thread = thread.map_err(ConnectError::new_err)?;
         Ok(Self { thread })
     }
 
-    /// The next event within `timeout_s`, for ever without: a frame, `("gone", how)`, `("stale", age_s)`, or `None`.
+    /// The next event within `timeout_s`, or without limit: a frame, `("gone", how)`,
+    /// `("stale", age_s)`, or `None`.
     fn wait<'py>(
         &self,
         py: Python<'py>,
@@ -114,7 +114,7 @@ impl PlannerPorts {
         }
     }
 
-    /// The newest of the fleet's diagnostics: tick and bytes; `None` if none arrived within `timeout_s`.
+    /// The fleet's newest diagnostics: tick and bytes; `None` if none arrived within `timeout_s`.
     fn diagnostics<'py>(
         &self,
         py: Python<'py>,
@@ -123,7 +123,7 @@ impl PlannerPorts {
         self.poll(py, timeout_s, State::diagnostics)
     }
 
-    /// The newest of the fleet's budgets: tick and bytes; `None` if none arrived within `timeout_s`.
+    /// The fleet's newest budgets: tick and bytes; `None` if none arrived within `timeout_s`.
     fn budgets<'py>(
         &self,
         py: Python<'py>,
@@ -210,7 +210,7 @@ impl State {
             Ok(Event::Frame(frame)) => frame.arrival(),
             Ok(Event::Gone(end)) => return Ok(Told::Gone(end)),
             Ok(Event::Stale { age_ns }) => return Ok(Told::Stale { age_ns }),
-            // Of an interruption, the caller learns by its signal.
+            // The caller learns of an interruption by its signal.
             Ok(_) => return Ok(Told::Nothing),
             Err(error) => return Err(read_failed(&error, kept)),
         };
@@ -258,8 +258,8 @@ impl State {
     }
 }
 
-/// A frame of forecasts in shared memory, for NumPy: the array that it makes has this object as its base, which
-/// keeps the frame. Nothing is copied.
+/// A frame of forecasts in shared memory, for NumPy. The array that NumPy makes has this object as
+/// its base, which keeps the frame. Nothing is copied.
 #[pyclass(module = "joulebus._native", frozen)]
 #[derive(Debug)]
 pub(crate) struct FrameMemory {
@@ -346,7 +346,7 @@ pub(crate) fn quality(
     })
 }
 
-/// What the newest state says: the worker, numbers counted, and frames kept.
+/// The newest state: the worker, numbers counted, and frames kept.
 fn status((open, kept): (&mut Open, usize)) -> (&'static str, [(&'static str, u64); 6], usize) {
     let worker = match open.planner.worker() {
         WorkerState::Waiting => "waiting",
@@ -386,8 +386,8 @@ pub(crate) fn deadline(timeout_s: Option<f64>) -> PyResult<Option<Instant>> {
             "timeout is {timeout_s}, allowed are 0 s and more, and None for ever"
         )));
     }
-    let timeout = Duration::try_from_secs_f64(timeout_s).unwrap_or(LONGEST);
-    Ok(Instant::now().checked_add(timeout.min(LONGEST)))
+    let timeout = Duration::try_from_secs_f64(timeout_s).unwrap_or(MAX_TIMEOUT);
+    Ok(Instant::now().checked_add(timeout.min(MAX_TIMEOUT)))
 }
 
 fn closed() -> PyErr {

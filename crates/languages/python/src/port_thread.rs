@@ -1,21 +1,23 @@
-//! A thread that owns ports of shared memory, which belong to the thread that opened them, while Python's
-//! objects may be used and destroyed in any thread.
+//! A thread that owns ports of shared memory. Ports belong to the thread that opened them, but
+//! Python's objects may be used and destroyed in any thread.
 
 use std::fmt;
 use std::process;
 use std::sync::mpsc::{Sender, channel, sync_channel};
-use std::thread;
 
+use joulebus_bus::Background;
 use pyo3::PyResult;
 use pyo3::exceptions::PyRuntimeError;
 
-/// What the thread is asked to do with its ports.
+use crate::error::ConnectError;
+
+/// A call that the thread makes with its ports.
 type Call<S> = Box<dyn FnOnce(&mut S) + Send>;
 
 /// A handle of the thread. It ends, and drops its ports, when the last handle is dropped.
 ///
-/// Belongs to the process that started it: in a child made by `fork` there is no such thread, and the ports are the
-/// parent's. Every use there is refused, and dropping a handle there does nothing.
+/// Belongs to the process that started it: a child made by `fork` has no such thread, and the ports
+/// are the parent's. Every use there is refused, and dropping a handle there does nothing.
 pub(crate) struct PortThread<S> {
     calls: Option<Sender<Call<S>>>,
     pid: u32,
@@ -23,28 +25,22 @@ pub(crate) struct PortThread<S> {
 
 impl<S: 'static> PortThread<S> {
     /// Starts the thread, which opens its ports first. Blocks until it has.
-    pub(crate) fn start<E: Send + 'static>(
-        open: impl FnOnce() -> Result<S, E> + Send + 'static,
-    ) -> Result<Result<Self, E>, std::io::Error> {
+    pub(crate) fn start(
+        open: impl FnOnce() -> Result<S, String> + Send + 'static,
+    ) -> PyResult<Self> {
         let (calls, queue) = channel::<Call<S>>();
-        let (opened, result) = sync_channel(1);
-        let run = move || {
-            let mut ports = match open() {
-                Ok(ports) => ports,
-                Err(error) => return opened.send(Err(error)).unwrap_or(()),
-            };
-            if opened.send(Ok(())).is_ok() {
-                queue.into_iter().for_each(|call| call(&mut ports));
-            }
-        };
-        thread::Builder::new()
-            .name("joulebus-ports".to_owned())
-            .spawn(run)?;
-        let ended = || std::io::Error::other("the thread of the ports ended while it opened them");
-        Ok(result.recv().map_err(|_| ended())?.map(|()| Self {
+        let (thread, ()) = Background::run("joulebus-ports", move |thread| {
+            let mut ports = open().map_err(ConnectError::new_err)?;
+            thread.joined(());
+            queue.into_iter().for_each(|call| call(&mut ports));
+            PyResult::Ok(())
+        })?;
+        // It ends with the last handle.
+        thread.detach();
+        Ok(Self {
             calls: Some(calls),
             pid: process::id(),
-        }))
+        })
     }
 
     /// Has the thread run `call`, and waits for its result. Python's interpreter must be released.

@@ -17,7 +17,7 @@ use crate::array::{Numbers, array, shape_error, shape_text};
 use crate::error::ModelError;
 use crate::model;
 
-/// Rows from which on other Python threads may run meanwhile: below, releasing costs more than computing.
+/// Rows from which on other Python threads may run meanwhile: below, releasing costs more.
 const RELEASED_FROM: usize = 32;
 
 /// Energies and powers of rollouts.
@@ -247,7 +247,7 @@ fn transposed(from: &[f32], rows: usize, columns: usize) -> Vec<f32> {
     (0..columns).flat_map(column).collect()
 }
 
-/// What each robot starts from: its readings (W, newest first) and its command before.
+/// The start of each robot: its readings (W, newest first) and its command before.
 fn starts(
     robots: usize,
     readings_w: Option<&Bound<'_, PyAny>>,

@@ -1,7 +1,9 @@
 //! A source of samples, from arrays.
 
+use std::collections::BTreeSet;
 use std::ffi::CString;
 use std::path::PathBuf;
+use std::sync::Mutex;
 
 use joulebus_publisher::{Charger, Config, Publisher as Port, RobotState, clock};
 use pyo3::exceptions::{PyRuntimeWarning, PyValueError};
@@ -9,7 +11,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyFloat};
 
 use crate::array::{Ids, Numbers, shape_error};
-use crate::error::{ConnectError, PublishError};
+use crate::error::PublishError;
 use crate::port_thread::PortThread;
 
 /// Frames sent, samples sent, capacity, connections that failed.
@@ -20,6 +22,8 @@ type Counts = (u64, u64, usize, u64);
 pub(crate) struct PublisherPort {
     /// Empty after closing.
     thread: PortThread<Option<Port>>,
+    /// What it has warned of: once each.
+    warned: Mutex<BTreeSet<(u32, &'static str)>>,
 }
 
 #[pymethods]
@@ -29,15 +33,17 @@ impl PublisherPort {
         let open = move || {
             let config = Config::load(config).map_err(|error| error.to_string())?;
             let port = Port::with_config(&config, &name).map_err(|error| error.to_string())?;
-            Ok::<_, String>(Some(port))
+            Ok(Some(port))
         };
         let thread = py.detach(|| PortThread::start(open))?;
-        let thread = thread.map_err(ConnectError::new_err)?;
-        Ok(Self { thread })
+        Ok(Self {
+            thread,
+            warned: Mutex::default(),
+        })
     }
 
-    /// Sends one frame. `columns` are by the names of `RobotState`'s fields; NaN and absent columns are unknown.
-    /// Returns the number of readers, that of samples, and the frame's own.
+    /// Sends one frame. `columns` are by the names of `RobotState`'s fields; NaN and absent columns
+    /// are unknown. Returns the numbers of readers and of samples, and the frame's own.
     fn publish(
         &self,
         py: Python<'_>,
@@ -57,6 +63,21 @@ impl PublisherPort {
         if let Some(error) = &sent.not_woken {
             let message = CString::new(format!("the worker was not woken: {error}"))?;
             PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &message, 2)?;
+        }
+        if let Some(first) = &sent.first_refused {
+            let what = (first.robot, first.reason.name());
+            let is_new = self
+                .warned
+                .lock()
+                .is_ok_and(|mut warned| warned.insert(what));
+            if is_new {
+                let more = match sent.refused - 1 {
+                    0 => String::new(),
+                    more => format!("; {more} more of this frame"),
+                };
+                let message = CString::new(format!("{first}{more}"))?;
+                PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &message, 2)?;
+            }
         }
         Ok((sent.readers, sent.samples, sent.frame_seq))
     }

@@ -1,5 +1,5 @@
-//! Questions about plans: what command sequences, a path or a time at rest cost, computed here from what the
-//! worker writes into shared memory.
+//! Questions about plans: what command sequences, a path or a time at rest cost, computed here from
+//! the worker's shared memory.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -14,11 +14,11 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::array::{Doubles, Ids, Numbers, array, shape_error};
-use crate::error::{ConnectError, ReadError, of_read};
+use crate::error::{ReadError, of_read};
 use crate::planner::{SLICE, deadline};
 use crate::port_thread::PortThread;
 
-/// The connection of a planner that asks. The worker writes what plans start from while there is one.
+/// The connection of a planner that asks, for which the worker writes what plans start from.
 #[pyclass(module = "joulebus._native", frozen)]
 #[derive(Debug)]
 pub(crate) struct QuestionPorts {
@@ -43,10 +43,9 @@ impl QuestionPorts {
             let config = Config::load(config).map_err(|error| error.to_string())?;
             let planner =
                 Planner::with_config(&config, &name).map_err(|error| error.to_string())?;
-            Ok::<_, String>(Some(planner))
+            Ok(Some(planner))
         };
         let thread = py.detach(|| PortThread::start(open))?;
-        let thread = thread.map_err(ConnectError::new_err)?;
         let fleet =
             |planner: &mut Option<Planner>| planner.as_ref().map(|planner| planner.fleet().clone());
         let fleet = py.detach(|| thread.ask(fleet))?.ok_or_else(closed)?;
@@ -201,7 +200,7 @@ impl QuestionPorts {
         found.set_item("tick", seen.tick)?;
         found.set_item("age_s", seen.age_ns as f64 * 1e-9)?;
         if !reply.power_w.is_empty() {
-            // Of one robot: as many steps for each of its candidates.
+            // With one robot: as many steps for each of its candidates.
             let rows = reply.rows.len().max(1);
             let steps = reply.power_w.len() / rows;
             found.set_item("power_w", array(py, reply.power_w, &[rows, steps])?)?;
@@ -242,7 +241,7 @@ impl Nothing {
 fn seen(planner: &mut Planner, slice: Duration, robots: &[u32]) -> PyResult<Result<Seen, Nothing>> {
     let view = match planner.wait(slice) {
         Ok(view) => view,
-        // Of an interruption, the caller learns by its signal.
+        // The caller learns of an interruption by its signal.
         Err(ViewError::Nothing { .. } | ViewError::Interrupted) => return Ok(Err(Nothing)),
         Err(ViewError::Read(error)) => return Err(ReadError::new_err(of_read(&error))),
         Err(error) => return Err(ReadError::new_err(error.to_string())),

@@ -20,7 +20,7 @@ use crate::error::{RecordingError, of_file};
 
 type Floats<'py> = Bound<'py, PyArrayDyn<f32>>;
 
-/// What can be read of a capture.
+/// The readable channels of a capture.
 const READABLE: [Readable; 4] = [
     Readable::of::<Samples>(),
     Readable::of::<Forecasts>(),
@@ -30,8 +30,8 @@ const READABLE: [Readable; 4] = [
 /// Messages between two looks at Python's signals.
 const AT_ONCE: usize = 64;
 
-/// The rows of one kind of messages: their bytes, and of each message its number of rows, tick (a source's frame,
-/// of samples), and times. Damage of the file, after which nothing more was read, is told.
+/// The rows of one kind of messages as bytes, and for each message its number of rows, its tick
+/// (for samples, the source's frame), and its times. Stops at damage of the file, and reports it.
 #[pyfunction]
 #[pyo3(signature = (path, kind, fleet = None, robots = None))]
 pub(crate) fn read_capture<'py>(
@@ -280,7 +280,7 @@ pub(crate) fn write_trial(
         .map_err(|error| RecordingError::new_err(error.to_string()))
 }
 
-/// Rows of features of a trial and the readings that followed, W: those on which a network is trained.
+/// Rows of features of a trial and the readings that followed, W, on which a network is trained.
 #[pyfunction]
 pub(crate) fn trial_rows<'py>(
     py: Python<'py>,

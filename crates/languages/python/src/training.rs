@@ -12,10 +12,10 @@ use crate::array::{Numbers, shape_error};
 /// Number, training loss, validation loss, and whether it is the best so far.
 pub(crate) type EpochRow = (u32, f64, f64, bool);
 
-/// Trains a network by the paper's recipe on rows in their order: the first `parts[0]` train, the next
-/// `parts[1]` end the training, the rest are held out. Returns the model file's bytes and the epochs.
-/// `progress`, if given, is called with each epoch. An exception of it, and Ctrl-C, end the training after the
-/// epoch under way.
+/// Trains a network by the paper's recipe on rows in their order: the first `parts[0]` train, the
+/// next `parts[1]` end the training, the rest are held out. Returns the model file's bytes and the
+/// epochs. `progress`, if given, is called with each epoch. An exception of it, or Ctrl-C, ends the
+/// training after the current epoch.
 #[pyfunction]
 #[pyo3(signature = (features, power_w, parts, *, name, feature_set, seed, max_epochs, patience, progress = None))]
 #[allow(clippy::too_many_arguments, reason = "keywords of one call in Python")]

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+import warnings
 import weakref
 from pathlib import Path
 
@@ -343,6 +344,22 @@ def test_wrong_frames_are_refused_with_the_remedy_and_not_sent(fleet):
         publisher.publish(np.array([3], np.uint64))
     with pytest.raises(RuntimeError, match="publisher is closed"):
         publisher.publish([1])
+
+
+def test_a_sample_that_the_worker_refuses_is_warned_of_at_once_and_once(fleet):
+    with joulebus.Publisher(fleet.config) as publisher:
+        for given, said in [
+            (dict(soc=80.0), r"robot 1 \(BatteryOutOfRange\): soc is 80, allowed are -0.05 to 1.05; 1 more"),
+            (dict(power=3500.0), r"robot 1 \(PowerOutOfRange\): power_w is 3500, allowed are"),
+            (dict(v=[0.1, np.inf]), r"robot 2 \(NotFinite\): v_mps is inf"),
+        ]:
+            with pytest.warns(RuntimeWarning, match=said):
+                publisher.publish([1, 2], **given)
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                publisher.publish([1, 2], **given)
+        with pytest.warns(RuntimeWarning, match="no platform of the config has it"):
+            publisher.publish([10_000], power=3.5)
 
 
 def test_configs_that_are_refused_say_what_the_program_says(program, tmp_path):

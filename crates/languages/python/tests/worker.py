@@ -31,6 +31,9 @@ capacity = {max(robots, 16)}
 [domain]
 root = "{self.root}"
 prefix = "{self.prefix}"
+[intake]
+# A recorder that gets no processor for seconds loses nothing.
+buffer_frames = 256
 [readers]
 max_planners = {planners}
 [[platform]]

@@ -2,8 +2,8 @@
 
 use joulebus_bus::{OpenQuery, PeerWatch};
 use joulebus_plan::answering::Work;
-use joulebus_plan::{Question, Refused};
-use joulebus_wire::{AnswerHeader, QueryHeader, QueryRefusal};
+use joulebus_plan::{Question, Refused, decode_acknowledgement};
+use joulebus_wire::{Acknowledgement, AnswerHeader, QueryHeader, QueryKind, QueryRefusal};
 
 /// A question's process is watched from this age on, ns: most are answered before.
 const WATCHED_FROM_NS: u64 = 1_000_000;
@@ -35,16 +35,22 @@ pub(crate) struct Job {
 pub(crate) enum State {
     Waiting(Question),
     Working(Work),
+    /// Waits for diagnostics, which say whether the alarm is raised.
+    Acknowledging(Acknowledgement),
 }
 
 impl Job {
     /// Copies and checks a question.
     pub(crate) fn take(query: OpenQuery, fleet: u64, now_ns: u64) -> (Self, Result<(), Refused>) {
         let (header, values) = (*query.header(), query.values().to_vec());
-        let decoded = Question::decode(&header, &values, fleet);
-        let (question, checked) = match decoded {
-            Ok(question) => (question, Ok(())),
-            Err(refused) => (Question::default(), Err(refused)),
+        let decoded = if header.kind == QueryKind::Acknowledge.code() {
+            decode_acknowledgement(&header, &values, fleet, now_ns).map(State::Acknowledging)
+        } else {
+            Question::decode(&header, &values, fleet).map(State::Waiting)
+        };
+        let (state, checked) = match decoded {
+            Ok(state) => (state, Ok(())),
+            Err(refused) => (State::Waiting(Question::default()), Err(refused)),
         };
         let client = query.client();
         let job = Self {
@@ -54,7 +60,7 @@ impl Job {
             client,
             taken_ns: now_ns,
             answer: AnswerHeader::default(),
-            state: State::Waiting(question),
+            state,
             renewals: 0,
             watch: None,
         };
@@ -64,6 +70,14 @@ impl Job {
     /// Id of the listener that the answer wakes.
     pub(crate) fn listener(&self) -> u128 {
         (u128::from(self.header.listener_hi) << 64) | u128::from(self.header.listener_lo)
+    }
+
+    /// The acknowledgement, if it is one.
+    pub(crate) const fn acknowledgement(&self) -> Option<Acknowledgement> {
+        match self.state {
+            State::Acknowledging(row) => Some(row),
+            State::Waiting(_) | State::Working(_) => None,
+        }
     }
 
     /// Whether it has waited long enough for a new frame; `has_frame`: there is an old one.

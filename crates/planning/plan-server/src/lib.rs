@@ -7,8 +7,11 @@
 //! The thread has its own nice value and takes questions of all clients before it answers any. It
 //! serves the process that has used least of its time first, robot by robot. It refuses what it
 //! cannot answer, with a reason, and records questions and answers for readers.
+//!
+//! It also takes acknowledgements of alarms, and publishes which are acknowledged.
 #![forbid(unsafe_code)]
 
+mod acknowledgements;
 mod fair;
 mod job;
 mod records;
@@ -27,6 +30,7 @@ use joulebus_plan::Fleet;
 use joulebus_wire::QueryCounts;
 use serde::Serialize;
 
+use acknowledgements::Table;
 use server::Server;
 
 /// Pause before the ports are opened, and before a failed opening is tried again.
@@ -147,6 +151,8 @@ struct Answering {
     server: Option<Server>,
     begun_ns: u64,
     counts: QueryCounts,
+    /// What was acknowledged when the ports were lost.
+    table: Table,
     failures: u32,
 }
 
@@ -160,12 +166,14 @@ impl Answering {
             server: None,
             begun_ns: clock::monotonic_ns(),
             counts: QueryCounts::default(),
+            table: Table::default(),
             failures: 0,
         }
     }
 
     fn open(&mut self) {
-        match Server::open(&self.config, &self.models, (self.begun_ns, self.counts)) {
+        let before = (self.begun_ns, self.counts, self.table.clone());
+        match Server::open(&self.config, &self.models, before) {
             Ok(server) => {
                 self.server = Some(server);
                 self.failures = 0;
@@ -203,6 +211,9 @@ impl Steps for Answering {
             self.shared.serves.store(false, Ordering::Release);
         }
         let is_worn = served.is_ok() && server.is_worn();
+        if is_worn || served.is_err() {
+            self.table = server.table();
+        }
         match (served, self.server.take_if(|_| is_worn)) {
             (Ok(()), None) => return Some(Duration::ZERO),
             (Ok(()), Some(worn)) => match worn.renewed() {

@@ -1,17 +1,19 @@
 //! The ports, and the order in which questions are answered.
 
 use joulebus_bus::{
-    Bus, DomainError, JoinError, OpenError, QueryServer, ReceiveError, SendError, WaitError, clock,
-    process_id,
+    Bus, DomainError, JoinError, Limits, OpenError, QueryServer, ReceiveError, SendError,
+    WaitError, clock, process_id,
 };
 use joulebus_config::Config;
 use joulebus_plan::answering::Work;
-use joulebus_plan::{Fleet, QuestionError, Refused};
+use joulebus_plan::{Fleet, QuestionError, Refused, Reply};
 use joulebus_planner::{ConnectError, Planner, View};
 use joulebus_wire::{
-    AnswerHeader, QUERY_STEPS, QueryCounts, QueryRecord, QueryRefusal, SCHEMA_VERSION, fnv1a,
+    Acknowledgement, AnswerHeader, QUERY_STEPS, QueryCounts, QueryRecord, QueryRefusal,
+    SCHEMA_VERSION, fnv1a,
 };
 
+use crate::acknowledgements::{Acknowledged, Table};
 use crate::fair::Fair;
 use crate::job::{Job, State};
 use crate::records::Records;
@@ -51,6 +53,7 @@ pub(crate) struct Server {
     jobs: Vec<Job>,
     server: QueryServer,
     records: Records,
+    acknowledged: Acknowledged,
     /// While there are clients.
     planner: Option<Planner>,
     bus: Bus,
@@ -58,7 +61,7 @@ pub(crate) struct Server {
     models: Fleet,
     /// Hash of its name.
     fleet: u64,
-    in_transfer: usize,
+    limits: Limits,
     fair: Fair,
     counts: QueryCounts,
     /// When a client was connected last, monotonic ns.
@@ -66,25 +69,26 @@ pub(crate) struct Server {
 }
 
 impl Server {
-    /// Opens the ports. `begun_ns` and `counts` are the thread's start and its counts from before
-    /// any loss of ports.
+    /// Opens the ports. `begun_ns` is the thread's start; `counts` and `table` are those from
+    /// before any loss of ports.
     pub(crate) fn open(
         config: &Config,
         models: &Fleet,
-        (begun_ns, counts): (u64, QueryCounts),
+        (begun_ns, counts, table): (u64, QueryCounts, Table),
     ) -> Result<Self, ServerError> {
         let bus = Bus::join(&config.domain()?, "queries")?;
         let limits = config.limits();
         Ok(Self {
             jobs: Vec::new(),
             records: Records::open(&bus, &limits, begun_ns)?,
+            acknowledged: Acknowledged::open(&bus, &limits, begun_ns, table)?,
             server: bus.query_server(&limits)?,
             planner: None,
             bus,
             models: models.clone(),
             fleet: fnv1a(config.fleet().bytes()),
             config: config.clone(),
-            in_transfer: limits.queries_in_transfer(),
+            limits,
             fair: Fair::default(),
             counts,
             asked_ns: 0,
@@ -93,6 +97,11 @@ impl Server {
 
     pub(crate) const fn counts(&self) -> QueryCounts {
         self.counts
+    }
+
+    /// The acknowledged alarms, for a server after this one.
+    pub(crate) fn table(&self) -> Table {
+        self.acknowledged.table()
     }
 
     /// Whether files of this process were removed.
@@ -105,6 +114,7 @@ impl Server {
         self.bus.check().map_err(WaitError::from)?;
         self.connect()?;
         self.take()?;
+        self.acknowledge()?;
         let (next, is_awaited) = self.next()?;
         match next {
             Some(place) => self.advance(place)?,
@@ -115,6 +125,7 @@ impl Server {
             None => {}
         }
         let due_ns = self.records.flush(self.counts, false)?;
+        let due_ns = due_ns.min(self.acknowledged.flush()?);
         if self.jobs.is_empty() {
             self.server.wait_until(due_ns)?;
         }
@@ -133,7 +144,7 @@ impl Server {
         drop(self.server);
         Ok(Self {
             jobs: Vec::new(),
-            server: self.bus.query_server(&self.config.limits())?,
+            server: self.bus.query_server(&self.limits)?,
             ..self
         })
     }
@@ -152,7 +163,7 @@ impl Server {
     /// Receives as many questions as clients can have in transfer: more come from clients that do
     /// not wait for answers, and wait until the next round.
     fn take(&mut self) -> Result<(), ServerError> {
-        for _ in 0..self.in_transfer {
+        for _ in 0..self.limits.queries_in_transfer() {
             let Some(query) = self.server.receive()? else {
                 return Ok(());
             };
@@ -169,6 +180,29 @@ impl Server {
             } else {
                 self.fair.enter(job.client);
                 self.jobs.push(job);
+            }
+        }
+        Ok(())
+    }
+
+    /// Follows the diagnostics, and acknowledges what is asked for, once they have arrived.
+    fn acknowledge(&mut self) -> Result<(), ServerError> {
+        let asked = self.jobs.iter().filter_map(Job::acknowledgement);
+        let asked: Vec<Acknowledgement> = asked.collect();
+        let ports = (&self.bus, &self.limits);
+        let Some(raised) = self.acknowledged.look(ports, &asked)? else {
+            return Ok(());
+        };
+        for (row, is_raised) in asked.into_iter().zip(raised) {
+            let place = self
+                .jobs
+                .iter()
+                .position(|job| job.acknowledgement().is_some());
+            let Some(place) = place else { break };
+            let job = self.jobs.remove(place);
+            match self.acknowledged.enter(row, is_raised) {
+                Ok(()) => self.answer(job, |_| Reply::default())?,
+                Err(refused) => self.refuse(job, &refused)?,
             }
         }
         Ok(())
@@ -216,9 +250,10 @@ impl Server {
         let view = view.and_then(Result::ok).flatten();
         let (has_frame, is_current) = (view.is_some(), view.is_some_and(|view| view.is_current()));
         let period_ns = self.config.tick_period_ns();
-        let is_ready = |job: &&(usize, &Job)| {
-            let works = matches!(job.1.state, State::Working(_));
-            works || is_current || job.1.is_impatient(now_ns, period_ns, has_frame)
+        let is_ready = |job: &&(usize, &Job)| match job.1.state {
+            State::Working(_) => true,
+            State::Waiting(_) => is_current || job.1.is_impatient(now_ns, period_ns, has_frame),
+            State::Acknowledging(_) => false,
         };
         let ready: Vec<(usize, &Job)> = jobs
             .iter()
@@ -242,7 +277,7 @@ impl Server {
         match worked {
             // In the order in which they were taken.
             Ok(None) => self.jobs.insert(place, job),
-            Ok(Some(work)) => self.answer(job, work)?,
+            Ok(Some(work)) => self.answer(job, |now_ns| work.finish_at(now_ns))?,
             Err(refused) => self.refuse(job, &refused)?,
         }
         Ok(())
@@ -306,14 +341,17 @@ impl Server {
         Ok(None)
     }
 
-    fn answer(&mut self, mut job: Job, work: Work) -> Result<(), ServerError> {
+    fn answer(
+        &mut self,
+        mut job: Job,
+        reply: impl FnOnce(u64) -> Reply,
+    ) -> Result<(), ServerError> {
         let now_ns = clock::monotonic_ns();
         if let Some(refused) = job.is_over(now_ns) {
             return self.refuse(job, &refused);
         }
         let mut words = Vec::new();
-        let reply = work.finish_at(now_ns);
-        reply.encode(&mut job.answer, &mut words);
+        reply(now_ns).encode(&mut job.answer, &mut words);
         if let Err(error) = self.send(&mut job, &words, now_ns) {
             return self.refuse_unsent(job, &error);
         }

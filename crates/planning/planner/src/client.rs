@@ -8,11 +8,11 @@ pub use joulebus_bus::QueryError;
 use joulebus_bus::{Bus, QueryClient, clock};
 use joulebus_config::Config;
 use joulebus_connect::{ConnectError, join};
-use joulebus_plan::{Question, Refused, Reply};
-use joulebus_wire::{AnswerHeader, QueryHeader, fnv1a};
+use joulebus_plan::{Question, Refused, Reply, encode_acknowledgement};
+use joulebus_wire::{Alarm, AnswerHeader, QueryHeader, fnv1a};
 
-/// Asks the thread of `joulebus run` that answers questions about plans. Loads no models, and needs no
-/// more memory than a question and an answer. Belongs to one thread.
+/// A client of the thread of `joulebus run` that answers questions about plans. Loads no models,
+/// and needs no more memory than a question and an answer. Belongs to one thread.
 pub struct PlanClient {
     client: QueryClient,
     fleet: u64,
@@ -86,11 +86,32 @@ impl PlanClient {
         asked.answered(&answer, &words)
     }
 
-    /// As [`PlanClient::ask`], without waiting: [`PlanClient::poll`] returns the answer. An earlier question is given
-    /// up.
+    /// Acknowledges an alarm of a robot in the name of the person `by`, until the alarm ends.
+    /// Returns when the worker has taken it, which is after its next diagnostics.
     ///
     /// # Errors
-    /// [`ClientError`]; [`QueryError::NotServed`] also of a worker that is just starting: ask again.
+    /// [`ClientError`]: among others, the alarm is not raised, or the name is none
+    /// ([`joulebus_wire::Acknowledgement::new`]).
+    pub fn acknowledge(
+        &mut self,
+        robot: u32,
+        alarm: Alarm,
+        by: &str,
+        timeout: Duration,
+    ) -> Result<(), ClientError> {
+        let (mut header, values) = encode_acknowledgement(robot, alarm, by, self.fleet)?;
+        let asked = Asked::now(timeout);
+        header.deadline_ns = asked.deadline_ns;
+        self.asked = None;
+        let (answer, words) = self.client.ask(header, &values)?;
+        asked.answered(&answer, &words).map(drop)
+    }
+
+    /// As [`PlanClient::ask`], without waiting: [`PlanClient::poll`] returns the answer. Gives up
+    /// an earlier question.
+    ///
+    /// # Errors
+    /// [`ClientError`]. [`QueryError::NotServed`] also if the worker is just starting: ask again.
     pub fn send(&mut self, question: &Question, timeout: Duration) -> Result<(), ClientError> {
         let (asked, header, values) = self.begin(question, timeout)?;
         self.client.send(header, &values)?;
@@ -111,8 +132,8 @@ impl PlanClient {
         Ok((asked, header, values))
     }
 
-    /// The answer to the question sent last, if it has arrived; `None` as long as it has not, and when no question is
-    /// waiting for one. Does not wait.
+    /// The answer to the question sent last. `None` until it has arrived, and if no question waits.
+    /// Does not wait.
     ///
     /// # Errors
     /// [`ClientError`]; the question is given up. At the end of its time [`QueryError::TimedOut`].

@@ -21,9 +21,9 @@
 //! }
 //! ```
 //!
-//! [`Planner`] computes in this process, from what the worker writes into shared memory: no request,
-//! no queue, no load on the worker beyond writing. A process that cannot compute asks a thread of the
-//! worker instead: [`PlanClient`]. A question is the same value for both.
+//! [`Planner`] computes in this process, from what the worker writes into shared memory, without a
+//! request, a queue, or load on the worker beyond writing. A process that cannot compute asks a
+//! thread of the worker instead: [`PlanClient`]. A question is the same value for both.
 #![forbid(unsafe_code)]
 
 mod client;

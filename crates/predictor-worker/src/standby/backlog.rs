@@ -27,7 +27,7 @@ pub(crate) struct Held {
 pub(crate) struct Backlog {
     frames: VecDeque<Held>,
     samples: usize,
-    most_samples: usize,
+    max_samples: usize,
 }
 
 /// The room that a frame takes. A frame without samples takes some, too.
@@ -44,7 +44,7 @@ impl Backlog {
         Self {
             frames: VecDeque::new(),
             samples: 0,
-            most_samples: samples.saturating_mul(settings.capacity as usize),
+            max_samples: samples.saturating_mul(settings.capacity as usize),
         }
     }
 
@@ -54,7 +54,7 @@ impl Backlog {
     }
 
     pub(crate) fn is_full(&self) -> bool {
-        self.samples > self.most_samples
+        self.samples > self.max_samples
     }
 
     /// The oldest frame, if it is too old at `now_ns` or there are too many.
@@ -101,7 +101,7 @@ mod tests {
         ] {
             let mut settings = settings(5);
             settings.platforms[0].period_ns = period_ns;
-            assert_eq!(Backlog::new(&settings).most_samples, 5 * samples);
+            assert_eq!(Backlog::new(&settings).max_samples, 5 * samples);
         }
     }
 

@@ -9,8 +9,8 @@ pub fn monotonic_ns() -> u64 {
     time::monotonic_ns()
 }
 
-/// The same, since no simulated host is suspended; not an operation, so that what workers with a permit need changes nothing for
-/// those without.
+/// The same, since no simulated host is suspended. It is no operation, so that the permits of some
+/// workers change nothing for the others.
 #[must_use]
 pub fn boot_ns() -> u64 {
     time::monotonic_ns()

@@ -1,4 +1,4 @@
-//! What is left of shared memory and descriptors.
+//! Remaining shared memory and descriptors.
 
 use joulebus_simulated_host as host;
 

@@ -1,7 +1,7 @@
 //! `joulebus-bus` in the memory of one simulation: the same names, for the same sources.
 //!
-//! What decides whose frames are taken (`worker_ports.rs`), is
-//! the source of `crates/host/bus`. Ports here are queues; what iceoryx2 does is replaced, and only that.
+//! What decides whose frames are taken (`worker_ports.rs`), is the source of `crates/host/bus`.
+//! Ports here are queues; what iceoryx2 does is replaced, and only that.
 #![forbid(unsafe_code)]
 
 mod background;

@@ -13,8 +13,8 @@ use crate::query::{QueryClient, QueryServer};
 use crate::queues::{Connection, Listed, Queue, Sent, port_id, with};
 use crate::{Bus, Limits, OpenError, Poller, ReceiveError, SendError, Waiter, Waker};
 
-/// As of the real reader.
-const MOST_PASSED_OVER: u32 = 4_096;
+/// As in the real reader.
+const MAX_PASSED_OVER: u32 = 4_096;
 
 fn refused(service: Service, reason: &str) -> OpenError {
     OpenError::Port {
@@ -369,7 +369,7 @@ impl<C: Channel> Reader<C> {
                 return Ok(Some(frame));
             }
             passed_over += 1;
-            if passed_over == MOST_PASSED_OVER {
+            if passed_over == MAX_PASSED_OVER {
                 return Ok(None);
             }
         }

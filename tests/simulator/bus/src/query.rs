@@ -1,5 +1,5 @@
-//! Questions and answers. Connections of clients do not fail; that of a client which has left with a question
-//! unread is kept, as by iceoryx2 0.10.
+//! Questions and answers. Connections of clients do not fail; that of a client which has left with
+//! a question unread is kept, as by iceoryx2 0.10.
 
 use std::cell::{Cell, RefCell};
 use std::collections::VecDeque;
@@ -21,7 +21,7 @@ mod worn;
 use worn::Wear;
 
 /// Connections at which iceoryx2 panics.
-const MOST_KEPT: usize = 128;
+const MAX_KEPT: usize = 128;
 
 /// The worker's port as clients see it.
 #[derive(Debug)]
@@ -34,7 +34,6 @@ struct Server {
     kept: Cell<usize>,
 }
 
-/// A question in transfer.
 #[derive(Debug)]
 struct Transfer {
     header: QueryHeader,
@@ -158,7 +157,7 @@ impl QueryServer {
                 let kept = self.server.kept.get() + 1;
                 self.server.kept.set(kept);
                 assert!(
-                    kept < MOST_KEPT,
+                    kept < MAX_KEPT,
                     "{kept} connections of clients that left are kept"
                 );
             }

@@ -1,4 +1,4 @@
-//! What lies in shared memory: the queues of readers, and who waits.
+//! The contents of shared memory: queues of readers, and waiters.
 
 use std::any::Any;
 use std::cell::{Cell, RefCell};
@@ -10,7 +10,6 @@ use joulebus_wire::{Channel, Service};
 
 use crate::Woken;
 
-/// A frame that was sent.
 #[derive(Debug)]
 pub(crate) struct Sent<C: Channel> {
     pub(crate) header: C::Header,
@@ -25,7 +24,6 @@ pub(crate) struct Connection<C: Channel> {
     pub(crate) frames: VecDeque<Rc<Sent<C>>>,
 }
 
-/// The queue of a reader.
 #[derive(Debug)]
 pub(crate) struct Queue<C: Channel> {
     pub(crate) connections: Vec<Connection<C>>,
@@ -50,7 +48,6 @@ pub(crate) struct Waiting {
     pub(crate) woken: Cell<Woken>,
 }
 
-/// A service.
 #[derive(Default)]
 pub(crate) struct State {
     pub(crate) readers: Vec<Listed>,
@@ -72,7 +69,6 @@ pub(crate) fn begin() {
     STATES.with_borrow_mut(|states| *states = Default::default());
 }
 
-/// Removes the ports of a process.
 pub(crate) fn remove_process(pid: u32) {
     let removed = STATES.with_borrow_mut(|states| {
         let mut removed = Vec::new();

@@ -12,7 +12,7 @@ use crate::queues::{Waiting, with};
 use crate::{Bus, OpenError, PeerWatch, WaitError, Woken};
 
 /// As of the real waiter.
-const LONGEST_SLEEP_NS: u64 = 100_000_000;
+const MAX_SLEEP_NS: u64 = 100_000_000;
 
 /// Sends a service's event.
 #[derive(Debug)]
@@ -128,7 +128,7 @@ impl Waiter {
         let mut woken = self.waiting.woken.take();
         woken.peer_gone = peer.is_some_and(PeerWatch::is_gone);
         let now_ns = time::monotonic_ns();
-        let longest_ns = now_ns.saturating_add(LONGEST_SLEEP_NS);
+        let longest_ns = now_ns.saturating_add(MAX_SLEEP_NS);
         let until_ns = if woken.is_nothing() {
             deadline_ns.map_or(longest_ns, |deadline_ns| deadline_ns.min(longest_ns))
         } else {
@@ -167,7 +167,8 @@ impl Poller {
         self.lock = LockWatch::open(pid);
     }
 
-    /// Returns what has happened. If nothing has, the process sleeps from its next pause on until `deadline_ns`.
+    /// Returns what has happened. If nothing has, the process sleeps from its next pause on until
+    /// `deadline_ns`.
     ///
     /// # Errors
     /// The files of this process were removed.
@@ -183,7 +184,7 @@ impl Poller {
         (woken.ended, woken.peer_gone) = (ended, peer.is_some_and(PeerWatch::is_gone));
         let now_ns = time::monotonic_ns();
         let until_ns = if woken.is_nothing() {
-            deadline_ns.min(now_ns.saturating_add(LONGEST_SLEEP_NS))
+            deadline_ns.min(now_ns.saturating_add(MAX_SLEEP_NS))
         } else {
             self.lock = None;
             now_ns

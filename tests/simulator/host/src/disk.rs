@@ -1,7 +1,7 @@
 //! The disk: files and names, what of them would survive a power failure, and faults.
 //!
-//! Bytes are durable when their file was synced, names when their directory was. What is not durable
-//! when the power fails survives in part, in any order.
+//! Bytes are durable when their file was synced, names when their directory was. What is not
+//! durable when the power fails survives in part, in any order.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -12,7 +12,7 @@ use crate::current::current;
 use crate::memory::outside;
 use crate::processes::{below, disk_access, has_descriptors, is_dead, once_in, operation};
 
-/// What fails.
+/// A fault of the disk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fault {
     /// Nothing.
@@ -81,13 +81,13 @@ pub(crate) fn begin() {
     });
 }
 
-/// Most space that a full disk has left when it begins to be full, bytes.
-const MOST_ROOM: usize = 20_000;
+/// Maximum space that a disk has left when it begins to be full, bytes.
+const MAX_ROOM: usize = 20_000;
 
 /// Sets what fails.
 pub fn fail(fault: Fault) {
     let room = if fault == Fault::Full {
-        below(MOST_ROOM)
+        below(MAX_ROOM)
     } else {
         0
     };

@@ -1,7 +1,7 @@
 //! Memory of the simulated processes: what each has allocated and not freed.
 //!
-//! Whoever counts allocations asks here to whose account one goes, keeps the answer with the allocation, and returns
-//! it when that is freed, by whomever.
+//! An allocator asks here for the account of an allocation, keeps the answer with it, and returns
+//! it when the allocation is freed, by whomever.
 
 use std::cell::Cell;
 
@@ -10,7 +10,7 @@ use crate::current::{FIRST_PID, current};
 /// Accounts: one per pid, for pids of a small range, and the first one for all else.
 const ACCOUNTS: usize = 64;
 
-/// To whom an allocation belongs.
+/// The account of an allocation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Account(u8);
 
@@ -21,7 +21,7 @@ impl Account {
         self.0
     }
 
-    /// That of [`Account::byte`].
+    /// The account of [`Account::byte`].
     #[must_use]
     pub const fn of_byte(byte: u8) -> Self {
         Self(byte % ACCOUNTS as u8)
@@ -38,11 +38,11 @@ impl Account {
 
 thread_local! {
     static LIVE: [Cell<i64>; ACCOUNTS] = const { [const { Cell::new(0) }; ACCOUNTS] };
-    /// What is allocated now lies on the disk, or in shared memory.
+    /// Allocations of now lie on the disk, or in shared memory.
     static IS_OUTSIDE: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Takes note of an allocation of the process that runs. Allocates nothing.
+/// Records an allocation of the current process. Allocates nothing.
 pub fn allocated(bytes: usize) -> Account {
     // Locals are gone while a thread ends.
     let is_outside = IS_OUTSIDE.try_with(Cell::get).unwrap_or(true);
@@ -55,7 +55,7 @@ pub fn allocated(bytes: usize) -> Account {
     account
 }
 
-/// Takes note of the end of an allocation. Allocates nothing.
+/// Records the end of an allocation. Allocates nothing.
 pub fn freed(account: Account, bytes: usize) {
     add(account, -(bytes as i64));
 }
@@ -67,14 +67,13 @@ fn add(account: Account, bytes: i64) {
     });
 }
 
-/// Bytes that the process `pid`, and those before it with its pid, have allocated and not freed, if allocations are
-/// counted.
+/// Bytes that the process `pid`, and earlier ones with its pid, have allocated and not freed.
 #[must_use]
 pub fn live(pid: u32) -> i64 {
     LIVE.with(|live| live[usize::from(Account::of(pid).0)].get())
 }
 
-/// What `work` allocates is no memory of the process that runs: it lies on the disk, or in shared memory.
+/// Runs `work`, whose allocations are not the process's, but the disk's or shared memory's.
 pub fn outside<T>(work: impl FnOnce() -> T) -> T {
     /// Also when the process is killed in between.
     struct Back(bool);

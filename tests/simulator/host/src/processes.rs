@@ -14,10 +14,9 @@ use crate::{memory, time};
 #[derive(Debug, Clone, Copy)]
 pub struct Killed;
 
-/// What a process repeats beside its main loop; see `Background` of the simulated bus.
+/// Work that a process repeats beside its main loop; see `Background` of the simulated bus.
 pub type Work = Box<dyn FnMut(bool) -> Option<Duration>>;
 
-/// A thread of a process.
 struct Thread {
     pid: u32,
     number: u64,
@@ -203,7 +202,6 @@ pub fn operation() {
     strike(&VICTIM);
 }
 
-/// An access to the disk.
 pub(crate) fn disk_access() {
     operation();
     if !IS_DEAD.get() {

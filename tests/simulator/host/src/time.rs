@@ -1,7 +1,7 @@
 //! The clocks.
 //!
 //! All times within the simulator are simulated ns since its beginning. The monotonic clock begins
-//! anew with each boot and may run slightly too fast or slow, as a clock that is being adjusted; the wall
+//! anew with each boot, and may run slightly too fast or slow, as while it is adjusted. The wall
 //! clock may be set.
 
 use std::cell::Cell;
@@ -67,7 +67,7 @@ impl Clocks {
     }
 }
 
-/// What the monotonic clock shows, ns.
+/// Time of the monotonic clock, ns.
 #[must_use]
 pub fn monotonic_ns() -> u64 {
     CLOCKS.get().monotonic_ns()
@@ -82,15 +82,15 @@ pub fn simulated_ns(monotonic_ns: u64) -> u64 {
         .saturating_add(monotonic_ns.saturating_sub(clocks.monotonic_ns()))
 }
 
-/// What the wall clock shows, Unix ns.
+/// Time of the wall clock, Unix ns.
 #[must_use]
 pub fn unix_ns() -> u64 {
     let clocks = CLOCKS.get();
     (BEGIN_UNIX_NS + clocks.now_ns).saturating_add_signed(clocks.wall_offset_ns)
 }
 
-/// Sets the wall clock forward or back by `step_ns`, unless that is before the monotonic clock's time: Linux refuses
-/// it (`clock_settime`, since 4.3), so that no wall clock ever stands still at 1970.
+/// Sets the wall clock forward or back by `step_ns`, but not before the monotonic clock's time.
+/// Linux refuses that too (`clock_settime`, since 4.3), so no wall clock stands still at 1970.
 pub fn set_wall_clock(step_ns: i64) {
     let set_ns = i128::from(unix_ns()) + i128::from(step_ns);
     if set_ns >= i128::from(monotonic_ns()) {

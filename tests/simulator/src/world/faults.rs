@@ -176,7 +176,7 @@ impl World<'_> {
             slot.start_ns = slot.start_ns.max(time::now_ns());
             slot.learn_until_ns = u64::MAX;
         }
-        // What is left of captures after a power failure may be damaged, and is not read here.
+        // Captures may be damaged after a power failure, and are not read here.
         for name in disk::names() {
             let text = name.to_string_lossy();
             if text.starts_with("/sim/captures/") && !FOREIGN.contains(&&*text) {

@@ -103,7 +103,7 @@ impl World<'_> {
             return Ok(());
         }
         if self.slots[place].role == Some(Role::Worker) {
-            // What it sent before is out.
+            // Its earlier frames are out.
             self.checker.observe()?;
         }
         let slot = &mut self.slots[place];
@@ -202,7 +202,7 @@ impl World<'_> {
         self.ledger_is_kept(newest_whole(disk::peek))
     }
 
-    /// The newest ledger that was whole when a worker ended is still there, or a newer one: `found` is.
+    /// The newest ledger that was whole when a worker ended, or a newer one, is `found`.
     pub(super) fn ledger_is_kept(&mut self, found: u64) -> Checked {
         let before = std::mem::replace(&mut self.saved, found);
         if found >= before {

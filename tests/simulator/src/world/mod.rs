@@ -1,4 +1,4 @@
-//! A host on which a fleet runs: what its processes do in the order of simulated time, and what happens to them.
+//! A host with a fleet: its processes in the order of simulated time, and their faults.
 
 mod faults;
 mod lives;

@@ -1,9 +1,9 @@
-//! What a simulation came to.
+//! Results of a simulation.
 
 use crate::check::Failure;
 use crate::grown::Grown;
 
-/// What a simulation came to.
+/// Results of a simulation.
 #[derive(Debug, Default, Clone, PartialEq, Eq)]
 pub struct Outcome {
     /// Simulated time, ns.

@@ -16,12 +16,11 @@ use crate::scenario::Role;
 const LAST_ROBOT: u32 = 900_001;
 
 impl World<'_> {
-    /// After the last fault everything must work again within a bound; then the worker is killed, and
-    /// the same holds again.
+    /// After the last fault everything works again within a bound, and after a kill of the worker.
     pub(super) fn everything_works_again(&mut self) -> Checked {
         let setup = &self.scenario.setup;
         let (settle_ns, period_ns) = (setup.settle_ns(), setup.period_ns);
-        // What was asked for and has not happened yet does not happen any more.
+        // Requested kills that are still due do not happen any more.
         host::spare_all();
         for slot in &mut self.slots {
             (slot.kills_at_disk, slot.power_loss_ns) = (VecDeque::new(), 0);
@@ -116,7 +115,7 @@ impl World<'_> {
         Ok(())
     }
 
-    /// After the end: no port, and no file but the ledger's and those of others, which are unchanged.
+    /// After the end: no port, and no file but the ledger's and foreign ones, unchanged.
     fn nothing_is_left(&self) -> Checked {
         for path in FOREIGN {
             if disk::peek(Path::new(path)).as_deref() != Some(path.as_bytes()) {

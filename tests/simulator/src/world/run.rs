@@ -14,7 +14,7 @@ use crate::check::{Answers, Checked, Failure, failure};
 use crate::ledger::LEDGER;
 use crate::scenario::Scenario;
 
-/// Runs a scenario, and that without faults where their answers must be equal; ends soon after `stop` is set.
+/// Runs a scenario, and the one without faults if answers must be equal. Setting `stop` ends it.
 #[must_use]
 pub fn run(scenario: &Scenario, stop: &AtomicBool) -> Outcome {
     let (mut outcome, answers) = run_once(scenario, stop);
@@ -32,7 +32,7 @@ pub fn run(scenario: &Scenario, stop: &AtomicBool) -> Outcome {
     outcome
 }
 
-/// Each sample of a source that nothing happened to is answered as in a run in which nothing happened.
+/// Each sample of an undisturbed source is answered as in a run without faults.
 fn compare(answers: &Answers, expected: &Answers) -> Option<Failure> {
     const NAME: &str = "robots that are not touched are answered as ever";
     for (key, answer) in &answers.forecasts {

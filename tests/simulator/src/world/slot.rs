@@ -9,7 +9,7 @@ use crate::scenario::Role;
 
 /// A place for a process.
 pub(super) struct Slot {
-    /// None: a visitor, who is not restarted.
+    /// None: a visitor, which is not restarted.
     pub(super) role: Option<Role>,
     pub(super) name: String,
     pub(super) robots: Vec<u32>,
@@ -32,9 +32,9 @@ pub(super) struct Slot {
     pub(super) greeting: u64,
     /// The power fails for so long when it dies.
     pub(super) power_loss_ns: u64,
-    /// What it had allocated when it began its work, bytes.
+    /// Memory when it began its work, bytes.
     pub(super) opened_bytes: i64,
-    /// A planner: the worker of which it has frames; and until when it must have learned of its end.
+    /// A planner: the worker whose frames it has, and the deadline of learning of its end.
     pub(super) follows: Option<(u32, u64, u64)>,
     pub(super) learn_until_ns: u64,
     /// A planner: the run of the worker, if it was running when the planner had its first frame.

@@ -141,10 +141,10 @@ impl World<'_> {
             return Ok(());
         };
         let bytes = memory::live(slot.pid) - slot.opened_bytes;
-        let most_bytes = grown::most_bytes(program, &self.scenario.setup);
-        if bytes > most_bytes {
+        let max_bytes = grown::max_bytes(program, &self.scenario.setup);
+        if bytes > max_bytes {
             let found = format!(
-                "{} has grown by {bytes} bytes, allowed are {most_bytes}",
+                "{} has grown by {bytes} bytes, allowed are {max_bytes}",
                 slot.name
             );
             return Err(failure("memory is bounded", found));

@@ -7,7 +7,7 @@ use joulebus_wire::SCHEMA_VERSION;
 use simulated_bus::{self as bus, Bus, Domain, Limits, WorkerLock, Writer};
 use simulated_host as host;
 
-/// What process `pid` does now.
+/// Does `work` as process `pid`.
 fn of<T>(pid: u32, work: impl FnOnce() -> T) -> T {
     host::enter(pid, host::USUAL_COST_NS);
     let done = work();
@@ -46,7 +46,7 @@ fn frames_of_any_channel_reach_readers_and_only_those_of_the_worker_are_read() {
     };
     let _lock = of(worker, || WorkerLock::acquire(&domain).unwrap());
     let (mut ours, mut foreign) = (open(worker), open(stranger));
-    // The newest is kept for who comes later.
+    // The newest is kept for later readers.
     assert_eq!(of(worker, || send(&mut ours, 1)), 0);
     let mut found = of(reader, || {
         let bus = Bus::join(&domain, "reader").unwrap();

@@ -2,8 +2,7 @@
 
 use simulated_host::{self as host, time};
 
-/// Workers are told apart by pid and the time at which they took the lock, so two that have the same pid need a clock
-/// that goes on.
+/// Pid and time of taking the lock tell workers apart: for two with one pid the clock must go on.
 #[test]
 fn the_wall_clock_goes_on_however_often_it_is_set_back() {
     for uptime_ns in [1, 315_360_000_000_000_001] {

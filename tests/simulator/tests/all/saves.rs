@@ -9,9 +9,10 @@ use joulebus_simulator::world::run;
 const MS: u64 = 1_000_000;
 const SECOND: u64 = 1_000 * MS;
 
-/// Accesses to the disk of a worker that starts after a save was cut off, and saves: three files are looked for; that of
-/// the save before is opened, synced and renamed, after the one before it, and the folder is synced; then the folder is made,
-/// and a file created, written, synced and renamed in the same way. And one more, in the next save.
+/// Accesses to the disk of a worker that starts after an interrupted save, and saves. Three files
+/// are looked for. The one of the earlier save is opened, synced and renamed, after the one before
+/// it, and the folder is synced. Then the folder is made, and a file created, written, synced and
+/// renamed likewise. One more access is in the next save.
 const ACCESSES: u64 = 3 + 5 + 7 + 1;
 
 /// A small fleet to which nothing happens but `faults`.
@@ -43,8 +44,8 @@ fn hold(scenario: &Scenario) {
     assert!(outcome.ticks > 0 && outcome.faults > 0);
 }
 
-/// The worker is killed at each step of a save, and the next one at each of its accesses to the disk, from its first look
-/// at the files on: the newest whole ledger is always still there.
+/// The worker is killed at each step of a save, and the next one at each of its accesses to the
+/// disk, from its first look on. The newest whole ledger is always still there.
 #[test]
 fn a_worker_killed_at_any_two_steps_of_its_saves_keeps_the_newest_ledger() {
     for first in 1..=7 {
@@ -55,8 +56,8 @@ fn a_worker_killed_at_any_two_steps_of_its_saves_keeps_the_newest_ledger() {
     }
 }
 
-/// The same, and the power fails instead of the second kill, or at the first: what had been synced is still there,
-/// whichever of the other changes are.
+/// The same, with a power failure instead of the second kill, or at the first. What was synced is
+/// still there, whichever other changes are.
 #[test]
 fn a_power_failure_at_any_step_of_a_save_leaves_what_was_synced() {
     for seed in 1..=6 {
@@ -74,8 +75,8 @@ fn a_power_failure_at_any_step_of_a_save_leaves_what_was_synced() {
     }
 }
 
-/// A save is cut off at each of its steps, and the power fails before the next worker has saved: what it found when it
-/// began lasts.
+/// A save is cut off at each of its steps, and the power fails before the next worker has saved.
+/// The ledger that the worker found lasts.
 #[test]
 fn what_a_worker_found_survives_a_power_failure_before_its_first_save() {
     /// Accesses that no worker has before the power fails.

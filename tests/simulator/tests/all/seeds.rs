@@ -40,11 +40,12 @@ fn fixed_seeds() {
     });
 }
 
-/// Seeds that found defects: an account given up for a robot of which nothing was accepted (90), a frame with the
-/// number of another one, which the recorder missed, that verification took for a difference (65), and accounts of robots that
-/// left at once when a stopped worker continued, which were not saved (631). A write of the ledger that failed counted as a
-/// generation before the newest (20057). In 23766 it was the simulated host that was wrong: its wall clock stood still.
-/// Accounts with false stamps, of robots that had left, were restored before those of robots that were there (22186, 23242).
+/// Seeds that found defects. An account was given up for a robot of which nothing was accepted
+/// (90). Verification took a frame with another one's number, which the recorder missed, for a
+/// difference (65). Accounts of robots that left as a stopped worker continued were not saved
+/// (631). A failed write of the ledger counted as a generation before the newest (20057). The
+/// simulated host's wall clock stood still (23766). Accounts with false stamps, of robots that had
+/// left, were restored before those of present robots (22186, 23242).
 #[test]
 fn seeds_that_found_defects() {
     for (seed, until_ns) in [

@@ -1,4 +1,4 @@
-//! A channel that joulebus does not have, declared as one of `wire` is: tests send it every way that frames go.
+//! A channel that joulebus does not have, declared as those of `wire`: tests send it everywhere.
 #![forbid(unsafe_code)]
 
 use joulebus_wire::declare::ZeroCopySend;

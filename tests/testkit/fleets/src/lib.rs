@@ -156,7 +156,7 @@ pub fn fleet_of(capacity: u32, models: Vec<Model>) -> Fleet {
 /// Numbers the frames of one run of one source like a publisher.
 #[derive(Debug, Clone)]
 pub struct Source {
-    /// Of its next frame.
+    /// The header of its next frame.
     pub header: SampleHeader,
 }
 
@@ -220,13 +220,13 @@ pub fn healthy(robot: u32, step: u64, stamp_ns: u64, period_ns: u64) -> Sample {
 /// All outputs of one robot, with floats as their bits.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Bits {
-    /// Those of its forecast.
+    /// Bits of its forecast.
     pub forecast: Vec<u64>,
-    /// Those of its diagnostic.
+    /// Bits of its diagnostic.
     pub diagnostic: Vec<u64>,
-    /// Those of its budget.
+    /// Bits of its budget.
     pub budget: Vec<u64>,
-    /// Those of its state for plans.
+    /// Bits of its state for plans.
     pub plan_state: Vec<u64>,
 }
 

@@ -1,9 +1,15 @@
-//! Random faults on a running fleet: its processes are killed, ended, paused one by one and all at once, killed while
-//! they start, flooded, sent false frames, left without file descriptors, disk or memory, in random order, beside a source
-//! and a reader that must not notice; at last all its files are removed. One seed is one fleet of some ten seconds; for
-//! hours, `JOULEBUS_RANDOM_FLEETS=1000 cargo test -p joulebus-tests --test campaigns random_faults -- --nocapture`. With
-//! `JOULEBUS_WITNESS=1` every capture is also read by `tools/read_capture.py`, and forecasts are read while the faults
-//! happen by `tools/read_fleet.py`: packages of PyPI, which use nothing of joulebus.
+//! Random faults on a running fleet: its processes are killed, also while they start, ended, paused
+//! one by one and all at once, flooded, sent false frames, and left without file descriptors, disk
+//! or memory, in random order. A source and a reader beside them must not notice. At last all files
+//! are removed. One seed is one fleet of some ten seconds; for hours:
+//!
+//! ```sh
+//! JOULEBUS_RANDOM_FLEETS=1000 cargo test -p joulebus-tests --test campaigns random_faults -- \
+//!     --nocapture
+//! ```
+//!
+//! With `JOULEBUS_WITNESS=1` packages of PyPI that use nothing of joulebus read every capture
+//! (`tools/read_capture.py`), and forecasts while the faults happen (`tools/read_fleet.py`).
 
 mod shortages;
 
@@ -22,7 +28,6 @@ use joulebus_wire::{Quality, Sample};
 use rustix::process::{Pid, Resource, Signal, kill_process};
 use shortages::{LittleMemory, SmallDisk, limited};
 
-/// Faults of one fleet.
 const FAULTS: u64 = 40;
 /// Robots of each controller, and rate of their samples.
 const ROBOTS: u32 = 3;
@@ -34,17 +39,17 @@ const FLOOD: [u32; 2] = [30, 31];
 /// Robots of the source that must not notice, and the pause between its frames.
 const UNDISTURBED: [u32; 3] = [90, 91, 92];
 const PACE: Duration = Duration::from_millis(5);
-/// Most time until a process is killed at its start, until a paused one continues, and between two faults.
+/// Maximum time until a process is killed at its start, a paused one continues, and between faults.
 const START: Duration = Duration::from_millis(40);
 const PAUSE: Duration = Duration::from_millis(300);
 const CALM: Duration = Duration::from_millis(150);
-/// Longest time for which all processes are stopped, as on a suspended machine, and in which one starts with little memory.
+/// Maximum time for which all are stopped, as on suspension, and one starts with little memory.
 const SUSPENDED: Duration = Duration::from_millis(1_500);
 const START_SHORT: Duration = Duration::from_millis(200);
-/// Exit codes of a process without file descriptors, disk or memory: its own, and the dynamic loader's, which opens
-/// the libraries before the program begins.
+/// Exit codes of a process without file descriptors, disk or memory: its own, and the dynamic
+/// loader's, which opens libraries first.
 const SHORT_OF_RESOURCES: [i32; 2] = [1, 127];
-/// Processes beside the fleet that must not notice: the undisturbed source, its reader, and a planner.
+/// Processes that must not notice: the undisturbed source, its reader, and a planner.
 type Beside = [AtomicU32; 3];
 
 fn setup() -> Setup {
@@ -218,7 +223,7 @@ impl<'a> Fleet<'a> {
         }
     }
 
-    /// As [`Self::kill_while_starting`], with so little memory that the kernel kills it first, or not.
+    /// As [`Self::kill_while_starting`], with so little memory that the kernel may kill it first.
     fn start_with_little_memory(&mut self, at: usize, dice: &mut Dice) {
         let most = (2 + dice.below(40)) << 20;
         let Some(group) = LittleMemory::create(most) else {
@@ -275,9 +280,9 @@ impl<'a> Fleet<'a> {
         limited(pid, Resource::Nofile, opened as u64, dice.time_below(PAUSE));
     }
 
-    /// No longer files for a while than some bytes more than the longest one: the ledger and new objects in shared
-    /// memory fail, and a capture ends. Of programs of the project: one that uses a library of it decides for itself
-    /// what it does at the signal.
+    /// Limits files for a while to some bytes more than the longest one: the ledger and new objects
+    /// in shared memory fail, and a capture ends. Only for programs of the project: one that uses a
+    /// library of it decides for itself about the signal.
     fn limit_files(&mut self, at: usize, dice: &mut Dice) {
         let Some(child) = &self.members[at] else {
             return;
@@ -329,7 +334,7 @@ impl<'a> Fleet<'a> {
         all(Signal::CONT);
     }
 
-    /// All files of the fleet are removed, as systemd-logind does: its processes end with the reason, and others start.
+    /// Removes all files of the fleet, as systemd-logind does. Its processes end with the reason.
     fn remove_files(&mut self) {
         // A process that has not joined yet would make new ones.
         if let Some(recorder) = self.members.last_mut().and_then(Option::as_mut) {
@@ -345,7 +350,7 @@ impl<'a> Fleet<'a> {
             };
             match role {
                 Role::Worker | Role::Recorder => assert_ended(&child.wait(), &[1]),
-                // What these print at the end is up to whoever uses the library.
+                // The library's users decide what these print at the end.
                 Role::Controller(_) | Role::Planner => {
                     let ended = child.end();
                     let is_ended =
@@ -373,8 +378,8 @@ impl<'a> Fleet<'a> {
         }
     }
 
-    /// Frames in the name of a controller, with headers and samples that are partly impossible, from a process that is
-    /// then killed.
+    /// Sends frames in a controller's name, partly with impossible headers and samples, from a
+    /// process that is then killed.
     fn forge(&mut self, dice: &mut Dice) {
         let first = CONTROLLERS[dice.below(CONTROLLERS.len() as u64) as usize];
         let mut impostor = self.arena.source(&format!("controller-{first}"));
@@ -438,8 +443,8 @@ fn assert_ended(ended: &Ended, codes: &[i32]) {
     assert!(codes.contains(&ended.exit_code()), "{ended:?}");
 }
 
-/// Sends a frame, waits until a reader beside it has it, and so on, until stopped: no fault of others may
-/// cost a frame. Returns their number.
+/// Sends frames one by one until stopped, each once a reader has the one before: no fault of others
+/// may cost a frame. Returns their number.
 fn undisturbed(arena: &Arena, setup: &Setup, beside: &Beside, stop: &AtomicBool) -> u64 {
     let mut reader = arena.recorder();
     let mut source = arena.source("undisturbed");
@@ -536,7 +541,6 @@ fn is_witnessed() -> bool {
     std::env::var_os("JOULEBUS_WITNESS").is_some()
 }
 
-/// A script of `tools`.
 fn script(name: &str) -> Command {
     let mut command = Command::new("python3");
     command.arg(

@@ -9,7 +9,6 @@ use std::time::Duration;
 use joulebus_tests::Child;
 use rustix::process::{Pid, Resource, Rlimit, prlimit};
 
-/// Size of a small disk, bytes.
 const DISK_BYTES: u64 = 4 << 20;
 
 /// Sets a limit of process `pid` for a while.
@@ -56,7 +55,7 @@ impl SmallDisk {
     /// Fills the disk until so many bytes are left, give or take a page.
     pub(crate) fn leave(&self, bytes: u64) {
         let (file, full) = (self.folder.join("filling"), DISK_BYTES - bytes);
-        // What captures take is not left either.
+        // Captures may not take the rest either.
         let _ = fs::write(file, vec![0; full as usize]);
     }
 }
@@ -78,7 +77,7 @@ static GROUPS: AtomicU32 = AtomicU32::new(0);
 
 impl LittleMemory {
     /// None where control groups are not writable.
-    pub(crate) fn create(most_bytes: u64) -> Option<Self> {
+    pub(crate) fn create(max_bytes: u64) -> Option<Self> {
         let number = GROUPS.fetch_add(1, Ordering::Relaxed);
         let name = format!("joulebus-test-{}-{number}", std::process::id());
         // Version 1 has one hierarchy for memory, version 2 one for everything.
@@ -95,7 +94,7 @@ impl LittleMemory {
                 continue;
             }
             let group = Self { folder };
-            if fs::write(group.folder.join(limit), most_bytes.to_string()).is_ok() {
+            if fs::write(group.folder.join(limit), max_bytes.to_string()).is_ok() {
                 return Some(group);
             }
         }

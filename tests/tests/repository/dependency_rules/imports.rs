@@ -65,8 +65,8 @@ fn reachable<'a>(imports: &'a Imports, start: &PathBuf) -> BTreeSet<&'a PathBuf>
     reached
 }
 
-/// The file `b` and the file `mod` of the folder `b`, both in `a`, are the module `a::b`; a root file
-/// is the crate itself, or the binary beside its library.
+/// Both the file `b` and the file `mod` of the folder `b`, in `a`, are the module `a::b`. A root
+/// file is the crate itself, or the binary beside its library.
 fn module_of(path: &Path) -> Vec<String> {
     let parts = path.with_extension("");
     let mut parts: Vec<String> = parts
@@ -170,7 +170,6 @@ impl Crate {
     }
 }
 
-/// Contents of a file.
 struct File {
     path: PathBuf,
     /// Names defined by top-level items of the file.

@@ -45,8 +45,8 @@ fn table(first: &str) -> Vec<(String, String)> {
     rows.collect()
 }
 
-/// The packages of `Cargo.lock`, those of the workspace without dev-dependencies, which the lock file
-/// does not distinguish. A crate's name is that in ARCHITECTURE.md.
+/// The packages of `Cargo.lock`, those of the workspace without dev-dependencies, which the lock
+/// file does not distinguish. Crates have the names of ARCHITECTURE.md.
 fn graph() -> Graph {
     let lock = fs::read_to_string(root().join("Cargo.lock")).unwrap();
     let mut graph = Graph::new();
@@ -81,7 +81,7 @@ fn graph() -> Graph {
     graph
 }
 
-/// What a package depends on, directly or not.
+/// Direct and indirect dependencies of a package.
 fn reached(graph: &Graph, package: &str) -> BTreeSet<String> {
     let mut reached = BTreeSet::new();
     let mut open: Vec<&String> = graph[package].iter().collect();
@@ -150,7 +150,7 @@ fn a_crate_does_not_reach_what_it_must_not_know() {
         words.len(),
         "of {words:?} only {used:?} are used"
     );
-    // What is not forbidden is found: the closures are not empty.
+    // Allowed edges are found: the closures are not empty.
     for (name, target) in [("publisher", "iceoryx2"), ("plan", "energy")] {
         assert!(reached(&graph, name).contains(target), "{name}");
     }

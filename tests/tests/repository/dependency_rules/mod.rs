@@ -88,7 +88,6 @@ fn members_below(directory: &Path) -> Vec<Member> {
     found
 }
 
-/// The crates.
 fn members() -> Vec<Member> {
     members_below(&crates())
 }

@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::crates;
 
-/// What a controller or a planner links.
+/// Libraries that a controller or a planner links.
 const SDK: [&str; 4] = [
     "joulebus-consumer",
     "joulebus-plan",
@@ -16,7 +16,7 @@ const SDK: [&str; 4] = [
     "joulebus-publisher",
 ];
 
-/// What cargo prints for these arguments, in the root of the workspace.
+/// Cargo's output for these arguments, in the root of the workspace.
 fn cargo(arguments: &[&str]) -> String {
     let mut command = Command::new(env!("CARGO"));
     let command = command.args(arguments).arg("--locked");

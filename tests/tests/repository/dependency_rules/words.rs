@@ -62,7 +62,7 @@ fn the_core_uses_no_clock_file_thread_or_shared_memory() {
     assert_eq!(mapping, Vec::<String>::new());
 }
 
-/// The network between hosts is named in one file, and what two links tell each other needs neither it nor a clock.
+/// One file names the network between hosts. The protocol of links needs neither it nor a clock.
 #[test]
 fn only_one_file_of_the_link_uses_zenoh() {
     for member in members() {
@@ -150,9 +150,9 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         "capture/format/src/import/join.rs",
         // Time the machine was off, which no other clock gives.
         "predictor-worker/src/checkpointer.rs",
-        // Clocks that an operator states are kept together, within what round trips of the monotonic one leave open.
+        // Clocks that an operator states are limited by round trips of the monotonic one.
         "link/src/wall_clock.rs",
-        // What a page shows beside its values.
+        // Times that a page shows beside its values.
         "serve/src/http/reader.rs",
         // Times that other hosts are told.
         "bridge/src/outbound.rs",

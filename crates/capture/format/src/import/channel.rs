@@ -2,7 +2,6 @@
 
 use joulebus_ros_messages::{RosError, RosType};
 
-/// A channel of the file.
 #[derive(Debug, Clone)]
 pub(super) struct Channel {
     pub(super) topic: String,

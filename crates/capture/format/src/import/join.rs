@@ -10,7 +10,7 @@ use joulebus_plausibility::{StampState, Stamps};
 use joulebus_ros_messages::{BatteryState, Header, Message, Odometry, RosType, Twist};
 
 /// Maximum number of rows per robot, that of a trial; further ones are refused.
-const MOST_ROWS: usize = 1 << 22;
+const MAX_ROWS: usize = 1 << 22;
 
 /// Commands and measurements at one time. NaN for unknown values.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -105,14 +105,13 @@ impl<T: Copy> Lane<T> {
     }
 
     fn push(&mut self, times: Times, item: T) {
-        if self.items.len() < MOST_ROWS {
+        if self.items.len() < MAX_ROWS {
             self.items.push((times, item));
         } else {
-            self.refuse(format!("more than {MOST_ROWS} of them"));
+            self.refuse(format!("more than {MAX_ROWS} of them"));
         }
     }
 
-    /// The stamps of its headers.
     fn stamps(&self) -> Stamps {
         let seconds = |ns: u64, since_ns: u64| (ns as i128 - i128::from(since_ns)) as f64 * 1e-9;
         let mut stamps = Stamps::default();

@@ -88,7 +88,7 @@ pub struct Mapping {
     /// Time for which a command applies if no other one comes, s: that of a bridge.
     #[serde(default = "usual_hold_s")]
     pub command_holds_s: f64,
-    /// What follows.
+    /// The substitute for an expired command.
     #[serde(default)]
     pub command_expired: Expired,
     /// Sign of the current of robots that do not set it.
@@ -139,7 +139,7 @@ pub enum MappingError {
         key: String,
         /// The number found.
         found: f64,
-        /// What is allowed.
+        /// The allowed numbers.
         allowed: &'static str,
     },
 }

@@ -94,7 +94,6 @@ struct Known {
     indexed: bool,
 }
 
-/// All chunks of a file.
 #[derive(Default)]
 pub(super) struct Chunks {
     known: HashMap<u64, Known>,

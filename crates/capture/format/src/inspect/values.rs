@@ -18,15 +18,15 @@ use crate::scan::{ScanError, each_record};
 use joulebus_ros_messages as ros;
 
 /// Maximum nesting depth of fields listed as columns.
-const MOST_DEPTH: usize = 8;
+const MAX_DEPTH: usize = 8;
 /// Maximum length of all names of columns, bytes: a message that contains itself has more than can
 /// be listed.
-const MOST_COLUMN_BYTES: usize = 1 << 20;
+const MAX_COLUMN_BYTES: usize = 1 << 20;
 /// Maximum number of values in a message that is decoded, those that it leaves out included: a row
 /// of a hundred thousand robots has some fifty. An empty message within another takes one byte in a
 /// file, and hundreds in memory.
-const MOST_VALUES: usize = 1 << 23;
-/// What a message within another counts as, beside its values.
+const MAX_VALUES: usize = 1 << 23;
+/// Cost of a nested message beside its values, in values.
 const MESSAGE_VALUES: usize = 8;
 /// Maximum nesting depth of a message that is decoded, that of the decoder.
 const DECODED_DEPTH: usize = 100;
@@ -199,7 +199,7 @@ impl Channel {
     fn decode(&self, data: &[u8]) -> Result<Value, String> {
         match &self.how {
             How::Protobuf(descriptor) => {
-                let mut left = MOST_VALUES;
+                let mut left = MAX_VALUES;
                 count(descriptor, data, DECODED_DEPTH, &mut left)?;
                 let message = DynamicMessage::decode(descriptor.clone(), data)
                     .map_err(|error| error.to_string())?;
@@ -245,7 +245,7 @@ impl Schema {
         } = self;
         let described = message.get_or_insert_with(|| {
             let message = descriptor(name, encoding, data)?;
-            let (mut columns, mut left) = (Vec::new(), MOST_COLUMN_BYTES);
+            let (mut columns, mut left) = (Vec::new(), MAX_COLUMN_BYTES);
             list(&message, "", 0, &mut columns, &mut left);
             let columns = columns.into();
             Ok(Described { message, columns })
@@ -286,7 +286,7 @@ fn count(
 
 fn take(left: &mut usize, values: usize) -> Result<(), String> {
     let rest = left.checked_sub(values).ok_or_else(|| {
-        format!("more than {MOST_VALUES} values, those left out included, which is the limit")
+        format!("more than {MAX_VALUES} values, those left out included, which is the limit")
     });
     *left = rest?;
     Ok(())
@@ -309,7 +309,7 @@ fn list(
         *left = rest;
         match field.kind() {
             Kind::Message(inner) if !is_text(&inner) && !field.is_map() => {
-                if depth < MOST_DEPTH {
+                if depth < MAX_DEPTH {
                     list(&inner, &format!("{name}."), depth + 1, columns, left);
                 }
             }

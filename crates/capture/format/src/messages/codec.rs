@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use joulebus_wire::text;
+
 use super::table::{Field, Form, MAX_VARINT, Number, Plain, Table, Wire, encoded, key};
 
 /// Bytes that are written at once, of which the last may be superfluous.
@@ -23,7 +25,7 @@ pub struct OutOfRange {
     pub allowed: u64,
 }
 
-/// What makes bytes no message.
+/// Reason that bytes are no message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub(super) enum Wrong {
     #[error("buffer underflow")]
@@ -44,7 +46,7 @@ pub(super) enum Wrong {
     Text,
 }
 
-/// What makes bytes no message, and where.
+/// Reason that bytes are no message, and the place.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Fault {
     wrong: Wrong,
@@ -302,9 +304,12 @@ impl Encoder {
 
     /// Appends a field of bytes, unless there are none.
     pub(super) fn bytes(&mut self, number: u32, bytes: &[u8]) {
+        self.reserve(2 * MAX_VARINT + bytes.len());
+        self.bytes_of_key(encoded(key(number, Wire::Bytes)), bytes);
+    }
+
+    fn bytes_of_key(&mut self, (key, used): (u64, usize), bytes: &[u8]) {
         if !bytes.is_empty() {
-            self.reserve(2 * MAX_VARINT + bytes.len());
-            let (key, used) = encoded(key(number, Wire::Bytes));
             self.word(key, used);
             self.varint(bytes.len() as u64);
             self.bytes[self.end..self.end + bytes.len()].copy_from_slice(bytes);
@@ -415,6 +420,7 @@ impl Encoder {
                         });
                     }
                 }
+                Form::Text(size) => self.bytes_of_key(field.key, text(&from[..*size]).as_bytes()),
                 Form::Struct(table) => {
                     self.inner(field.key, &mut 1, |this| this.write(table, from));
                 }
@@ -564,6 +570,14 @@ impl<'a> Decoded<'a> {
                         self.put(field, *of, number, (&mut into[at..], base + at));
                     }
                 })?;
+            }
+            Form::Text(size) => {
+                let found = str::from_utf8(data.bytes(wire)?).map_err(|_| Wrong::Text)?;
+                let mut ends = (0..=found.len().min(*size)).rev();
+                let end = ends.find(|end| found.is_char_boundary(*end)).unwrap_or(0);
+                let found = &found.as_bytes()[..end];
+                into[..*size].fill(0);
+                into[..found.len()].copy_from_slice(found);
             }
             Form::Struct(table) => {
                 let data = data.bytes(wire)?;

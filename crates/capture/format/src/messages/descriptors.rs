@@ -134,8 +134,9 @@ fn describe(
     };
     for (field, number) in layout.fields.iter().zip(1..) {
         let label = match field.elements {
-            Some(_) => Label::Repeated,
-            None => Label::Optional,
+            // An array of bytes is text.
+            Some(_) if field.of != FieldType::U8 => Label::Repeated,
+            _ => Label::Optional,
         };
         let kind = kind(field);
         let mut described = plain(field.name, number, kind, label);
@@ -166,6 +167,7 @@ fn describe(
 fn kind(field: &FieldLayout) -> Type {
     let is_spread = field.role != FieldRole::Value || field.name.ends_with("_hash");
     match field.of {
+        FieldType::U8 => Type::String,
         FieldType::U16 | FieldType::U32 => Type::Uint32,
         FieldType::U64 if is_spread => Type::Fixed64,
         FieldType::U64 => Type::Uint64,

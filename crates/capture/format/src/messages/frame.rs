@@ -14,9 +14,9 @@ use super::table::Table;
 /// A frame of a channel.
 #[derive(Debug, Clone)]
 pub struct Frame<C: Channel> {
-    /// What it begins with.
+    /// The header.
     pub header: C::Header,
-    /// What it consists of.
+    /// The rows.
     pub rows: Vec<C::Row>,
 }
 
@@ -61,7 +61,7 @@ struct FrameTable {
     row: Option<Table>,
 }
 
-/// That of the channel: made when it is first needed, and kept.
+/// The table of a channel, made at first use and kept.
 fn table<C: Channel>() -> &'static FrameTable {
     static TABLES: RwLock<Vec<(TypeId, &FrameTable)>> = RwLock::new(Vec::new());
     let find = |tables: &[(TypeId, &'static FrameTable)]| {
@@ -140,7 +140,7 @@ impl<C: Channel> Frame<C> {
             }
             Ok(true)
         })?;
-        // Those of the header are named first.
+        // Faults of the header are named first.
         let mut exceeds_in_header = None;
         head.end(into, &mut exceeds_in_header);
         match exceeds_in_header.or(exceeds) {

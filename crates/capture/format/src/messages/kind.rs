@@ -1,8 +1,8 @@
 //! The kinds of messages of all channels.
 
 use joulebus_wire::{
-    Budgets, Channel, Diagnostics, Forecasts, PlanStates, Queries, Row, Samples, State, Ticks,
-    records,
+    Acknowledgements, Budgets, Channel, Diagnostics, Forecasts, PlanStates, Queries, Row, Samples,
+    State, Ticks, records,
 };
 
 use super::descriptors;
@@ -47,10 +47,11 @@ channels! {
     [] Ticks,
     [] State,
     [] Queries,
+    [] Acknowledgements,
 }
 
 impl MessageKind {
-    /// That of a channel's frames.
+    /// The kind of a channel's frames.
     #[must_use]
     pub const fn of<C: Channel>() -> Self {
         let kind = Self {
@@ -74,7 +75,7 @@ impl MessageKind {
         }
     }
 
-    /// That of single robots' rows of a channel.
+    /// The kind of single robots' rows of a channel.
     #[must_use]
     pub const fn of_robot<C: Channel>() -> Self {
         Self {

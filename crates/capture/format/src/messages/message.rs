@@ -13,7 +13,7 @@ use super::wire_fields;
 /// A message.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Message {
-    /// One that this program knows: a [`crate::Frame`], a [`crate::RobotRow`] or a [`crate::Query`].
+    /// A message of joulebus: a [`crate::Frame`], a [`crate::RobotRow`] or a [`crate::Query`].
     Known(Box<dyn Content>),
     /// One of another program.
     Other {
@@ -184,7 +184,6 @@ pub(super) fn check_rows(data: &[u8], depth: u32) -> Result<usize, DecodeError> 
     }
 }
 
-/// A struct from its bytes.
 pub(super) fn read<T: bytemuck::Pod>(bytes: &[u8]) -> T {
     bytemuck::pod_read_unaligned(bytes)
 }
@@ -251,13 +250,13 @@ pub struct MessageKind {
 }
 
 impl MessageKind {
-    /// Who sends on the channel and who reads.
+    /// The senders and readers of the channel.
     #[must_use]
     pub const fn flow(self) -> Flow {
         self.flow
     }
 
-    /// What the rows of the channel's frames are.
+    /// The meaning of the channel's rows.
     #[must_use]
     pub const fn rows(self) -> FrameRows {
         self.rows

@@ -3,11 +3,12 @@
 //!
 //! | in shared memory | in protobuf |
 //! |---|---|
-//! | `x` | `x`: `uint32`, `uint64`, `int64`, `fixed64`, an enumeration, `optional float` or `double` |
+//! | `x` | `x`: `uint32`, `uint64`, `int64`, `fixed64`, enumeration, `optional float` or `double` |
 //! | `x_unix_ns` | `x_at`, a `google.protobuf.Timestamp` |
+//! | bytes `x` | `string` `x`, without the zeros at the end |
 //! | an array `x` | `repeated` `x`; zeros at the end of numbers and structs are not written |
 //! | a struct `x` | a message `x` |
-//! | a struct of one array | a message of its named elements, then a `repeated` field of the others |
+//! | a struct of one array | a message of its named elements, then the others, `repeated` |
 
 use joulebus_wire::{FieldLayout, FieldType, StructLayout, layouts};
 use prost_types::field_descriptor_proto::{Label, Type};
@@ -52,11 +53,10 @@ pub(super) struct Plain {
     pub(super) of: Number,
 }
 
-/// A field of a message.
 #[derive(Debug)]
 pub(super) struct Field {
     number: u32,
-    /// What is written before its contents, from the lowest byte, and how many bytes.
+    /// Bytes before its contents, from the lowest, and their number.
     pub(super) key: (u64, usize),
     /// Name of message and field.
     pub(super) name: &'static str,
@@ -80,6 +80,8 @@ pub(super) enum Form {
         elements: usize,
         slot: usize,
     },
+    /// Text of at most so many bytes.
+    Text(usize),
     /// A struct, always written.
     Struct(Box<Table>),
     /// An array of structs; how many were read is in the slot.
@@ -251,8 +253,8 @@ impl Table {
                     .for_each(|place| of.write_nan(place));
             }
             Form::Struct(table) => into[..table.empty.len()].copy_from_slice(&table.empty),
-            // Those that are not written are zeros.
-            Form::Structs { .. } | Form::Number(_) | Form::Time(_) => {}
+            // Unwritten ones are zeros.
+            Form::Structs { .. } | Form::Number(_) | Form::Time(_) | Form::Text(_) => {}
         }
         self.fields.push(field);
     }
@@ -299,6 +301,7 @@ impl Form {
             Self::Number(_) | Self::Float(_) => MAX_VARINT,
             Self::Time(_) => 3 * MAX_VARINT,
             Self::Numbers { elements, .. } => (1 + elements) * MAX_VARINT,
+            Self::Text(bytes) => MAX_VARINT + bytes,
             Self::Struct(table) => MAX_VARINT + table.longest,
             // Each has a key.
             Self::Structs { of, elements, .. } => elements * (2 * MAX_VARINT + of.longest),
@@ -314,6 +317,10 @@ fn form(
     slots: &mut usize,
 ) -> Option<Form> {
     let is_repeated = field.label() == Label::Repeated;
+    if memory.of == FieldType::U8 {
+        let is_text = field.r#type() == Type::String && !is_repeated;
+        return is_text.then_some(Form::Text(memory.size));
+    }
     if is_repeated != memory.elements.is_some() {
         return None;
     }

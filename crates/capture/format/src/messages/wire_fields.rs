@@ -4,12 +4,9 @@
 use super::codec::{Bytes, MAX_DEPTH};
 use super::table::Wire;
 
-/// A field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Field<'a> {
-    /// Its number.
     pub(crate) number: u32,
-    /// Its contents.
     pub(crate) payload: Payload<'a>,
 }
 

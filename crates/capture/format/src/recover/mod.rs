@@ -40,7 +40,7 @@ pub enum RecoverError {
 }
 
 impl From<io::Error> for RecoverError {
-    /// Of the result.
+    /// An error of the result.
     fn from(error: io::Error) -> Self {
         Self::Write {
             reason: error.to_string(),

@@ -6,7 +6,7 @@ use super::chunk_header::{self, FIXED_BYTES, MAX_NAME_BYTES};
 use super::error::ScanError;
 use super::plausible::is_record;
 use super::record::{
-    ChunkFrame, Crc, HEAD_BYTES, Head, MAX_RECORD_BYTES, Place, is_opcode, most_expanded,
+    ChunkFrame, Crc, HEAD_BYTES, Head, MAX_RECORD_BYTES, Place, is_opcode, max_expanded,
 };
 use super::resume::Failure;
 use super::source::{Source, fill};
@@ -124,9 +124,9 @@ impl<R: Read + Seek> Chunk<R> {
             });
         }
         let place = self.place();
-        // What comes out counts, not what the head claims: that may be damaged.
+        // Limit by decompressed bytes: the header's size may be corrupt.
         let compressed = self.frame.header.compressed_size;
-        let allowed = most_expanded(compressed);
+        let allowed = max_expanded(compressed);
         if self.read > allowed {
             let detail = format!(
                 "more than {allowed} bytes of records in {compressed} compressed ones, which is the limit"

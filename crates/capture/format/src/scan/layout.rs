@@ -2,7 +2,6 @@
 
 use mcap::records::op;
 
-/// A field of a record.
 #[derive(Debug, Clone, Copy)]
 enum Field {
     /// Of fixed length.

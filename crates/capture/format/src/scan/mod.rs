@@ -23,7 +23,7 @@ pub(crate) use chunk::zstd_decoder;
 pub use error::ScanError;
 pub use record::{ChunkFrame, Crc, MAX_RECORD_BYTES, Place, kind_name};
 use record::{HEAD_BYTES, Head, MAGIC_BYTES};
-pub(crate) use record::{is_opcode, most_expanded};
+pub(crate) use record::{is_opcode, max_expanded};
 pub use resume::Skipped;
 use source::Source;
 

@@ -13,12 +13,12 @@ pub const MAX_RECORD_BYTES: u64 = 256 << 20;
 /// Decompressed size that is always allowed, bytes.
 const FREE_BYTES: u64 = 64 << 20;
 /// Decompressed size allowed beyond that per compressed byte, bytes. Captures have about 5.
-const MOST_EXPANSION: u64 = 256;
+const MAX_EXPANSION: u64 = 256;
 
 /// Allowed decompressed size of `compressed_bytes`: it bounds the time that a small file can cost
 /// its reader.
-pub(crate) const fn most_expanded(compressed_bytes: u64) -> u64 {
-    FREE_BYTES.saturating_add(compressed_bytes.saturating_mul(MOST_EXPANSION))
+pub(crate) const fn max_expanded(compressed_bytes: u64) -> u64 {
+    FREE_BYTES.saturating_add(compressed_bytes.saturating_mul(MAX_EXPANSION))
 }
 
 /// Opcode and length before every record, bytes.
@@ -58,7 +58,7 @@ impl fmt::Display for Place {
 pub struct Crc {
     /// Stored in the file; 0 means none.
     pub saved: u32,
-    /// Of the bytes in the file.
+    /// Checksum of the bytes in the file.
     pub found: u32,
 }
 
@@ -81,7 +81,6 @@ pub struct ChunkFrame {
     pub header: ChunkHeader,
 }
 
-/// Head of a record.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Head {
     pub(super) offset: u64,

@@ -15,7 +15,6 @@ const WINDOW_BYTES: u64 = 64 << 10;
 pub(super) struct Failure {
     /// The first unread byte.
     pub(super) from: u64,
-    /// Start of the search.
     pub(super) search_from: u64,
     /// Expected offset of the next record, if the length of the bad one is right.
     pub(super) next: Option<u64>,

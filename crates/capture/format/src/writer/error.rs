@@ -47,7 +47,7 @@ pub enum WriteError {
     },
 }
 
-/// What went wrong, with the operating system's error, which mcap's text omits.
+/// The error as text, with the operating system's, which mcap's text omits.
 pub(crate) fn reason(error: &McapError) -> String {
     match error {
         McapError::Io(source) => source.to_string(),

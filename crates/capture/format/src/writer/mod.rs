@@ -76,7 +76,6 @@ impl<W: Write> fmt::Debug for Writer<W> {
     }
 }
 
-/// An open channel.
 struct Channel {
     fleet: Arc<str>,
     id: u16,

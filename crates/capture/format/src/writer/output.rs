@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Buffer size that causes a flush.
-const MOST_GATHERED: usize = 1 << 20;
+const MAX_GATHERED: usize = 1 << 20;
 
 /// Buffers bytes and passes them on when flushed. After the first failure nothing is passed on any
 /// more: bytes after a hole would corrupt the file.
@@ -53,7 +53,7 @@ impl<W: Write> Write for Output<W> {
         }
         self.gathered.extend_from_slice(bytes);
         self.taken += bytes.len() as u64;
-        if self.gathered.len() > MOST_GATHERED {
+        if self.gathered.len() > MAX_GATHERED {
             self.hand_on()?;
         }
         Ok(bytes.len())

@@ -14,7 +14,7 @@ use mcap::records::{Record, op};
 use crate::damaged::{KINDS, MESSAGES, file, read, recovered};
 
 /// Buffers of one scan, one decompressor and one writer; wrong lengths must not add to it.
-const MOST_BYTES: u64 = 24 << 20;
+const MAX_BYTES: u64 = 24 << 20;
 
 #[test]
 fn a_valid_file_is_recovered_completely() {
@@ -149,7 +149,7 @@ fn no_length_in_a_file_causes_a_large_allocation() {
                 let _ = read(&bytes);
                 let _ = recover(Cursor::new(&bytes), Cursor::new(Vec::new()));
             });
-            assert!(used < MOST_BYTES, "{} at {at}: {used} bytes", kind.name);
+            assert!(used < MAX_BYTES, "{} at {at}: {used} bytes", kind.name);
             for length in [u32::MAX, 0x7fff_fff0] {
                 bytes[at..at + 4].copy_from_slice(&length.to_le_bytes());
                 let ((), used) = counting::peak(|| {
@@ -157,7 +157,7 @@ fn no_length_in_a_file_causes_a_large_allocation() {
                     let _ = read(&bytes);
                     let _ = recover(Cursor::new(&bytes), Cursor::new(Vec::new()));
                 });
-                assert!(used < MOST_BYTES, "{} at {at}: {used} bytes", kind.name);
+                assert!(used < MAX_BYTES, "{} at {at}: {used} bytes", kind.name);
             }
         }
     }
@@ -269,7 +269,7 @@ fn a_reader_does_not_allocate_a_claimed_chunk_size() {
         }
         let (read, used) = counting::peak(|| read(&bytes));
         assert_eq!(read, 0, "{}", kind.name);
-        assert!(used < MOST_BYTES, "{}: {used} bytes", kind.name);
+        assert!(used < MAX_BYTES, "{}: {used} bytes", kind.name);
     }
 }
 
@@ -291,7 +291,7 @@ fn an_index_whose_length_ends_within_an_entry_causes_no_allocation() {
         read(&bytes);
         let _ = recover(Cursor::new(&bytes), Cursor::new(Vec::new()));
     });
-    assert!(used < MOST_BYTES, "{used} bytes");
+    assert!(used < MAX_BYTES, "{used} bytes");
 }
 
 /// A file of chunks, each of `records` compressed records of this kind.

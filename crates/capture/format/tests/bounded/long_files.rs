@@ -16,7 +16,7 @@ use mcap::WriteOptions;
 use mcap::records::MessageHeader;
 
 /// Maximum memory of reading, bytes. The guarantee is 200 MB for a file of 2 GB.
-const MOST_BYTES: u64 = 32 << 20;
+const MAX_BYTES: u64 = 32 << 20;
 const MESSAGE_BYTES: usize = 4096;
 const USUAL_MB: u64 = 48;
 
@@ -79,7 +79,7 @@ fn a_long_file_is_read_in_bounded_memory() {
     let start = Instant::now();
     let (found, used) = counting::peak(|| inspect(open()).unwrap());
     assert!(found.is_sound() && found.messages == messages);
-    assert!(used < MOST_BYTES, "inspect: {used} bytes");
+    assert!(used < MAX_BYTES, "inspect: {used} bytes");
     println!(
         "figure: inspect {file_mb:.0} MB at {:.0} MB/s in {:.1} MB of memory",
         rate(start),
@@ -94,7 +94,7 @@ fn a_long_file_is_read_in_bounded_memory() {
         recovery.is_clean() && recovery.messages.recovered == messages,
         "{recovery}"
     );
-    assert!(used < MOST_BYTES, "recover: {used} bytes");
+    assert!(used < MAX_BYTES, "recover: {used} bytes");
     println!(
         "figure: recover {file_mb:.0} MB at {:.0} MB/s in {:.1} MB of memory",
         rate(start),
@@ -116,7 +116,7 @@ fn a_long_file_is_read_in_bounded_memory() {
     });
     assert_eq!(passed.messages, messages);
     assert_eq!(bytes as u64, messages * MESSAGE_BYTES as u64);
-    assert!(used < MOST_BYTES, "values: {used} bytes");
+    assert!(used < MAX_BYTES, "values: {used} bytes");
     println!(
         "figure: values {file_mb:.0} MB at {:.0} MB/s in {:.1} MB of memory",
         rate(start),

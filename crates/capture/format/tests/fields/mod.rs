@@ -48,6 +48,10 @@ impl Bits {
     fn fill(&mut self, field: &FieldLayout, into: &mut [u8]) {
         let into = &mut into[..field.size];
         let size = field.size / field.elements.unwrap_or(1);
+        if field.of == FieldType::U8 {
+            let text = "ω k".repeat(self.u16() as usize % (into.len() / 4));
+            return into[..text.len()].copy_from_slice(text.as_bytes());
+        }
         let used = match field.elements {
             Some(elements) => (self.u64() % (elements as u64 + 1)) as usize,
             None => 1,

@@ -163,6 +163,10 @@ fn assert_fields<T: Row>(row: &T, read: &DynamicMessage, others: &[&str]) -> usi
                 assert!(bytes[written..].iter().all(|byte| *byte == 0));
                 return;
             }
+            (FieldType::U8, _) => {
+                let of = of.unwrap();
+                return assert_eq!(of.as_str(), Some(joulebus_wire::text(bytes)));
+            }
             (_, None) => vec![number(&of.unwrap())],
             (_, Some(_)) => of.unwrap().as_list().unwrap().iter().map(number).collect(),
         };

@@ -48,13 +48,13 @@ rows! {
         pub sent_unix_ns: u64,
         /// Hash.
         pub motor_hash: u64,
-        /// What is refused.
+        /// The refusal.
         pub refused: [Refusal; 1],
         /// Balance.
         pub balance: i64,
     }
 
-    /// Of one robot.
+    /// The motors of one robot.
     pub struct MotorPair: "joulebus.MotorPair", 56 {
         /// Id.
         pub robot: u32,
@@ -64,7 +64,7 @@ rows! {
         pub flags: u16,
         /// Left and right, °C.
         pub temperature_c: [f32; 2],
-        /// Of the controller, °C.
+        /// Temperature of the controller, °C.
         pub controller_c: f32,
         /// Faults.
         pub faults: [u16; 2],

@@ -9,7 +9,7 @@ use joulebus_wire::{Channel, Queries};
 
 use crate::bits::{assert_described, assert_query, dynamic};
 
-/// Three messages of each kind, with arbitrary bits.
+/// Three messages of each kind that there was, with arbitrary bits: all but acknowledgements.
 const EARLIER: &[u8] = include_bytes!("../earlier.mcap");
 
 /// Compares a message with what the file's schema says of the same bytes.
@@ -51,5 +51,5 @@ fn an_earlier_capture_is_read_to_the_same_bits_and_the_same_is_written() {
         count += 1;
     }
     assert!(reader.next_entry().unwrap().is_none());
-    assert_eq!((schemas.len(), count), (MessageKind::ALL.len(), 36));
+    assert_eq!((schemas.len(), count), (MessageKind::ALL.len() - 1, 36));
 }

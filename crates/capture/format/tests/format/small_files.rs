@@ -3,16 +3,17 @@
 use std::collections::BTreeMap as Map;
 use std::io::Cursor;
 
+use joulebus_capture_format::inspect::inspect;
 use joulebus_capture_format::scan::ScanError;
 use joulebus_capture_format::values::{Line, Passed, values};
 use joulebus_capture_format::{DecodeError, Message, MessageKind};
-use mcap::records::MessageHeader;
+use mcap::records::{MessageHeader, op};
 use prost::Message as _;
 use prost_types::field_descriptor_proto::{Label, Type};
 use prost_types::{DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet};
 
 /// Rows that a message may have.
-const MOST_ROWS: usize = 1 << 20;
+const MAX_ROWS: usize = 1 << 20;
 
 /// Descriptors of a message with `count` fields of its own type, and one of numbers.
 fn recursive(count: i32) -> Vec<u8> {
@@ -124,11 +125,11 @@ fn no_message_of_empty_rows_is_decoded_that_has_more_than_a_fleet_has_robots() {
                 Ok(tag) if tag < 0x80 => vec![tag, 0],
                 _ => vec![(tag & 0x7f) as u8 | 0x80, (tag >> 7) as u8, 0],
             };
-            let rows = empty.repeat(MOST_ROWS + 1);
+            let rows = empty.repeat(MAX_ROWS + 1);
             let is_refused = |data: &[u8]| {
                 matches!(
                     Message::decode(kind, data),
-                    Err(DecodeError::TooManyRows { found }) if found > MOST_ROWS
+                    Err(DecodeError::TooManyRows { found }) if found > MAX_ROWS
                 )
             };
             assert!(is_refused(&rows), "{kind:?}, {number}");
@@ -141,4 +142,33 @@ fn no_message_of_empty_rows_is_decoded_that_has_more_than_a_fleet_has_robots() {
             }
         }
     }
+}
+
+/// The file with a summary offset of a group that starts at `start` and has `bytes`, and without
+/// checksum of its summary.
+fn with_group(mut file: Vec<u8>, group: u8, start: u64, bytes: u64) -> Vec<u8> {
+    let mut offset = vec![op::SUMMARY_OFFSET];
+    offset.extend(17_u64.to_le_bytes());
+    offset.push(group);
+    offset.extend(start.to_le_bytes());
+    offset.extend(bytes.to_le_bytes());
+    let end = file.len();
+    // The footer is 29 bytes; its checksum and the magic bytes end the file.
+    file[end - 12..end - 8].fill(0);
+    file.splice(end - 37..end - 37, offset);
+    file
+}
+
+#[test]
+fn groups_of_the_summary_without_records_are_no_fault_and_those_that_lack_some_are() {
+    let of = |group, start, bytes| {
+        let file = with_group(file(&recursive(1), 1, &[]), group, start, bytes);
+        inspect(Cursor::new(file)).unwrap()
+    };
+    for group in [op::ATTACHMENT_INDEX, op::METADATA_INDEX] {
+        let empty = of(group, 100, 0);
+        assert!(empty.is_sound() && empty.complete, "{:?}", empty.findings);
+        assert!(!of(group, 100, 9).is_sound());
+    }
+    assert!(!of(op::STATISTICS, 100, 0).is_sound());
 }

@@ -31,7 +31,7 @@ impl PlayedChannel {
         }
     }
 
-    /// Those that sources send and planners read.
+    /// All channels that sources send and planners read.
     #[must_use]
     pub fn all() -> Vec<Self> {
         struct All(Vec<PlayedChannel>);

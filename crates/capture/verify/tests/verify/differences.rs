@@ -62,7 +62,6 @@ impl Simulation {
         simulation
     }
 
-    /// Restarts the worker.
     fn restart(&mut self) {
         let late = std::mem::take(&mut self.late);
         self.sent

@@ -89,7 +89,7 @@ impl Fleet {
         }
         let admission = &self.columns.admissions[slot];
         let context = &self.tick.platforms[usize::from(admission.platform)];
-        check::values(sample, &context.platform)?;
+        context.platform.admit(sample)?;
         let max_jump_ns = self.tick.settings.intake.max_jump_ns;
         let broken = check::time(admission, sample.stamp_ns, max_jump_ns)?;
         if let Some(battery) = &context.platform.battery {

@@ -1,16 +1,8 @@
 //! Checks of a sample of a known robot, in the order of their execution.
 
-use std::ops::RangeInclusive;
-
-use joulebus_settings::Platform;
-use joulebus_wire::{DropReason, InvalidReason, Sample, SampleHeader, sample_flag};
+use joulebus_wire::{DropReason, InvalidReason, SampleHeader};
 
 use crate::ingest::admission::AdmissionState;
-
-/// Measured states of charge: batteries report a little more than full, or less than empty.
-const SOC: RangeInclusive<f32> = -0.05..=1.05;
-/// Energy to return, J: up to the largest battery.
-const RETURN_J: RangeInclusive<f32> = 0.0..=3.6e9;
 
 /// Checks that the source owns the robot, and that its numbers rise. The frame belongs to its
 /// source's present run: another one than the robot's has taken over.
@@ -41,52 +33,6 @@ pub(crate) fn sender(
 pub(crate) fn backlog(admission: &AdmissionState, most: u16) -> Result<(), DropReason> {
     if admission.taken >= most {
         return Err(DropReason::Backlog);
-    }
-    Ok(())
-}
-
-/// Refuses values outside the limits of the platform.
-///
-/// A value whose flag is cleared is unknown and not checked.
-pub(crate) fn values(sample: &Sample, platform: &Platform) -> Result<(), DropReason> {
-    let full_off_the_charger = sample.has(sample_flag::FULL) && !sample.has(sample_flag::CHARGING);
-    if sample.flags & !sample_flag::ALL != 0 || sample.reserved != 0 || full_off_the_charger {
-        return Err(DropReason::BadFlags);
-    }
-    let known = [
-        (sample_flag::V, sample.v_mps),
-        (sample_flag::OMEGA, sample.omega_radps),
-        (sample_flag::POWER, sample.power_w),
-        (sample_flag::VOLTAGE, sample.voltage_v),
-        (sample_flag::CURRENT, sample.current_a),
-        (sample_flag::SOC, sample.soc),
-        (sample_flag::RETURN, sample.return_j),
-    ];
-    if known
-        .iter()
-        .any(|(flag, value)| sample.has(*flag) && !value.is_finite())
-    {
-        return Err(DropReason::NotFinite);
-    }
-    let power_fine =
-        platform.power_min_w <= sample.power_w && sample.power_w <= platform.power_max_w;
-    if sample.has(sample_flag::POWER) && !power_fine {
-        return Err(DropReason::PowerOutOfRange);
-    }
-    let v_fine = sample.v_mps.abs() <= platform.v_max_mps;
-    let omega_fine = sample.omega_radps.abs() <= platform.omega_max_radps;
-    if (sample.has(sample_flag::V) && !v_fine) || (sample.has(sample_flag::OMEGA) && !omega_fine) {
-        return Err(DropReason::CommandOutOfRange);
-    }
-    let soc_fine = SOC.contains(&sample.soc);
-    let return_fine = RETURN_J.contains(&sample.return_j);
-    if (sample.has(sample_flag::SOC) && !soc_fine)
-        || (sample.has(sample_flag::RETURN) && !return_fine)
-    {
-        return Err(DropReason::BatteryOutOfRange);
-    }
-    if sample.has(sample_flag::POWER) && sample.measured_ns > sample.stamp_ns {
-        return Err(DropReason::BadTime);
     }
     Ok(())
 }

@@ -5,9 +5,9 @@ use std::path::{Path as FilePath, PathBuf};
 use std::process::Command;
 
 use joulebus_config::{Config, builtin_model};
-use joulebus_energy::{Commands, EnergyModel, EnergyState};
+use joulebus_energy::EnergyState;
 use joulebus_plan::follow::{Follower, Pose};
-use joulebus_plan::{Fleet, Path, PathError, Point};
+use joulebus_plan::{Fleet, Path, PathError, Platform, Point};
 use joulebus_predictor::{Model, Network, Persistence, ResidualStats};
 use proptest::prelude::*;
 
@@ -63,43 +63,64 @@ proptest! {
     }
 }
 
-/// The energy model of the platform that ships.
-fn shipped() -> EnergyModel {
+/// The platform that ships, with its limits for samples and its model.
+fn shipped() -> Platform {
+    let platform = fleet(0.25, 4.0).platforms()[0].settings.clone();
     let (_, bytes) = builtin_model("gternal-sim").expect("it ships");
     let network = Network::from_safetensors(bytes).expect("a valid file");
-    network.card().energy.clone().expect("trained with one")
+    let energy = network.card().energy.clone().expect("trained with one");
+    Platform::new(platform, energy, network.hash())
+}
+
+/// The steps outside a model's training data of a robot at rest that follows a path.
+fn steps_outside(platform: &Platform, path: &Path) -> usize {
+    let follower = Follower::new(platform).expect("it moves");
+    let followed = follower.follow(path).expect("it gets there");
+    let mut at_rest = EnergyState::new(0);
+    (at_rest.metered.v_mps, at_rest.metered.omega_radps) = (0.0, 0.0);
+    platform
+        .energy
+        .forecast(&at_rest, followed.commands())
+        .steps_outside
 }
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
 
-    /// Robots of the Robotarium have been commanded to start, to stop and to turn as suddenly as a
-    /// follower does. Of its steps, only those with velocities outside the training data are
-    /// outside.
+    /// Robots of the plant are commanded to start, to stop and to turn as suddenly as a follower
+    /// does, up to the Robotarium's limits: 0.2 m/s and both wheels in opposite directions.
     #[test]
-    fn changes_of_a_followers_commands_are_inside_the_shipped_models_training_data(
+    fn the_shipped_model_knows_every_step_of_a_path_at_the_robotariums_speeds(
         corners in prop::collection::vec((-1.6f64..1.6, -1.0f64..1.0), 2..6),
-        speed_mps in 0.02f64..0.16,
+        speed_mps in prop_oneof![0.02f64..0.2, Just(0.2), Just(f64::INFINITY)],
     ) {
         let points: Vec<Point> = corners.iter().map(|(x, y)| Point::new(*x, *y)).collect();
-        let follower = follower(0.25, 4.0);
-        let followed = follower.follow(&Path::new(&points, speed_mps)).expect("it gets there");
-        let model = shipped();
-        let plan = Commands {
-            period_s: followed.period_s,
-            v_mps: &followed.v_mps,
-            omega_radps: &followed.omega_radps,
-        };
-        let mut at_rest = EnergyState::new(0);
-        (at_rest.metered.v_mps, at_rest.metered.omega_radps) = (0.0, 0.0);
-        let commands = followed.v_mps.iter().zip(&followed.omega_radps);
-        let within = |[lowest, highest]: [f32; 2], value: f32| lowest <= value && value <= highest;
-        let too_fast = commands.filter(|(v_mps, omega_radps)| {
-            !within(model.v_mps, **v_mps) || !within(model.omega_radps, **omega_radps)
-        });
-        let too_fast = too_fast.count();
-        prop_assert_eq!(model.forecast(&at_rest, plan).steps_outside, too_fast);
+        prop_assert_eq!(steps_outside(&shipped(), &Path::new(&points, speed_mps)), 0);
     }
+}
+
+#[test]
+fn a_plan_turns_and_reverses_within_its_models_range_and_drives_as_fast_as_asked() {
+    let mut platform = shipped();
+    (platform.energy.v_mps, platform.energy.omega_radps) = ([0.0, 0.1], [-1.0, 1.5]);
+    let there_and_back = [0.0, 1.0, 0.0].map(|x_m| Point::new(x_m, 0.0));
+    let highest = |speed_mps| {
+        let follower = Follower::new(&platform).expect("it moves");
+        let followed = follower.follow(&Path::new(&there_and_back, speed_mps));
+        let followed = followed.expect("it gets there");
+        let lowest = followed.v_mps.iter().copied().fold(0.0, f32::min);
+        let turned = followed.omega_radps.iter().map(|omega| omega.abs());
+        let fastest = followed.v_mps.iter().copied().fold(0.0, f32::max);
+        (lowest, fastest, turned.fold(0.0, f32::max))
+    };
+    // Asked for 0.2 m/s, it is answered with steps outside the training data.
+    assert_eq!(highest(0.2), (0.0, 0.2, 1.0));
+    assert_eq!(highest(f64::INFINITY), (0.0, 0.1, 1.0));
+    assert!(steps_outside(&platform, &Path::new(&there_and_back, 0.2)) > 100);
+    // A model that has seen no turn cannot keep a robot from turning.
+    platform.energy.omega_radps = [0.0, 0.0];
+    let follower = Follower::new(&platform).expect("it moves");
+    assert!(follower.follow(&Path::new(&there_and_back, 0.1)).is_ok());
 }
 
 #[test]

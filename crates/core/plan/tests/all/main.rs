@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod allocations;
+mod everyday;
 mod follower;
 mod question_cost;
 mod questions;

@@ -151,7 +151,7 @@ fn whatever_is_unknown_is_said_and_never_yes() {
 }
 
 #[test]
-fn what_weakens_an_answer_widens_it_to_what_the_platform_can_draw_and_is_never_yes() {
+fn what_is_not_known_of_a_plan_costs_what_the_platform_can_draw_and_a_weak_state_the_yes() {
     let fleet = fleet();
     let rows = Rows::with_usable(30_000.0);
     let robot = rows.robot(&fleet);
@@ -163,6 +163,9 @@ fn what_weakens_an_answer_widens_it_to_what_the_platform_can_draw_and_is_never_y
         hi_j >= 20.0 * 10.0,
         "20 W are possible for 10 s: {outside:?}"
     );
+    assert_eq!(outside.verdict, Verdict::Yes, "even that can be spared");
+    let poor = Rows::with_usable(0.9 * f64::from(hi_j));
+    let outside = straight(&poor.robot(&fleet), 0.25, 300);
     assert_eq!(outside.verdict, Verdict::Tight);
     assert!(outside.energy.expect("known").lo_j >= 0.0, "{outside:?}");
     // A jump that no recording has, in one step of many.
@@ -178,13 +181,13 @@ fn what_weakens_an_answer_widens_it_to_what_the_platform_can_draw_and_is_never_y
     );
     let sudden = straight(&careful, 0.15, 300);
     assert_eq!(sudden.caveats.steps_outside_training, 1);
-    assert_eq!(sudden.verdict, Verdict::Tight);
+    assert_eq!(sudden.verdict, Verdict::Yes);
     let widened_j = sudden.energy.expect("known").hi_j - gentle.energy.expect("known").hi_j;
     assert!(widened_j > 0.9 * 16.0 * STEP_S, "{widened_j} J");
     // 400 s: errors are known up to 300.
     let long = straight(&robot, 0.1, 12_000);
     assert!(
-        long.caveats.beyond_horizon && long.verdict == Verdict::Tight,
+        long.caveats.beyond_horizon && long.verdict == Verdict::Yes,
         "{long:?}"
     );
     let energy = long.energy.expect("known");
@@ -207,7 +210,7 @@ fn what_weakens_an_answer_widens_it_to_what_the_platform_can_draw_and_is_never_y
     let untrained = EnergyModel::untrained(3.0);
     let bare = Fleet::of(vec![Platform::new(platform().settings, untrained, 1)], 1);
     let answer = straight(&rows.robot(&bare), 0.1, 300);
-    assert_eq!((answer.verdict, answer.probability), (Verdict::Tight, None));
+    assert_eq!((answer.verdict, answer.probability), (Verdict::Yes, None));
     assert!(answer.energy.expect("known").hi_j >= 199.0, "{answer:?}");
 }
 
@@ -223,10 +226,11 @@ fn a_plan_as_long_as_the_longest_calibrated_horizon_can_be_a_yes() {
         let robot = rows.robot(&fleet);
         let steps = (30.0 * horizon_s) as usize;
         // Thirty steps of 1/30 s add up to a little more than a second.
-        for answer in [
+        let answers = [
             straight(&robot, 0.1, steps),
             robot.idle(horizon_s, 0.9).expect("allowed"),
-        ] {
+        ];
+        for answer in answers {
             assert!((answer.duration_s / horizon_s - 1.0).abs() < 1e-5);
             let energy = answer.energy.expect("known");
             assert!(energy.hi_j < 1.2 * energy.mean_j, "{answer:?}");
@@ -235,7 +239,7 @@ fn a_plan_as_long_as_the_longest_calibrated_horizon_can_be_a_yes() {
         }
         let longer = robot.idle(1.02 * horizon_s, 0.9).expect("allowed");
         assert!(longer.caveats.beyond_horizon, "{longer:?}");
-        assert_eq!(longer.verdict, Verdict::Tight, "{longer:?}");
+        assert!(longer.margin_j < answers[1].margin_j, "{longer:?}");
     }
 }
 
@@ -517,8 +521,8 @@ fn a_trip_that_fits_is_answered_though_the_way_back_from_its_middle_does_not() {
         speed_mps: vec![0.2, 0.2, 0.2, 0.01],
         ..Path::new(&points, 0.2)
     };
-    for (most_steps, seconds) in [(2_000, 60.0), (4_000, 120.0)] {
-        let trip = robot.can_finish_within(&path, Some(dock), 0.9, most_steps);
+    for (max_steps, seconds) in [(2_000, 60.0), (4_000, 120.0)] {
+        let trip = robot.can_finish_within(&path, Some(dock), 0.9, max_steps);
         let trip = trip.expect("the whole trip fits");
         assert!(trip.answer.duration_s < 60.0, "{:?}", trip.answer);
         assert_eq!(trip.answer.verdict, Verdict::Yes);

@@ -93,6 +93,8 @@ pub(super) struct ReadSection {
 #[serde(deny_unknown_fields)]
 pub(super) struct Vda5050Section {
     pub(super) topic: Text,
+    /// Sign of `batteryCurrent`, which the standard does not state.
+    pub(super) current: Option<CurrentWord>,
 }
 
 #[derive(Debug, Deserialize)]

@@ -21,6 +21,7 @@ use crate::mapping::intake::{Holds, Intake};
 use crate::mapping::judgement::Judgement;
 use crate::mapping::outgoing::What;
 use crate::mapping::robots::Robots;
+use crate::mapping::ros::outgoing::RosWhat;
 
 pub(crate) use mqtt::{MqttSettings, Write};
 pub(crate) use ros2::{Ros2Settings, RosWrite};
@@ -51,10 +52,18 @@ impl Settings {
             let path = path.to_owned();
             ConfigError::Read { path, source }
         })?;
+        Self::parse(&text, path, config)
+    }
+
+    /// Checks the text of a bridge's file. `path` is its name in messages, and names its folder.
+    ///
+    /// # Errors
+    /// [`ConfigError`] with all problems, if it is refused.
+    pub(crate) fn parse(text: &str, path: &Path, config: &Config) -> Result<Self, ConfigError> {
         let mut check = Check {
             file: path.display().to_string(),
             folder: path.parent().unwrap_or(Path::new("")).to_owned(),
-            text: &text,
+            text,
             fleet: config.fleet(),
             problems: Vec::new(),
         };
@@ -71,6 +80,14 @@ impl Settings {
         let ros2 = self.ros2.as_ref();
         mqtt.is_some_and(|it| !it.routes.is_empty() || it.vizier.is_some())
             || ros2.is_some_and(|it| !it.routes.is_empty())
+    }
+
+    /// Whether energies left are written.
+    pub(crate) fn writes_budgets(&self) -> bool {
+        let mut mqtt = self.mqtt.iter().flat_map(|mqtt| &mqtt.writes);
+        let mut ros2 = self.ros2.iter().flat_map(|ros2| &ros2.writes);
+        mqtt.any(|write| write.what == What::Budget)
+            || ros2.any(|write| write.what == RosWhat::Budget)
     }
 
     /// Interval of the most frequent topic. Alarm changes are read separately.

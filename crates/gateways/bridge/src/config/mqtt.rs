@@ -8,8 +8,8 @@ use toml::Spanned;
 
 use crate::config::check::Check;
 use crate::config::file::{
-    FieldsSection, FlagSection, MqttSection, NumberSection, OutgoingValueSection, Text,
-    WriteSection,
+    CurrentWord, FieldsSection, FlagSection, MqttSection, NumberSection, OutgoingValueSection,
+    Text, WriteSection,
 };
 use crate::config::secret::secret;
 use crate::mapping::fields::{Fields, Flag, Number, Place};
@@ -36,7 +36,7 @@ pub(crate) struct MqttSettings {
     /// User name and password.
     pub(crate) login: Option<(String, String)>,
     pub(crate) keep_alive: Duration,
-    pub(crate) most_payload_bytes: usize,
+    pub(crate) max_payload_bytes: usize,
     pub(crate) routes: Vec<Route>,
     pub(crate) vizier: Option<VizierSettings>,
     pub(crate) writes: Vec<Write>,
@@ -96,7 +96,8 @@ impl Check<'_> {
             routes.extend(self.route(&read.topic, "mqtt.read.topic", fields));
         }
         for vda in &section.vda5050 {
-            routes.extend(self.route(&vda.topic, "mqtt.vda5050.topic", Fields::vda5050()));
+            let negate = matches!(vda.current, Some(CurrentWord::DischargeNegative));
+            routes.extend(self.route(&vda.topic, "mqtt.vda5050.topic", Fields::vda5050(negate)));
         }
         let vizier = section.vizier.map(|vizier| {
             let fields = vizier
@@ -129,7 +130,7 @@ impl Check<'_> {
             client_id,
             login,
             keep_alive: Duration::from_secs(section.keep_alive_s),
-            most_payload_bytes: section.max_payload_bytes as usize,
+            max_payload_bytes: section.max_payload_bytes as usize,
             routes,
             vizier,
             writes,

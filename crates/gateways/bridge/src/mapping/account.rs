@@ -31,6 +31,8 @@ pub(crate) enum Reason {
     IncompatibleQos,
     /// A name that `[robots]` does not have.
     UnknownRobot,
+    /// A version of a standard that is not known: 1 to 3 of VDA 5050 are.
+    UnknownVersion,
     /// No value that the mapping names.
     Nothing,
     /// A value, or a topic, of another type than expected.
@@ -61,6 +63,7 @@ impl Reason {
             Self::WrongEncoding => "wrong_encoding",
             Self::IncompatibleQos => "incompatible_qos",
             Self::UnknownRobot => "unknown_robot",
+            Self::UnknownVersion => "unknown_version",
             Self::Nothing => "nothing_mapped",
             Self::WrongType => "wrong_type",
             Self::NotFinite => "not_finite",

@@ -11,6 +11,8 @@ use crate::mapping::units::{Quantity, Unit};
 pub(crate) struct Place {
     /// JSON pointer (RFC 6901). Empty for the whole document.
     pub(crate) pointer: String,
+    /// A second one, for documents without the first.
+    pub(crate) or: Option<&'static str>,
     /// Values that mean "not known".
     pub(crate) unknown: Vec<Value>,
 }
@@ -25,13 +27,15 @@ impl Place {
         };
         Self {
             pointer,
+            or: None,
             unknown: Vec::new(),
         }
     }
 
     /// Finds the value, unless it is missing, null or means "not known".
     fn find<'v>(&self, document: &'v Value) -> Option<&'v Value> {
-        let found = document.pointer(&self.pointer)?;
+        let second = || self.or.and_then(|pointer| document.pointer(pointer));
+        let found = document.pointer(&self.pointer).or_else(second)?;
         let is_unknown = found.is_null() || self.unknown.iter().any(|value| is_equal(value, found));
         (!is_unknown).then_some(found)
     }
@@ -132,8 +136,35 @@ pub(crate) struct Fields {
     pub(crate) full: Option<Flag>,
     /// Position of the robot's name, unless the topic has it.
     pub(crate) robot: Option<Place>,
-    /// The standard lets robots leave fields out.
-    pub(crate) may_lack: bool,
+    /// The standard of the documents, if they have one.
+    pub(crate) standard: Option<Standard>,
+}
+
+/// A standard that documents say the version of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Standard {
+    /// VDA 5050. Its vehicles may leave out everything but the state of charge and whether they
+    /// are charging.
+    Vda5050,
+}
+
+impl Standard {
+    /// The version that the document states, unless it is one that is known: 1 to 3.
+    pub(crate) fn unknown_version(self, document: &Value) -> Option<String> {
+        let Self::Vda5050 = self;
+        let version = document.get("version")?;
+        let known = version.as_str().is_some_and(|text| {
+            let major = text.split('.').next().unwrap_or_default();
+            ["1", "2", "3"].contains(&major)
+        });
+        (!known).then(|| version.to_string())
+    }
+
+    /// Whether the documents must have the field of this name.
+    fn demands(self, name: &str) -> bool {
+        let Self::Vda5050 = self;
+        matches!(name, "soc" | "charging")
+    }
 }
 
 /// States of charge that the worker takes.
@@ -208,7 +239,10 @@ impl Fields {
             ("charging", self.charging.is_some(), seen.charging.is_some()),
             ("full", self.full.is_some(), seen.full.is_some()),
         ];
-        let named = fields.into_iter().filter(|(_, is_named, _)| *is_named);
+        let is_due = |name| self.standard.is_none_or(|standard| standard.demands(name));
+        let named = fields
+            .into_iter()
+            .filter(|(name, is_named, _)| *is_named && is_due(name));
         named.map(|(name, _, has)| (name, has)).collect()
     }
 
@@ -221,14 +255,27 @@ impl Fields {
         }
     }
 
-    /// Fields of a vehicle's `state` by VDA 5050 (1.1 to 2.1): battery, and velocity in the
-    /// vehicle's frame.
-    pub(crate) fn vda5050() -> Self {
+    /// Fields of a vehicle's `state` by VDA 5050: battery, and velocity in the vehicle's frame. Up
+    /// to version 2 the battery is `batteryState`, from 3 on `powerSupply`, with a current whose
+    /// sign the standard does not state: `negate` turns it.
+    pub(crate) fn vda5050(negate: bool) -> Self {
         let percent = Unit {
             name: "%",
             size: 0.01,
         };
-        let soc = Number::si(Quantity::Share, "/batteryState/batteryCharge");
+        let either = |quantity: Quantity, pointer, or| {
+            let mut number = Number::si(quantity, pointer);
+            number.place.or = Some(or);
+            number
+        };
+        let soc = either(
+            Quantity::Share,
+            "/batteryState/batteryCharge",
+            "/powerSupply/stateOfCharge",
+        );
+        let voltage = "/batteryState/batteryVoltage";
+        let mut charging = Flag::at("/batteryState/charging");
+        charging.place.or = Some("/powerSupply/charging");
         Self {
             v: Some(Number::si(Quantity::Speed, "/velocity/vx")),
             vy: Some(Number::si(Quantity::Speed, "/velocity/vy")),
@@ -237,12 +284,18 @@ impl Fields {
                 unit: percent,
                 ..soc
             }),
-            voltage: Some(Number::si(
+            voltage: Some(either(
                 Quantity::Voltage,
-                "/batteryState/batteryVoltage",
+                voltage,
+                "/powerSupply/batteryVoltage",
             )),
-            charging: Some(Flag::at("/batteryState/charging")),
-            may_lack: true,
+            current: Some(Number {
+                negate,
+                ..Number::si(Quantity::Current, "/powerSupply/batteryCurrent")
+            }),
+            power_of_current: true,
+            charging: Some(charging),
+            standard: Some(Standard::Vda5050),
             ..Self::default()
         }
     }
@@ -371,7 +424,7 @@ mod tests {
         });
         let fields = Fields {
             robot: Some(Place::at("/serialNumber")),
-            ..Fields::vda5050()
+            ..Fields::vda5050(true)
         };
         let (seen, refused) = read(&fields, &document);
         assert_eq!(refused, []);
@@ -380,7 +433,29 @@ mod tests {
             (seen.soc, seen.voltage_v, seen.charging),
             (Some(0.8), Some(24.5), Some(false))
         );
-        assert_eq!(seen.power, None, "VDA 5050 has neither power nor current");
+        assert_eq!(seen.power, None, "version 2 has neither power nor current");
+        let of_3 = json!({
+            "version": "3.0.0", "velocity": {"vx": 0.5}, "powerSupply": {
+                "stateOfCharge": 61.5, "batteryVoltage": 24.0, "batteryCurrent": -2.0, "charging": true,
+            },
+        });
+        let (new, refused) = read(&fields, &of_3);
+        assert_eq!(refused, []);
+        assert_eq!(new.power.map(|power| power.power_w), Some(48.0));
+        assert_eq!(
+            (new.soc, new.voltage_v, new.charging),
+            (Some(0.615), Some(24.0), Some(true))
+        );
+        let unknown = |document| Standard::Vda5050.unknown_version(&document);
+        for known in ["1.1", "2.0.0", "2.1.0", "3.0.0", "3.1"] {
+            assert_eq!(unknown(json!({"version": known})), None, "{known}");
+        }
+        assert_eq!(unknown(json!({})), None);
+        assert_eq!(
+            unknown(json!({"version": "4.0.0"})).as_deref(),
+            Some("\"4.0.0\"")
+        );
+        assert_eq!(unknown(json!({"version": 3})).as_deref(), Some("3"));
         assert_eq!(fields.robot(&document).as_deref(), Some("0001"));
         assert_eq!(
             fields.robot(&json!({"serialNumber": 7})).as_deref(),

@@ -43,7 +43,7 @@ pub(crate) struct Message<'m> {
 pub(crate) struct Reader {
     routes: Vec<Route>,
     robots: Robots,
-    most_bytes: usize,
+    max_bytes: usize,
     vizier: Option<Vizier>,
 }
 
@@ -61,12 +61,12 @@ struct Vizier {
 }
 
 impl Reader {
-    /// Creates a reader of payloads up to `most_bytes`.
-    pub(crate) fn new(routes: Vec<Route>, robots: Robots, most_bytes: usize) -> Self {
+    /// Creates a reader of payloads up to `max_bytes`.
+    pub(crate) fn new(routes: Vec<Route>, robots: Robots, max_bytes: usize) -> Self {
         Self {
             routes,
             robots,
-            most_bytes,
+            max_bytes,
             vizier: None,
         }
     }
@@ -115,7 +115,7 @@ impl Reader {
                 message,
                 account,
             };
-            if let Some((robot, seen)) = reading.seen(route, robot, &self.robots, self.most_bytes) {
+            if let Some((robot, seen)) = reading.seen(route, robot, &self.robots, self.max_bytes) {
                 take(robot, &seen);
             }
         }
@@ -128,7 +128,7 @@ impl Reader {
                 account,
             };
             if let Some((robot, seen)) =
-                vizier.seen(reading, (node, number), &self.robots, self.most_bytes)
+                vizier.seen(reading, (node, number), &self.robots, self.max_bytes)
             {
                 take(robot, &seen);
             }
@@ -202,13 +202,13 @@ impl Reading<'_> {
         self.account.count(self.route, reason, name);
     }
 
-    fn document(&mut self, most_bytes: usize) -> Option<Value> {
+    fn document(&mut self, max_bytes: usize) -> Option<Value> {
         let Message {
             topic,
             payload,
             retained,
         } = self.message;
-        let refused = if payload.len() > most_bytes {
+        let refused = if payload.len() > max_bytes {
             Reason::TooLong
         } else if retained {
             Reason::Retained
@@ -246,13 +246,13 @@ impl Reading<'_> {
         route: &Route,
         robot: Option<&str>,
         robots: &Robots,
-        most_bytes: usize,
+        max_bytes: usize,
     ) -> Option<(u32, Observation)> {
         // Look up a name in the topic first, so that messages about other robots are not parsed.
         let id = robot.map(|name| self.id(name, robots));
         let document = match id {
             Some(None) => return None,
-            _ => self.document(most_bytes)?,
+            _ => self.document(max_bytes)?,
         };
         let (robot, id) = match (robot, id.flatten()) {
             (Some(name), Some(id)) => (name.to_owned(), id),
@@ -265,11 +265,15 @@ impl Reading<'_> {
                 (name, id)
             }
         };
-        let seen = self.observation(&route.fields, &document, &robot);
-        if !route.fields.may_lack {
-            let came = route.fields.came(&seen);
-            self.account.came(self.route, &robot, &came);
+        if let Some(standard) = route.fields.standard
+            && let Some(version) = standard.unknown_version(&document)
+        {
+            self.count(Reason::UnknownVersion, &format!("{version} of {robot}"));
+            return None;
         }
+        let seen = self.observation(&route.fields, &document, &robot);
+        let came = route.fields.came(&seen);
+        self.account.came(self.route, &robot, &came);
         if seen.is_empty() {
             self.count(Reason::Nothing, &robot);
             return None;
@@ -284,9 +288,9 @@ impl Vizier {
         mut reading: Reading<'_>,
         (node, number): (&str, u64),
         robots: &Robots,
-        most_bytes: usize,
+        max_bytes: usize,
     ) -> Option<(u32, Observation)> {
-        let document = reading.document(most_bytes)?;
+        let document = reading.document(max_bytes)?;
         let asked = self.open.get(&number).map(|(robot, _)| *robot);
         let Some(robot) = asked.filter(|robot| robots.id(node) == Some(*robot)) else {
             reading.count(Reason::NotAsked, node);

@@ -96,7 +96,7 @@ impl Mqtt {
         let mut reader = Reader::new(
             settings.routes.clone(),
             robots.clone(),
-            settings.most_payload_bytes,
+            settings.max_payload_bytes,
         );
         if let Some(vizier) = &settings.vizier {
             reader = reader.with_vizier(&settings.client_id, vizier.fields.clone());

@@ -340,6 +340,7 @@ mod tests {
                 change: Change::Raised,
                 at_ns,
                 raised_ns: at_ns,
+                acknowledged: None,
             };
             changes.send(change).unwrap();
         }

@@ -5,3 +5,4 @@ mod both;
 mod fleet;
 mod mqtt;
 mod ros2;
+mod usual;

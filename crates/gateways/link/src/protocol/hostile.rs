@@ -21,7 +21,7 @@ use crate::protocol::wall::RealtimeClock;
 
 const FLEET: FleetId = FleetId { name: 7, shards: 0 };
 /// Maximum number of elements of a frame.
-const MOST: usize = 4;
+const MAX_ELEMENTS: usize = 4;
 const START_NS: u64 = 5_000_000_000;
 const PERIOD_NS: u64 = 33_333_333;
 /// Realtime minus monotonic on both hosts.
@@ -79,7 +79,7 @@ pub(crate) fn run(mut bytes: &[u8]) -> bool {
 
 impl Victim {
     fn message(&mut self, bytes: &[u8]) {
-        let Ok(message) = read(bytes, FLEET, MOST) else {
+        let Ok(message) = read(bytes, FLEET, MAX_ELEMENTS) else {
             return;
         };
         self.messages += 1;
@@ -106,7 +106,7 @@ impl Victim {
         }
         self.last = Some((run, sent_ns, number));
         let frame = accepted.frame;
-        assert!(frame.len() <= MOST);
+        assert!(frame.len() <= MAX_ELEMENTS);
         if frame.service == Carried::FORECASTS {
             let mut header: ForecastHeader = frame.header();
             shift(&mut header, accepted.offset_ns);

@@ -220,7 +220,7 @@ impl Candidate {
     }
 
     /// Whether the lease has run out or another candidate leads in a later term. This candidate
-    /// then starts again, whatever the store says.
+    /// then starts again, whatever the store holds.
     fn is_over(&self, now_ns: u64) -> bool {
         self.term.is_some() && self.leader_lease(now_ns).is_none()
     }

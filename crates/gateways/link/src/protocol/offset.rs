@@ -94,7 +94,7 @@ pub(crate) struct Offset {
     pub(crate) refits: u64,
     /// Number of clock steps: bounds contradicted each other.
     pub(crate) steps: u64,
-    /// Number of times that round trips ruled out what realtime clocks said.
+    /// Number of times that round trips ruled out what realtime clocks showed.
     pub(crate) contradictions: u64,
 }
 

@@ -3,7 +3,9 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
+use joulebus_board::AcknowledgedRecord;
 use joulebus_consumer::{AlarmChange, AlarmHistory};
+use joulebus_wire::Acknowledgement;
 use serde::Serialize;
 
 /// Maximum number of changes kept.
@@ -15,17 +17,21 @@ pub(super) struct RaisedRecord {
     robot: u32,
     alarm: &'static str,
     since_unix_ns: u64,
+    /// Null if nobody has.
+    acknowledged: Option<AcknowledgedRecord>,
 }
 
-/// A raise or an end of an alarm.
+/// A raise, an acknowledgement or an end of an alarm.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub(super) struct ChangeRecord {
     robot: u32,
     alarm: &'static str,
-    /// raised, cleared, or left: the robot is not in the fleet any more.
+    /// raised, acknowledged, cleared, or left: the robot is not in the fleet any more.
     change: &'static str,
     at_unix_ns: u64,
     raised_unix_ns: u64,
+    /// Null if nobody had acknowledged it.
+    acknowledged: Option<AcknowledgedRecord>,
 }
 
 /// Alarms as clients get them.
@@ -58,6 +64,7 @@ impl AlarmLog {
             return;
         }
         let mut alarms = Alarms::clone(&self.newest);
+        let acknowledged = |row: &Acknowledgement| AcknowledgedRecord::new(row, &unix_of);
         for change in self.untold.drain(..) {
             alarms.number += 1;
             alarms.changes.push_front(ChangeRecord {
@@ -66,6 +73,7 @@ impl AlarmLog {
                 change: change.change.name(),
                 at_unix_ns: unix_of(change.at_ns),
                 raised_unix_ns: unix_of(change.raised_ns),
+                acknowledged: change.acknowledged.as_ref().map(acknowledged),
             });
             alarms.changes.truncate(MAX_CHANGES);
         }
@@ -75,6 +83,7 @@ impl AlarmLog {
                 robot,
                 alarm: alarm.name(),
                 since_unix_ns: unix_of(since_ns),
+                acknowledged: history.acknowledged(robot, alarm).map(acknowledged),
             });
         alarms.raised = raised.collect();
         self.newest = Arc::new(alarms);

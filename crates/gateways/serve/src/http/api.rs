@@ -12,13 +12,16 @@ use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse as _, Response};
 use axum::routing::{get, post};
 use futures_util::stream;
+use joulebus_board::CardRecord;
 use joulebus_bus::clock;
 use joulebus_config::Config;
-use joulebus_plan::Question;
+use joulebus_wire::AlarmCard;
 use serde::Serialize;
-use tokio::sync::{oneshot, watch};
+use serde::de::DeserializeOwned;
+use tokio::sync::{Semaphore, oneshot, watch};
 use tokio::time::{Instant, MissedTickBehavior, interval_at, timeout};
 
+use super::acknowledge::Acknowledge;
 use super::entry::Object;
 use super::error::{ApiError, json, typed};
 use super::listen::Peer;
@@ -55,6 +58,8 @@ pub(super) struct App {
     pub(super) messages: AtomicU64,
     streams: Arc<StreamPlaces>,
     questions: Questions,
+    /// One acknowledgement is passed on at a time.
+    acknowledges: Arc<Semaphore>,
 }
 
 impl App {
@@ -72,6 +77,7 @@ impl App {
             messages: AtomicU64::new(0),
             streams: Arc::default(),
             questions: Questions::new(),
+            acknowledges: Arc::new(Semaphore::new(1)),
         }
     }
 
@@ -104,6 +110,8 @@ pub(super) fn router(app: Arc<App>) -> Router {
         .route("/api/v1/robots/{id}", get(robot))
         .route("/api/v1/robots/{id}/history", get(history))
         .route("/api/v1/alarms", get(alarms))
+        .route("/api/v1/alarms/acknowledge", post(acknowledge))
+        .route("/api/v1/alarms/cards", get(cards))
         .route("/api/v1/stream", get(stream))
         .route("/api/v1/what_if", post(what_if))
         .fallback(get(file))
@@ -141,17 +149,20 @@ async fn ready(State(app): State<Arc<App>>) -> Answer {
     }
 }
 
-async fn metrics_text(State(app): State<Arc<App>>) -> Answer {
+async fn metrics_text(State(app): State<Arc<App>>, headers: HeaderMap) -> Answer {
+    let accept = headers.get(header::ACCEPT).and_then(|it| it.to_str().ok());
+    let format = metrics::TextFormat::accepted(accept);
     let now_ns = clock::monotonic_ns();
     let text = metrics::text(
         &app.newest(),
         now_ns,
         app.config.fleet(),
         app.metrics_robots,
+        format,
     );
     let text =
         text.map_err(|error| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))?;
-    Ok(typed(metrics::KIND, text))
+    Ok(typed(format.kind(), text))
 }
 
 async fn fleet(State(app): State<Arc<App>>) -> Response {
@@ -160,6 +171,26 @@ async fn fleet(State(app): State<Arc<App>>) -> Response {
 
 async fn alarms(State(app): State<Arc<App>>) -> Response {
     json(&*app.newest().alarms)
+}
+
+async fn acknowledge(State(app): State<Arc<App>>, request: Request) -> Answer {
+    let asked: Acknowledge = body(request).await?;
+    let turn = Arc::clone(&app.acknowledges).try_acquire_owned();
+    let turn =
+        turn.map_err(|_| ApiError::busy("another acknowledgement is passed on: try again"))?;
+    let config = app.config.clone();
+    // Ports of the fleet belong to one thread.
+    let asked = tokio::task::spawn_blocking(move || {
+        let _turn = turn;
+        asked.ask(&config)
+    });
+    let defect = |_| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, "a defect");
+    Ok(json(&asked.await.map_err(defect)??))
+}
+
+async fn cards() -> Response {
+    let cards: Vec<CardRecord> = AlarmCard::all().map(CardRecord::from).collect();
+    json(&cards)
 }
 
 #[derive(Serialize)]
@@ -303,7 +334,8 @@ impl Flow {
 }
 
 async fn what_if(State(app): State<Arc<App>>, request: Request) -> Answer {
-    let question = question(request).await?;
+    let wrong = |text: String| ApiError::new(StatusCode::BAD_REQUEST, text);
+    let question = body::<Asked>(request).await?.question().map_err(wrong)?;
     let turn = app.questions.turn(&app.config).await?;
     let (reply, answer) = oneshot::channel();
     app.ask(Ask::Rows(question.plan.robots().to_vec(), reply))?;
@@ -316,11 +348,12 @@ async fn what_if(State(app): State<Arc<App>>, request: Request) -> Answer {
     Ok(json(&report(&app.config, coverage, of.as_ref(), &reply)))
 }
 
-async fn question(request: Request) -> Result<Question, ApiError> {
+/// The body of a request, which is JSON.
+async fn body<T: DeserializeOwned>(request: Request) -> Result<T, ApiError> {
     let kind = request.headers().get(header::CONTENT_TYPE);
     let is_json = kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/json"));
     if !is_json {
-        let text = "a question is JSON: send Content-Type: application/json";
+        let text = "the body is JSON: send Content-Type: application/json";
         return Err(ApiError::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, text));
     }
     let body = timeout(
@@ -331,19 +364,16 @@ async fn question(request: Request) -> Result<Question, ApiError> {
     let late = || {
         ApiError::new(
             StatusCode::REQUEST_TIMEOUT,
-            "the question has not arrived within 5 s",
+            "the body has not arrived within 5 s",
         )
     };
     let body = body.map_err(|_| late())?.map_err(|_| {
         let text =
-            format!("the question is longer than {MAX_BODY_BYTES} bytes, or its transfer failed");
+            format!("the body is longer than {MAX_BODY_BYTES} bytes, or its transfer failed");
         ApiError::new(StatusCode::PAYLOAD_TOO_LARGE, text)
     })?;
-    let wrong = |text: String| ApiError::new(StatusCode::BAD_REQUEST, text);
-    let asked: Asked = serde_json::from_slice(&body).map_err(|error| {
-        wrong(format!(
-            "the question is not as in /api/v1/openapi.json: {error}"
-        ))
-    })?;
-    asked.question().map_err(wrong)
+    serde_json::from_slice(&body).map_err(|error| {
+        let text = format!("the body is not as in /api/v1/openapi.json: {error}");
+        ApiError::new(StatusCode::BAD_REQUEST, text)
+    })
 }

@@ -1,4 +1,4 @@
-//! A snapshot as OpenMetrics.
+//! A snapshot as OpenMetrics, or in Prometheus's classic text format for who does not accept it.
 
 use std::fmt;
 use std::sync::Arc;
@@ -15,34 +15,110 @@ use prometheus_client::registry::{Registry, Unit};
 use super::entry::Entry;
 use super::snapshot::Snapshot;
 
-/// The type of the text.
-pub(super) const KIND: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+/// A format of the text.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum TextFormat {
+    /// Prometheus's text format 0.0.4, which every scraper reads.
+    Classic,
+    /// OpenMetrics 1.0.
+    OpenMetrics,
+}
 
-/// The metrics at `now_ns` (monotonic). At most `most_robots` robots have series of their own,
+impl TextFormat {
+    /// OpenMetrics where the `Accept` header of a request names it, the classic format otherwise.
+    pub(super) fn accepted(accept: Option<&str>) -> Self {
+        let is_open = |range: &str| {
+            let mut parts = range.split(';').map(str::trim);
+            let kind = parts.next().unwrap_or_default();
+            let mut weights = parts.filter_map(|part| part.strip_prefix("q="));
+            let refused = weights.any(|weight| weight.parse().is_ok_and(|q: f32| q <= 0.0));
+            kind.eq_ignore_ascii_case("application/openmetrics-text") && !refused
+        };
+        match accept.is_some_and(|ranges| ranges.split(',').any(is_open)) {
+            true => Self::OpenMetrics,
+            false => Self::Classic,
+        }
+    }
+
+    /// The content type.
+    pub(super) const fn kind(self) -> &'static str {
+        match self {
+            Self::Classic => "text/plain; version=0.0.4; charset=utf-8",
+            Self::OpenMetrics => "application/openmetrics-text; version=1.0.0; charset=utf-8",
+        }
+    }
+}
+
+/// OpenMetrics in the classic format: counters and infos are typed under their samples' names, and
+/// an info is a gauge.
+fn classic(open: &str) -> String {
+    let mut text = String::with_capacity(open.len());
+    let mut help = "";
+    for line in open.lines() {
+        if let Some(said) = line.strip_prefix("# HELP ") {
+            help = said.split_once(' ').map_or("", |(_, said)| said);
+        } else if let Some((name, kind)) = line
+            .strip_prefix("# TYPE ")
+            .and_then(|typed| typed.split_once(' '))
+        {
+            let (suffix, kind) = match kind {
+                "counter" => ("_total", kind),
+                "info" => ("_info", "gauge"),
+                "unknown" => ("", "untyped"),
+                _ => ("", kind),
+            };
+            for part in [
+                "# HELP ",
+                name,
+                suffix,
+                " ",
+                help,
+                "\n# TYPE ",
+                name,
+                suffix,
+            ] {
+                text.push_str(part);
+            }
+            for part in [" ", kind, "\n"] {
+                text.push_str(part);
+            }
+        } else if !line.starts_with('#') {
+            text.push_str(line);
+            text.push('\n');
+        }
+    }
+    text
+}
+
+/// The metrics at `now_ns` (monotonic). At most `max_robots` robots have series of their own,
 /// those with the smallest ids.
 pub(super) fn text(
     snapshot: &Arc<Snapshot>,
     now_ns: u64,
     fleet: &str,
-    most_robots: usize,
+    max_robots: usize,
+    format: TextFormat,
 ) -> Result<String, fmt::Error> {
     let mut registry =
         Registry::with_labels([("fleet".into(), fleet.to_owned().into())].into_iter());
     registry.register_collector(Box::new(Metrics {
         snapshot: Arc::clone(snapshot),
         now_ns,
-        most_robots,
+        max_robots,
     }));
     let mut text = String::new();
     prometheus_client::encoding::text::encode(&mut text, &registry)?;
-    Ok(text)
+    Ok(match format {
+        TextFormat::Classic => classic(&text),
+        TextFormat::OpenMetrics => text,
+    })
 }
 
 #[derive(Debug)]
 struct Metrics {
     snapshot: Arc<Snapshot>,
     now_ns: u64,
-    most_robots: usize,
+    max_robots: usize,
 }
 
 /// The labels of a metric without labels.
@@ -191,7 +267,7 @@ impl Metrics {
 
     fn robots(&self, encoder: &mut DescriptorEncoder) -> fmt::Result {
         let all = self.snapshot.entries();
-        let robots = &all[..all.len().min(self.most_robots)];
+        let robots = &all[..all.len().min(self.max_robots)];
         let beyond = (all.len() - robots.len()) as f64;
         gauge(
             encoder,
@@ -410,11 +486,30 @@ mod tests {
         for (now_ns, up) in [(second_ns, 1), (3 * second_ns, 1), (3 * second_ns + 1, 0)] {
             let why = snapshot.why_not_up(now_ns);
             assert_eq!(why.is_none(), up == 1, "{why:?}");
-            let text = text(&snapshot, now_ns, "lab", 0).unwrap();
+            let text = text(&snapshot, now_ns, "lab", 0, TextFormat::Classic).unwrap();
             let line = format!("joulebus_worker_up{{fleet=\"lab\"}} {up}");
             assert!(text.contains(&line), "{now_ns}: {text}");
         }
         let why = snapshot.why_not_up(9 * second_ns).unwrap_or_default();
         assert!(why.contains("for 8.0 s, 2.0 s are allowed"), "{why}");
+    }
+
+    #[test]
+    fn openmetrics_is_sent_to_who_names_it() {
+        for (accept, format) in [
+            (None, TextFormat::Classic),
+            (Some("*/*"), TextFormat::Classic),
+            (Some("text/plain;version=0.0.4"), TextFormat::Classic),
+            (
+                Some("application/openmetrics-text; q=0"),
+                TextFormat::Classic,
+            ),
+            (
+                Some("text/html, Application/OpenMetrics-Text; version=1.0.0; q=0.8"),
+                TextFormat::OpenMetrics,
+            ),
+        ] {
+            assert_eq!(TextFormat::accepted(accept), format, "{accept:?}");
+        }
     }
 }

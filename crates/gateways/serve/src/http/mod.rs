@@ -6,6 +6,7 @@
 //! queued for slow clients.
 
 mod access;
+mod acknowledge;
 mod alarms;
 mod api;
 mod connections;

@@ -32,6 +32,7 @@ static PAGE: &[File] = &[
     file!("address.js", JS),
     file!("alarms.js", JS),
     file!("board.js", JS),
+    file!("card.js", JS),
     file!("charts.js", JS),
     file!("favicon.svg", SVG),
     file!("format.js", JS),

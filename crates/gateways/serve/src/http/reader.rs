@@ -6,13 +6,11 @@
 
 use std::cell::RefCell;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use joulebus_board::{Board, Platforms, Reading};
-use joulebus_bus::{clock, yield_to_the_worker};
+use joulebus_bus::{Background, clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_connect::ConnectError;
 use joulebus_consumer::{AlarmFeed, ReadError};
@@ -55,10 +53,8 @@ pub(super) enum ReaderError {
     Connect(#[from] ConnectError),
     #[error(transparent)]
     Read(#[from] ReadError),
-    #[error("cannot start a thread: {0}")]
-    Thread(std::io::Error),
-    #[error("the reading thread panicked")]
-    Panicked,
+    #[error("the reading thread: {0}")]
+    Thread(#[from] std::io::Error),
 }
 
 /// The running thread.
@@ -67,63 +63,40 @@ pub(super) struct Reader {
     pub(super) asks: SyncSender<Ask>,
     /// Takes the processes that record, which another thread looks for.
     pub(super) recorders: watch::Sender<Option<Vec<Recorder>>>,
-    thread: Option<JoinHandle<Result<(), ReaderError>>>,
-    stop: Arc<AtomicBool>,
+    thread: Background<Result<(), ReaderError>>,
 }
 
 impl Reader {
     /// Joins the fleet and starts to read.
     pub(super) fn start(config: &Config) -> Result<Self, ReaderError> {
         let (asks, asked) = sync_channel(MAX_QUEUED);
-        let stop = Arc::new(AtomicBool::new(false));
-        let (ready, started) = sync_channel(1);
-        let (config, stopped) = (config.clone(), Arc::clone(&stop));
         let (recorders, found) = watch::channel(None);
-        let thread = thread::Builder::new()
-            .name("joulebus-reader".to_owned())
-            .spawn(move || {
-                yield_to_the_worker(NICE);
-                let (mut work, snapshots) = Work::open(&config, asked, found)?;
-                // The receiver waits for it.
-                let _ = ready.send(snapshots);
-                while !stopped.load(Ordering::Relaxed) {
-                    work.turn()?;
-                }
-                Ok(())
-            })
-            .map_err(ReaderError::Thread)?;
-        let Ok(snapshots) = started.recv() else {
-            return Err(join(thread).err().unwrap_or(ReaderError::Panicked));
-        };
+        let config = config.clone();
+        let (thread, snapshots) = Background::run("joulebus-reader", move |thread| {
+            yield_to_the_worker(NICE);
+            let (mut work, snapshots) = Work::open(&config, asked, found)?;
+            thread.joined(snapshots);
+            while !thread.is_stopping() {
+                work.turn()?;
+            }
+            Ok::<_, ReaderError>(())
+        })?;
         Ok(Self {
             snapshots,
             asks,
             recorders,
-            thread: Some(thread),
-            stop,
+            thread,
         })
     }
 
     pub(super) fn is_over(&self) -> bool {
-        self.thread.as_ref().is_none_or(JoinHandle::is_finished)
+        self.thread.has_ended()
     }
 
     /// Leaves the fleet.
-    pub(super) fn finish(&mut self) -> Result<(), ReaderError> {
-        self.stop.store(true, Ordering::Relaxed);
-        self.thread.take().map_or(Ok(()), join)
+    pub(super) fn finish(self) -> Result<(), ReaderError> {
+        self.thread.join()
     }
-}
-
-impl Drop for Reader {
-    fn drop(&mut self) {
-        // `finish` returns the error.
-        let _ = self.finish();
-    }
-}
-
-fn join(thread: JoinHandle<Result<(), ReaderError>>) -> Result<(), ReaderError> {
-    thread.join().unwrap_or(Err(ReaderError::Panicked))
 }
 
 /// State of the thread.

@@ -36,6 +36,7 @@ impl Fleet {
             "[fleet]\nname = \"serve\"\ncapacity = 20\n\
              [domain]\nroot = \"{root}\"\nprefix = \"jbserve_\"\n\
              [intake]\nmax_sources = 4\n[readers]\nmax_planners = 4\n\
+             [ledger]\ncheckpoint = \"\"\n\
              [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n"
         );
         let directory = tempfile::tempdir().unwrap();

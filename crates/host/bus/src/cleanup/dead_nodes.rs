@@ -10,21 +10,11 @@ use iceoryx2::node::{
 use iceoryx2::prelude::CallbackProgression;
 
 use super::report::SweepReport;
-use super::turn::Turn;
-use crate::Domain;
 use crate::ipc::Ipc;
 
-/// Makes iceoryx2 remove the nodes of dead processes, one process of the domain at a time. Takes 1
-/// to 25 ms if there are any. Returns whether there were any, removed or not.
-pub(crate) fn remove_dead_nodes(
-    domain: &Domain,
-    config: &Config,
-    report: &mut SweepReport,
-) -> bool {
-    if !is_any_node_dead(config) {
-        return false;
-    }
-    let _turn = Turn::take(domain);
+/// Makes iceoryx2 remove the nodes of dead processes. Takes 1 to 25 ms if there are any. Returns
+/// whether there were any, removed or not.
+pub(crate) fn remove_dead_nodes(config: &Config, report: &mut SweepReport) -> bool {
     let mut are_any = false;
     let listed = Node::<Ipc>::list(config, |node| {
         if let NodeState::Dead(dead) = node {
@@ -78,19 +68,6 @@ fn remove(node: UniqueNodeId, config: &Config) -> Removal {
     }
 }
 
-fn is_any_node_dead(config: &Config) -> bool {
-    let mut dead = false;
-    let listed = Node::<Ipc>::list(config, |node| {
-        dead = matches!(node, NodeState::Dead(_));
-        if dead {
-            CallbackProgression::Stop
-        } else {
-            CallbackProgression::Continue
-        }
-    });
-    dead || listed.is_err()
-}
-
 pub(crate) fn is_any_node_alive(config: &Config) -> bool {
     let mut alive = false;
     let listed = Node::<Ipc>::list(config, |node| {
@@ -108,6 +85,7 @@ mod tests {
     use iceoryx2::prelude::SignalHandlingMode;
 
     use super::*;
+    use crate::Domain;
     use crate::cleanup::objects::objects;
     use crate::iceoryx_config::config_for;
 
@@ -126,7 +104,7 @@ mod tests {
         assert_eq!(remove(*node.id(), &config), panicked);
         assert!(is_any_node_alive(&config));
         let mut report = SweepReport::default();
-        assert!(!remove_dead_nodes(&domain, &config, &mut report));
+        assert!(!remove_dead_nodes(&config, &mut report));
         drop(node);
         for object in objects(&domain).unwrap() {
             fs::remove_file(object.path).unwrap();

@@ -1,20 +1,20 @@
 //! Objects, services and nodes whose creator was killed before they were complete.
 //!
 //! iceoryx2 removes complete nodes of dead processes only, and it cannot distinguish an incomplete
-//! object from one that is being created (#1771, #364). The kernel can: a process that creates or uses an object
-//! has its file open.
+//! object from one that is being created (#1771, #364). The kernel can: a process that creates or
+//! uses an object has its file open.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::BTreeMap;
 use std::fs;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
 use super::objects::{
-    Identity, OWNER_READ, Object, is_of, is_of_node, list_own, named, objects, open_files,
+    Identity, OWNER_READ, Object, is_of, is_of_node, list, list_own, objects, open_files,
 };
-use super::turn::Turn;
 use crate::directory::{NODES, SERVICES};
 use crate::os::memory::SHM_DIR;
+use crate::os::process::lock_holders;
 use crate::{Domain, RootError, clock};
 
 /// A static description (of a service, a node, a port of a node) loses this permission once it is
@@ -44,14 +44,14 @@ pub(crate) fn remove_incomplete(domain: &Domain) -> Result<u64, RootError> {
     Ok(Candidates::find(domain)?.remove())
 }
 
-/// Searches again and again, and passes over directories that have not changed: nothing becomes incomplete without a name
-/// that is added to one of them. A search costs some 200 system calls, and every member searches four times a second.
+/// Repeats the search, without directories that have not changed: whatever becomes incomplete adds
+/// a name to one of them. A search costs some 200 system calls, four times a second per member.
 #[derive(Debug, Default)]
 pub(super) struct Search {
     /// The directories before the last search, with what changes when a name is added.
     seen: Vec<(PathBuf, Change)>,
-    /// Nothing was incomplete in them, twice: a name may be added at the instant of a search, in which the clock of the
-    /// file system stands still.
+    /// The last two searches found nothing. One is not enough: a name may be added at the instant
+    /// of a search, while the clock of the file system stands still.
     is_settled: bool,
     passed_over: u32,
 }
@@ -60,12 +60,12 @@ pub(super) struct Search {
 type Change = Option<(u64, u64, i64, i64)>;
 
 /// Searches in a row that are passed over: somebody may have changed a file itself.
-const MOST_PASSED_OVER: u32 = 15;
+const MAX_PASSED_OVER: u32 = 15;
 
 impl Search {
     /// As [`remove_incomplete`].
     pub(super) fn remove(&mut self, domain: &Domain) -> Result<u64, RootError> {
-        if self.is_settled && self.passed_over < MOST_PASSED_OVER {
+        if self.is_settled && self.passed_over < MAX_PASSED_OVER {
             let is_same = |(path, seen): &(PathBuf, Change)| change(path) == *seen;
             if self.seen.iter().all(is_same) {
                 self.passed_over += 1;
@@ -98,7 +98,7 @@ fn change(directory: &Path) -> Change {
     Some((found.dev(), found.ino(), found.mtime(), found.mtime_nsec()))
 }
 
-/// What is incomplete, of whatever age: only what is old is removed.
+/// Incomplete objects of any age: only old ones are removed.
 struct Candidates {
     objects: Vec<Object>,
     descriptions: Vec<Object>,
@@ -141,14 +141,10 @@ impl Candidates {
         let open = open_files();
         let mut removed = 0;
         objects.retain(|object| !open.contains(&object.identity));
-        for object in objects {
-            // It may have been completed in the meantime.
-            let still = Object::new(object.path).is_some_and(|object| {
-                object.is_incomplete() && fs::remove_file(&object.path).is_ok()
-            });
-            removed += u64::from(still);
+        descriptions.retain(|file| !open.contains(&file.identity));
+        for object in objects.into_iter().chain(descriptions) {
+            removed += u64::from(object.remove());
         }
-        removed += remove_unless_open(descriptions, &open);
         for node in nodes {
             if !node.files.iter().any(|file| open.contains(&file.identity)) {
                 removed += u64::from(node.remove());
@@ -165,12 +161,15 @@ pub(crate) struct Abandoned {
 }
 
 impl Abandoned {
-    /// Removes the description of service `name` if no process uses it, and none has for a quarter of a second: its
-    /// creator was killed before its shared memory existed, or its last user before removing the description; one that
-    /// is just removing both, memory first, needs a moment. One whose shared memory was removed is removed even if a
-    /// process has it open: no other process can use it. To be called again and again; returns the number removed.
+    /// Removes the description of service `name` once no process has used it for a quarter of a
+    /// second. To be called repeatedly. Returns the number removed.
     ///
-    /// iceoryx2's `force_remove_service` (#1584) leaves it to its caller that no process uses the service.
+    /// Its creator was killed before its shared memory existed, or its last user before removing
+    /// the description. A user that is just leaving removes the memory first, and needs a moment.
+    /// Without shared memory the description is removed even if a process has it open: it is of no
+    /// use.
+    ///
+    /// iceoryx2's `force_remove_service` (#1584) relies on its caller that nobody uses the service.
     pub(crate) fn remove(&mut self, domain: &Domain, name: &str) -> u64 {
         let mut services = services(domain);
         services.retain(|service| {
@@ -180,7 +179,8 @@ impl Abandoned {
         let open = open_files();
         services.retain(|service| {
             let text = fs::read_to_string(&service.path).unwrap_or_default();
-            let is_empty = service.mode & OWNER_WRITE == 0 && !has_ports(domain, &text);
+            let is_empty =
+                service.mode & OWNER_WRITE == 0 && !has_ports(domain.shm_prefix(), &text);
             is_empty || !open.contains(&service.identity)
         });
         let now_ns = clock::monotonic_ns();
@@ -194,17 +194,23 @@ impl Abandoned {
             }
             since_ns.is_some_and(|since_ns| now_ns - since_ns >= ABANDONED_AFTER_NS)
         });
-        if services.is_empty() {
-            return 0;
-        }
-        let _turn = Turn::take(domain);
-        remove_unless_open(services, &HashSet::new())
+        services.into_iter().map(|it| u64::from(it.remove())).sum()
     }
 }
 
+/// The processes that have descriptions of services locked, as far as they are visible here: those
+/// that make or remove a service. After some time they are stopped.
+pub(crate) fn holders(domain: &Domain) -> Vec<u32> {
+    let files = services(domain).into_iter();
+    let files = files.filter_map(|service| fs::File::open(service.path).ok());
+    files
+        .flat_map(|file| lock_holders(&file, None).unwrap_or_default())
+        .collect()
+}
+
 /// True if the list of ports of a service with this description exists, as far as the description
-/// tells.
-fn has_ports(domain: &Domain, description: &str) -> bool {
+/// tells. `prefix`: that of the domain's objects in shared memory.
+pub(crate) fn has_ports(prefix: &str, description: &str) -> bool {
     let half = |key: &str| -> Option<u128> {
         let line = description.lines().find_map(|line| line.strip_prefix(key));
         line?.strip_prefix(" = ")?.trim().parse().ok()
@@ -212,19 +218,13 @@ fn has_ports(domain: &Domain, description: &str) -> bool {
     let (Some(low), Some(high)) = (half("payload_value"), half("unique_value")) else {
         return true;
     };
-    !named(domain, &(high << 64 | low).to_string(), &[".dynamic"]).is_empty()
+    let ports = format!("_{}.dynamic", high << 64 | low);
+    list(Path::new(SHM_DIR)).iter().any(|path| {
+        let name = path.file_name().and_then(|name| name.to_str());
+        name.is_some_and(|name| name.starts_with(prefix) && name.ends_with(&ports))
+    })
 }
 
-fn remove_unless_open(files: Vec<Object>, open: &HashSet<Identity>) -> u64 {
-    let abandoned = files
-        .into_iter()
-        .filter(|file| !open.contains(&file.identity));
-    abandoned
-        .filter(|file| fs::remove_file(&file.path).is_ok())
-        .count() as u64
-}
-
-/// The descriptions of the domain's services.
 fn services(domain: &Domain) -> Vec<Object> {
     own_files(domain, &domain.directory().join(SERVICES))
 }
@@ -387,7 +387,7 @@ mod tests {
         settle(&mut search, &domain);
         fs::set_permissions(&path, fs::Permissions::from_mode(0o600)).unwrap();
         sleep(Duration::from_millis(300));
-        let removed = (0..=MOST_PASSED_OVER).map(|_| search.remove(&domain).unwrap());
+        let removed = (0..=MAX_PASSED_OVER).map(|_| search.remove(&domain).unwrap());
         assert_eq!(removed.sum::<u64>(), 1);
         fs::remove_dir_all(domain.root()).unwrap();
     }

@@ -1,5 +1,6 @@
 //! Removing stale files of dead processes.
 
+pub(crate) mod claim;
 pub(crate) mod dead_nodes;
 pub(crate) mod incomplete;
 pub(crate) mod objects;
@@ -7,4 +8,3 @@ pub(crate) mod removed;
 pub(crate) mod report;
 pub(crate) mod sweep;
 pub(crate) mod thread;
-pub(crate) mod turn;

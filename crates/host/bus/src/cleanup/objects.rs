@@ -6,6 +6,7 @@ use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
+use super::claim::Claim;
 use crate::directory::{NODES, SERVICES};
 use crate::os::files::effective_uid;
 use crate::os::memory::SHM_DIR;
@@ -17,7 +18,7 @@ const OLD: Duration = Duration::from_millis(250);
 pub(super) const OWNER_READ: u32 = 0o400;
 
 /// A file of a domain, or a node's directory.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Object {
     pub(crate) path: PathBuf,
     pub(crate) bytes: u64,
@@ -33,15 +34,20 @@ pub(super) type Identity = (u64, u64);
 impl Object {
     pub(super) fn new(path: PathBuf) -> Option<Self> {
         let metadata = fs::symlink_metadata(&path).ok()?;
-        metadata.is_file().then(|| Self::found(path, &metadata))
+        Self::found(path, &metadata)
     }
 
     pub(super) fn directory(path: PathBuf) -> Option<Self> {
         let metadata = fs::symlink_metadata(&path).ok()?;
-        metadata.is_dir().then(|| Self::found(path, &metadata))
+        metadata.is_dir().then(|| Self::any(path, &metadata))
     }
 
-    fn found(path: PathBuf, metadata: &fs::Metadata) -> Self {
+    /// `None` if it is not a regular file.
+    pub(super) fn found(path: PathBuf, metadata: &fs::Metadata) -> Option<Self> {
+        metadata.is_file().then(|| Self::any(path, metadata))
+    }
+
+    fn any(path: PathBuf, metadata: &fs::Metadata) -> Self {
         Self {
             path,
             bytes: metadata.size(),
@@ -50,6 +56,15 @@ impl Object {
             modified: metadata.modified().ok(),
             identity: (metadata.dev(), metadata.ino()),
         }
+    }
+
+    /// Removes the file unless it has been changed or replaced since, or another process makes or
+    /// removes it.
+    pub(super) fn remove(self) -> bool {
+        let Some(claim) = Claim::take(self.path.clone()) else {
+            return false;
+        };
+        claim.object().is_some_and(|now| now == self) && claim.remove()
     }
 
     /// Also of a file from the future: the clock has been set back since it was made.

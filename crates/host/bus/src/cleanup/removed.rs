@@ -24,9 +24,9 @@ pub struct RemovedFiles {
 /// Processes hold the events of a reader that has left until their next look at who is there.
 const SETTLES_WITHIN: Duration = Duration::from_millis(2_500);
 
-/// Processes of this user with open files of the domain that no longer exist: processes started now cannot
-/// reach them. Files that a leaving process has removed are excluded: connections, frames that are only read, and what is
-/// closed within 2.5 s, for which this waits where there are removed files.
+/// Processes of this user with open files of the domain that no longer exist, so that processes
+/// started now cannot reach them. Excluded are files that a leaving process has removed:
+/// connections, frames that are only read, and what is closed within 2.5 s, for which this waits.
 #[must_use]
 pub fn removed_files(domain: &Domain) -> Vec<RemovedFiles> {
     let before = in_use(domain);

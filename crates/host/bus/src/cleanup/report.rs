@@ -1,6 +1,6 @@
 //! Report of a cleanup.
 
-/// What a cleanup removed.
+/// Files and nodes that a cleanup removed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct SweepReport {

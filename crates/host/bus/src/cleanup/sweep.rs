@@ -42,13 +42,21 @@ fn try_sweep(domain: &Domain) -> Result<SweepReport, SweepError> {
     }
     crate::prepare_domain(domain)?;
     let lock = MembersLock::open(domain)?;
-    if lock.try_exclusive()? {
-        remove_all(domain, &mut report)?;
-        lock.remove(domain);
-    } else {
+    let mut is_last = lock.try_exclusive()?;
+    // As a member: nobody removes everything, and starts anew, beside this.
+    if !is_last && lock.try_shared()? && lock.is_current(domain)? {
         let config = iceoryx_config::config_for(domain)?;
         report.incomplete = remove_incomplete(domain)?;
-        remove_dead_nodes(domain, &config, &mut report);
+        remove_dead_nodes(&config, &mut report);
+        // The members may have left meanwhile.
+        is_last = lock.try_exclusive()?;
+    }
+    if is_last {
+        if !lock.is_current(domain)? {
+            return Err(io::Error::from(io::ErrorKind::NotFound).into());
+        }
+        remove_all(domain, &mut report)?;
+        lock.remove(domain);
     }
     Ok(report)
 }
@@ -63,7 +71,7 @@ pub(crate) fn remove_all(domain: &Domain, report: &mut SweepReport) -> Result<()
     let config = iceoryx_config::config_for(domain)?;
     report.incomplete += remove_incomplete(domain)?;
     if is_any_node_alive(&config) {
-        remove_dead_nodes(domain, &config, report);
+        remove_dead_nodes(&config, report);
         return Ok(());
     }
     report.cold = true;

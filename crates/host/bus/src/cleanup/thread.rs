@@ -1,10 +1,10 @@
 //! The cleanup thread of each member: removes stale files of dead processes while members are
 //! alive, and checks that the member's own files exist.
 
+use std::fs::File;
 use std::io;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
 use iceoryx2::config::Config;
@@ -15,9 +15,10 @@ use super::report::SweepReport;
 use crate::Domain;
 use crate::liveness::presence::{FilesRemoved, Presence};
 use crate::marker::{Marked, open_directory};
+use crate::os::background::{Background, Steps};
 use crate::os::fork;
 
-/// A member may be blocked on an incomplete object, so this is frequent; most passes read no directory ([`Search`]).
+/// A member may be blocked on an incomplete object. Most rounds read no directory ([`Search`]).
 const INCOMPLETE_EVERY: Duration = Duration::from_millis(250);
 /// Number of rounds between searches for dead nodes: once a second.
 const DEAD_NODES_EVERY: u64 = 4;
@@ -35,9 +36,7 @@ pub struct Housekeeping {
 }
 
 #[derive(Debug, Default)]
-struct Shared {
-    stop: Mutex<bool>,
-    stopped: Condvar,
+struct Counts {
     dead_nodes: AtomicU64,
     failed_nodes: AtomicU64,
     incomplete: AtomicU64,
@@ -45,8 +44,8 @@ struct Shared {
 
 #[derive(Debug)]
 pub(crate) struct CleanupThread {
-    shared: Arc<Shared>,
-    thread: Option<JoinHandle<()>>,
+    counts: Arc<Counts>,
+    thread: Background,
 }
 
 impl CleanupThread {
@@ -55,94 +54,92 @@ impl CleanupThread {
         config: &Config,
         presence: Arc<Presence>,
     ) -> io::Result<Self> {
-        let shared = Arc::new(Shared::default());
-        let (domain, config) = (domain.clone(), config.clone());
-        let inside = Arc::clone(&shared);
-        let directory = open_directory(&domain.directory())?;
-        let thread = std::thread::Builder::new()
-            .name("joulebus-clean".to_owned())
-            .spawn(move || {
-                if let Some(error) = inside.run(&domain, &config, &presence) {
-                    // The files at the domain's paths now belong to another fleet or program.
-                    tracing::error!("{error}");
-                    Marked::fleet(&domain).restore(&directory);
-                }
-            })?;
-        Ok(Self {
-            shared,
-            thread: Some(thread),
-        })
+        let counts = Arc::new(Counts::default());
+        let rounds = Rounds {
+            domain: domain.clone(),
+            directory: open_directory(&domain.directory())?,
+            config: config.clone(),
+            presence,
+            counts: Arc::clone(&counts),
+            search: Search::default(),
+            round: 0,
+        };
+        let thread = Background::start("joulebus-clean", || io::Result::Ok(rounds))?;
+        Ok(Self { counts, thread })
     }
 
     pub(crate) fn counts(&self) -> Housekeeping {
-        let shared = &self.shared;
+        let counts = &self.counts;
         Housekeeping {
-            dead_nodes: shared.dead_nodes.load(Ordering::Relaxed),
-            failed_nodes: shared.failed_nodes.load(Ordering::Relaxed),
-            incomplete: shared.incomplete.load(Ordering::Relaxed),
+            dead_nodes: counts.dead_nodes.load(Ordering::Relaxed),
+            failed_nodes: counts.failed_nodes.load(Ordering::Relaxed),
+            incomplete: counts.incomplete.load(Ordering::Relaxed),
         }
     }
 
     pub(crate) fn stop(&mut self) {
-        *self
-            .shared
-            .stop
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner) = true;
-        self.shared.stopped.notify_all();
-        if let Some(thread) = self.thread.take()
-            && thread.join().is_err()
-        {
-            tracing::warn!("the cleanup thread panicked");
+        if let Err(error) = self.thread.finish() {
+            tracing::warn!("{error}");
         }
     }
 }
 
-impl Shared {
+/// What the thread repeats.
+#[derive(Debug)]
+struct Rounds {
+    domain: Domain,
+    directory: File,
+    config: Config,
+    presence: Arc<Presence>,
+    counts: Arc<Counts>,
+    search: Search,
+    round: u64,
+}
+
+impl Steps for Rounds {
     /// Cleans up until stopped, or until files of this process are missing.
-    fn run(&self, domain: &Domain, config: &Config, presence: &Presence) -> Option<FilesRemoved> {
-        let mut search = Search::default();
-        for round in 1_u64.. {
-            if self.wait() {
-                return None;
-            }
-            if let Err(error) = presence.look() {
-                return Some(error);
-            }
-            if let Ok(removed) = search.remove(domain) {
-                self.incomplete.fetch_add(removed, Ordering::Relaxed);
-                if removed > 0 {
-                    tracing::info!(removed, "removed incomplete objects of dead processes");
-                }
-            }
-            if round % DEAD_NODES_EVERY == 0 {
-                self.remove_dead_nodes(domain, config);
+    fn step(&mut self, last: bool) -> Option<Duration> {
+        if last {
+            return None;
+        }
+        // Who joins has just cleaned up.
+        if self.round > 0
+            && let Err(error) = self.clean()
+        {
+            // The files at the domain's paths now belong to another fleet or program.
+            tracing::error!("{error}");
+            Marked::fleet(&self.domain).restore(&self.directory);
+            return None;
+        }
+        self.round += 1;
+        Some(INCOMPLETE_EVERY)
+    }
+}
+
+impl Rounds {
+    fn clean(&mut self) -> Result<(), FilesRemoved> {
+        self.presence.look()?;
+        if let Ok(removed) = self.search.remove(&self.domain) {
+            self.counts.incomplete.fetch_add(removed, Ordering::Relaxed);
+            if removed > 0 {
+                tracing::info!(removed, "removed incomplete objects of dead processes");
             }
         }
-        None
+        if self.round.is_multiple_of(DEAD_NODES_EVERY) {
+            self.remove_dead_nodes();
+        }
+        Ok(())
     }
 
-    fn remove_dead_nodes(&self, domain: &Domain, config: &Config) {
-        let mut report = SweepReport::default();
+    fn remove_dead_nodes(&self) {
+        let (mut report, counts) = (SweepReport::default(), &self.counts);
         let _section = fork::enter();
-        remove_dead_nodes(domain, config, &mut report);
-        self.dead_nodes
-            .fetch_add(report.dead_nodes, Ordering::Relaxed);
-        self.failed_nodes
-            .fetch_add(report.failed_nodes, Ordering::Relaxed);
-        if report.dead_nodes > 0 {
-            let nodes = report.dead_nodes;
+        remove_dead_nodes(&self.config, &mut report);
+        let (nodes, failed) = (report.dead_nodes, report.failed_nodes);
+        counts.dead_nodes.fetch_add(nodes, Ordering::Relaxed);
+        counts.failed_nodes.fetch_add(failed, Ordering::Relaxed);
+        if nodes > 0 {
             tracing::info!(nodes, "removed nodes of dead processes");
         }
-    }
-
-    /// Sleeps for one round; returns whether to stop.
-    fn wait(&self) -> bool {
-        let stop = self.stop.lock().unwrap_or_else(PoisonError::into_inner);
-        let (stop, _) = self
-            .stopped
-            .wait_timeout_while(stop, INCOMPLETE_EVERY, |stop| !*stop)
-            .unwrap_or_else(PoisonError::into_inner);
-        *stop
     }
 }

@@ -1,4 +1,4 @@
-//! Watches a worker by the file of its lock, which is kept open: for readers that listen to no events.
+//! Watches a worker by its open lock file, for readers that listen to no events.
 
 use std::fs::{self, File};
 use std::os::unix::fs::{FileExt, MetadataExt, OpenOptionsExt};
@@ -6,10 +6,10 @@ use std::path::Path;
 
 use rustix::fs::{FlockOperation, OFlags, flock};
 
-use crate::liveness::worker_lock::{LONGEST_BYTES, Owner};
+use crate::liveness::worker_lock::{MAX_BYTES, Owner};
 
-/// The lock's file of one run of a worker. Whoever shuts down removes the file and then empties it; of one that was
-/// killed the contents remain, whoever removes it, until another worker writes its own into the same file.
+/// The lock file of one run of a worker. A worker that shuts down removes the file and then empties
+/// it. That of a killed one keeps its contents until another worker writes its own into it.
 #[derive(Debug)]
 pub(crate) struct LockWatch {
     file: File,
@@ -34,7 +34,7 @@ impl LockWatch {
         found.is_ok_and(|found| found.nlink() == 0 && found.len() == 0)
     }
 
-    /// True if nobody holds the lock any more, or another worker does. For processes that cannot be watched; it takes
+    /// True if the lock is free, or another worker's. For processes that cannot be watched. Takes
     /// the lock for a moment, for which a worker that starts waits.
     pub(crate) fn is_left(&self) -> bool {
         if flock(&self.file, FlockOperation::NonBlockingLockShared).is_ok() {
@@ -46,7 +46,7 @@ impl LockWatch {
 }
 
 fn named(file: &File) -> Option<Owner> {
-    let mut text = [0; LONGEST_BYTES as usize];
+    let mut text = [0; MAX_BYTES as usize];
     let len = file.read_at(&mut text, 0).ok()?;
     Owner::parse(std::str::from_utf8(&text[..len]).ok()?)
 }

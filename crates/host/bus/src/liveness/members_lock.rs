@@ -15,7 +15,6 @@ use crate::liveness::worker_lock::WorkerLock;
 use crate::marker::Marked;
 use crate::os::files::is_same;
 
-/// The file that members lock.
 #[derive(Debug)]
 pub(crate) struct MembersLock {
     file: File,

@@ -77,8 +77,8 @@ impl WorkerLock {
         }
     }
 
-    /// Whom the lock's file names, held or not; `None` if there is no file, or none that can be read. Takes
-    /// no lock: a worker that starts at this moment is not kept from it.
+    /// The owner that the lock file names, whether it holds the lock or not. `None` if there is no
+    /// readable file. Takes no lock, so a worker that starts at this moment is not kept from it.
     pub(crate) fn named_owner(path: &Path) -> Option<Owner> {
         let file = fs::OpenOptions::new()
             .read(true)
@@ -86,7 +86,7 @@ impl WorkerLock {
             .open(path)
             .ok()?;
         let mut text = String::new();
-        file.take(LONGEST_BYTES).read_to_string(&mut text).ok()?;
+        file.take(MAX_BYTES).read_to_string(&mut text).ok()?;
         Owner::parse(&text)
     }
 
@@ -129,8 +129,8 @@ impl WorkerLock {
             if !is_same(&file, &path).map_err(failed)? {
                 return Ok(None);
             }
-            // Who looks whether a killed worker's lock is held has it shared for a moment, and longer where the
-            // process gets no processor: that is not a worker's.
+            // A prober briefly holds the lock shared, and longer where it gets no processor. A
+            // shared holder is not a worker.
             if flock(&file, FlockOperation::NonBlockingLockShared).is_ok() {
                 flock(&file, FlockOperation::Unlock).map_err(|error| failed(error.into()))?;
                 if begin.elapsed() > RETRY_LIMIT {
@@ -174,18 +174,18 @@ impl Drop for WorkerLock {
         if is_same(&self.file, &path).unwrap_or(false) {
             let _ = fs::remove_file(&path);
         }
-        // Who has it open learns that this was no death: `LockWatch`.
+        // `LockWatch` tells a shutdown from a death by the empty file.
         let _ = self.file.set_len(0);
         crate::directory::remove_root(&self.domain);
     }
 }
 
-/// Lets a lock go before the file is closed: a child of another thread has it open, too, between its fork and its program.
+/// Unlocks before closing: a child that another thread forks has the file open until its `exec`.
 fn release(file: &File) {
     let _ = flock(file, FlockOperation::Unlock);
 }
 
-/// Looks at a lock whose holder the file does not name, and the pause between two.
+/// Maximum number of looks at a lock whose holder the file does not name, and their interval.
 const LOOKS: u32 = 50;
 const LOOKS_AT_SEEN: u32 = 500;
 const LOOK_EVERY: Duration = Duration::from_millis(2);
@@ -199,9 +199,9 @@ struct Looks {
 }
 
 impl Looks {
-    /// Counts one that found `owner`; true if it tells who the holder is, or that it is not visible here.
+    /// Counts a look that found `owner`; true if it names the holder, or none is visible here.
     fn are_enough(&mut self, owner: WorkerOwner) -> bool {
-        // A process that is seen here, and has written no name, may be one that removes the file of a killed worker.
+        // A holder without a name may be removing the file of a killed worker.
         if owner.pid.is_some() {
             self.seen += 1;
             self.unseen = 0;
@@ -212,9 +212,9 @@ impl Looks {
     }
 }
 /// A file that is longer than this is not a lock's, bytes.
-pub(crate) const LONGEST_BYTES: u64 = 64;
+pub(crate) const MAX_BYTES: u64 = 64;
 
-/// What the holder of the lock has written into its file.
+/// The lock file's statement about its holder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Owner {
     pub(crate) pid: u32,
@@ -243,7 +243,7 @@ impl Owner {
     }
 }
 
-/// The pid of this process in the outermost namespace that `/proc` shows, as iceoryx2 determines it.
+/// The pid of this process in the outermost namespace that `/proc` shows, as in port ids.
 fn outermost_pid() -> u32 {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let pids = status.lines().find_map(|line| line.strip_prefix("NSpid:"));
@@ -280,7 +280,7 @@ fn is_lock(file: &mut File) -> io::Result<bool> {
     let is_line = line
         .iter()
         .all(|byte| byte.is_ascii_digit() || *byte == b' ');
-    Ok(found.len() <= LONGEST_BYTES && (is_line || text.iter().all(|byte| *byte == 0)))
+    Ok(found.len() <= MAX_BYTES && (is_line || text.iter().all(|byte| *byte == 0)))
 }
 
 fn first_bytes(file: &mut File) -> io::Result<Vec<u8>> {
@@ -288,7 +288,7 @@ fn first_bytes(file: &mut File) -> io::Result<Vec<u8>> {
     // A directory or a FIFO is not read.
     if file.metadata()?.is_file() {
         file.seek(SeekFrom::Start(0))?;
-        file.take(LONGEST_BYTES).read_to_end(&mut text)?;
+        file.take(MAX_BYTES).read_to_end(&mut text)?;
     }
     Ok(text)
 }
@@ -304,7 +304,7 @@ pub struct WorkerOwner {
 }
 
 impl WorkerOwner {
-    /// The owner writes right after locking: this waits briefly. Not visible is one that no look has seen.
+    /// Waits briefly, because the owner writes after locking. An owner that no look saw is hidden.
     fn read(file: &mut File) -> io::Result<Self> {
         let mut seen = None;
         for _ in 1..LOOKS {
@@ -319,8 +319,7 @@ impl WorkerOwner {
         Ok(last.pid.map(|_| last).or(seen).unwrap_or(last))
     }
 
-    /// The holder, and whether the file names it. The kernel knows the process; the contents of the file are used
-    /// only if they agree.
+    /// The holder, and whether the file names it. The file counts only if the kernel agrees.
     fn look(file: &mut File) -> io::Result<(Self, bool)> {
         let text = String::from_utf8_lossy(&first_bytes(file)?).into_owned();
         let mut words = text.split_ascii_whitespace();

@@ -21,13 +21,11 @@ const LOOKUPS_PER_PERIOD: u32 = 8;
 #[derive(Debug)]
 pub(crate) struct WorkerPorts {
     lock_file: PathBuf,
-    /// The port of the worker.
     port: Option<u128>,
     owner: Option<Owner>,
     runs: u64,
     /// The lock's holder at the last lookup.
     holder: Option<Owner>,
-    /// Lookups in this period.
     lookups: u32,
     /// End of the period, monotonic ns.
     period_end_ns: u64,

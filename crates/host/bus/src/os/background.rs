@@ -1,9 +1,11 @@
-//! Work in the background: a thread that repeats a step.
+//! Threads with ports of their own: ports belong to the thread that opens them.
 
 use std::io;
+use std::mem::forget;
+use std::process;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::sync_channel;
+use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -14,11 +16,22 @@ pub trait Steps {
     fn step(&mut self, last: bool) -> Option<Duration>;
 }
 
-/// A running thread that repeats a step; stopped when dropped.
+/// A running thread that has opened its ports; stopped when dropped. It ends with a `T`.
+///
+/// Belongs to the process that started it: a child made by `fork` has no such thread, and waits for
+/// none.
 #[derive(Debug)]
-pub struct Background {
+pub struct Background<T = ()> {
     stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
+    thread: Option<JoinHandle<T>>,
+    pid: u32,
+}
+
+/// What the thread tells its starter, and hears from it.
+#[derive(Debug)]
+pub struct Running<J = ()> {
+    stop: Arc<AtomicBool>,
+    joined: SyncSender<J>,
 }
 
 /// The thread has panicked.
@@ -29,9 +42,23 @@ pub struct Panicked {
     pub name: String,
 }
 
+impl<J> Running<J> {
+    /// The ports are open: [`Background::run`] returns. To be called once.
+    pub fn joined(&self, with: J) {
+        // The starter waits for it.
+        let _ = self.joined.send(with);
+    }
+
+    /// True if the thread is to end.
+    #[must_use]
+    pub fn is_stopping(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+}
+
 impl Background {
-    /// Starts a thread of the name `name`, and waits until `open` has returned in it: ports belong to
-    /// the thread that opens them.
+    /// Starts a thread of the name `name`, waits until `open` has returned in it, and lets it
+    /// repeat its steps.
     ///
     /// # Errors
     /// That of `open`, or that of the system if the thread could not be started.
@@ -39,27 +66,78 @@ impl Background {
         name: &str,
         open: impl FnOnce() -> Result<S, E> + Send + 'static,
     ) -> Result<Self, E> {
-        let stop = Arc::new(AtomicBool::new(false));
-        let stopped = Arc::clone(&stop);
-        let (ready, started) = sync_channel(1);
-        let builder = std::thread::Builder::new().name(name.to_owned());
-        let thread = builder.spawn(move || {
-            let (opened, steps) = match open() {
-                Ok(steps) => (Ok(()), Some(steps)),
-                Err(error) => (Err(error), None),
-            };
-            // The caller waits for the message.
-            let _ = ready.send(opened);
-            if let Some(steps) = steps {
-                repeat(steps, &stopped);
+        let work = move |running: &Running<_>| match open() {
+            Ok(steps) => {
+                running.joined(Ok(()));
+                repeat(steps, running);
             }
-        })?;
-        let died = |_| io::Error::other(format!("the thread {name} died at its start"));
-        started.recv().map_err(died)??;
-        Ok(Self {
+            Err(error) => running.joined(Err(error)),
+        };
+        let (background, opened) = Self::spawn(name, work)?;
+        opened.unwrap_or_else(|| Err(early(name).into()))?;
+        Ok(background)
+    }
+}
+
+impl<T: Send + 'static, E: From<io::Error> + Send + 'static> Background<Result<T, E>> {
+    /// Starts a thread of the name `name` that does `work`, and waits until it has
+    /// [joined](Running::joined). Returns what it has joined with, too.
+    ///
+    /// # Errors
+    /// That of `work` if it ends before, or that of the system if the thread could not be started.
+    pub fn run<J: Send + 'static>(
+        name: &str,
+        work: impl FnOnce(&Running<J>) -> Result<T, E> + Send + 'static,
+    ) -> Result<(Self, J), E> {
+        let (mut background, joined) = Self::spawn(name, work)?;
+        if let Some(joined) = joined {
+            return Ok((background, joined));
+        }
+        Err(match background.finish() {
+            Ok(Some(Err(error))) => error,
+            _ => early(name).into(),
+        })
+    }
+
+    /// Stops the thread, and returns what it ended with.
+    ///
+    /// # Errors
+    /// That of its work, or [`Panicked`] in an [`io::Error`].
+    pub fn join(mut self) -> Result<T, E> {
+        match self.finish().map_err(io::Error::other)? {
+            Some(ended) => ended,
+            None => Err(io::Error::other("the thread is that of another process").into()),
+        }
+    }
+}
+
+impl<T: Send + 'static> Background<T> {
+    fn spawn<J: Send + 'static>(
+        name: &str,
+        work: impl FnOnce(&Running<J>) -> T + Send + 'static,
+    ) -> io::Result<(Self, Option<J>)> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let (joined, started) = sync_channel(1);
+        let running = Running {
+            stop: Arc::clone(&stop),
+            joined,
+        };
+        let builder = std::thread::Builder::new().name(name.to_owned());
+        let thread = builder.spawn(move || work(&running))?;
+        let background = Self {
             stop,
             thread: Some(thread),
-        })
+            pid: process::id(),
+        };
+        Ok((background, started.recv().ok()))
+    }
+}
+
+impl<T> Background<T> {
+    /// True if the thread has ended by itself.
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        self.thread.as_ref().is_none_or(JoinHandle::is_finished)
     }
 
     /// Ends the pause of the thread: its next step is due.
@@ -69,22 +147,37 @@ impl Background {
         }
     }
 
-    /// Lets the thread do its last step, and waits for it.
+    /// Asks the thread to end, and does not wait for it.
+    pub fn stop(&self) {
+        self.stop.store(true, Ordering::Relaxed);
+        self.wake();
+    }
+
+    /// Leaves the thread to itself: it ends when its work does.
+    pub fn detach(mut self) {
+        self.thread = None;
+    }
+
+    /// Lets the thread do its last step, and waits for it. Returns what it ended with the first
+    /// time.
     ///
     /// # Errors
     /// [`Panicked`].
-    pub fn finish(&mut self) -> Result<(), Panicked> {
-        self.stop.store(true, Ordering::Relaxed);
+    pub fn finish(&mut self) -> Result<Option<T>, Panicked> {
+        self.stop();
         let Some(thread) = self.thread.take() else {
-            return Ok(());
+            return Ok(None);
         };
-        thread.thread().unpark();
+        if self.pid != process::id() {
+            forget(thread);
+            return Ok(None);
+        }
         let name = thread.thread().name().unwrap_or_default().to_owned();
-        thread.join().map_err(|_| Panicked { name })
+        thread.join().map(Some).map_err(|_| Panicked { name })
     }
 }
 
-impl Drop for Background {
+impl<T> Drop for Background<T> {
     fn drop(&mut self) {
         if let Err(error) = self.finish() {
             tracing::error!("{error}");
@@ -92,9 +185,13 @@ impl Drop for Background {
     }
 }
 
-fn repeat(mut steps: impl Steps, stop: &AtomicBool) {
+fn early(name: &str) -> io::Error {
+    io::Error::other(format!("the thread {name} died at its start"))
+}
+
+fn repeat<J>(mut steps: impl Steps, running: &Running<J>) {
     loop {
-        let last = stop.load(Ordering::Relaxed);
+        let last = running.is_stopping();
         match steps.step(last) {
             // Even a pause of nothing would last as long as the kernel's timer slack, 50 µs.
             Some(Duration::ZERO) if !last => {}
@@ -145,6 +242,39 @@ mod tests {
         let calls = calls.lock().unwrap();
         assert_eq!(calls.iter().filter(|last| **last).count(), 1);
         assert_eq!(calls.last(), Some(&true));
+    }
+
+    #[test]
+    fn work_is_told_to_end_and_its_result_or_the_reason_that_it_did_not_join_is_returned() {
+        let (background, joined) = Background::run("works", |running| {
+            running.joined(7);
+            while !running.is_stopping() {
+                std::thread::park();
+            }
+            io::Result::Ok("done")
+        })
+        .unwrap();
+        assert!(!background.has_ended());
+        assert_eq!((joined, background.join().unwrap()), (7, "done"));
+        let early = |end: fn() -> io::Result<()>| {
+            let ended = Background::run("ends", move |_: &Running| end());
+            ended.unwrap_err().to_string()
+        };
+        assert_eq!(early(|| Err(io::Error::other("not today"))), "not today");
+        assert!(early(|| Ok(())).contains("thread ends died"));
+        assert!(early(|| panic!("at the start")).contains("thread ends died"));
+    }
+
+    #[test]
+    fn a_child_of_a_fork_does_not_wait_for_a_thread_that_it_does_not_have() {
+        let (mut background, ()) = Background::run("stays", |running| {
+            running.joined(());
+            io::Result::Ok(())
+        })
+        .unwrap();
+        // As in the child.
+        background.pid += 1;
+        assert!(background.finish().unwrap().is_none());
     }
 
     #[test]

@@ -35,8 +35,8 @@ pub fn boot_id() -> io::Result<String> {
         .to_owned())
 }
 
-/// Bounds of the realtime clock minus the monotonic one, ns: what it is changes only where the realtime clock is set. `None`
-/// where that is negative: on a host without a clock that has just booted.
+/// Bounds of the realtime clock minus the monotonic one, ns. The difference changes only when the
+/// realtime clock is set. `None` if it is negative: a host without a clock that has just booted.
 #[must_use]
 pub fn realtime_minus_monotonic_ns() -> Option<(u64, u64)> {
     let (before_ns, realtime_ns, after_ns) = (monotonic_ns(), unix_ns(), monotonic_ns());
@@ -46,22 +46,22 @@ pub fn realtime_minus_monotonic_ns() -> Option<(u64, u64)> {
     ))
 }
 
-/// What the kernel was told of the realtime clock by whatever keeps it.
+/// The kernel's view of the program that adjusts the realtime clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Synchronisation {
-    /// Something keeps it (`STA_UNSYNC` is not set).
+    /// A program adjusts it (`STA_UNSYNC` is not set).
     pub is_synchronised: bool,
     /// The largest error that was stated, and 500 µs more for each second since, ns.
     pub most_error_ns: u64,
 }
 
-/// Whether something keeps the realtime clock (`man 2 adjtimex`).
+/// Whether a program adjusts the realtime clock (`man 2 adjtimex`).
 ///
 /// # Errors
 /// The system call is refused, in some containers.
 pub fn synchronisation() -> io::Result<Synchronisation> {
     let mut state = MaybeUninit::<libc::timex>::zeroed();
-    // SAFETY: zeros are a valid `timex`, whose `modes` of 0 have the kernel change nothing; it writes into this one alone.
+    // SAFETY: zeros are a valid `timex`, whose `modes` of 0 change nothing in the kernel.
     let state = unsafe {
         if libc::adjtimex(state.as_mut_ptr()) < 0 {
             return Err(io::Error::last_os_error());

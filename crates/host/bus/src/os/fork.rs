@@ -1,8 +1,8 @@
 //! A `fork` waits until no thread is in iceoryx2's process-wide locks.
 //!
-//! A child has the thread that forked and no other. A lock that another thread of the parent held stays
-//! locked in the child for good: iceoryx2 looks at nodes under one such lock, so the child's first join
-//! would never return. Cleanup threads look once a second, and a controller may fork at any time.
+//! A child has no thread but the one that forked. A lock that another thread of the parent held
+//! stays locked in the child for good. iceoryx2 looks at nodes under such a lock, so the child's
+//! first join would hang. Cleanup threads look once a second; a controller may fork at any time.
 #![allow(unsafe_code)] // Registers functions with the C library.
 
 use std::sync::Once;
@@ -16,7 +16,7 @@ static INSIDE: AtomicUsize = AtomicUsize::new(0);
 static FORKS: AtomicUsize = AtomicUsize::new(0);
 
 const POLL_INTERVAL: Duration = Duration::from_millis(1);
-/// A fork waits no longer: a cleanup that hangs must not hang the program around it.
+/// Maximum wait of a fork: a cleanup that hangs must not hang the program around it.
 const MAX_WAIT: Duration = Duration::from_secs(5);
 
 /// While it lives, a fork waits. Sections of one thread are not nested.
@@ -45,8 +45,8 @@ pub(crate) fn enter() -> Section {
 }
 
 fn register() {
-    // SAFETY: the handlers take nothing, use atomics and the clock alone, and do not unwind. They stay
-    // where they are: neither a program nor libjoulebus is unloaded.
+    // SAFETY: the handlers take nothing, use only atomics and the clock, and do not unwind. They
+    // stay where they are: neither a program nor libjoulebus is unloaded.
     let error = unsafe { libc::pthread_atfork(Some(prepare), Some(in_parent), Some(in_child)) };
     if error != 0 {
         tracing::warn!(

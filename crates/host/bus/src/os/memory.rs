@@ -12,7 +12,7 @@ use rustix::mm::{Advice, madvise};
 /// Directory of POSIX shared memory on Linux.
 pub(crate) use joulebus_domain::SHM_DIR;
 /// Maximum size of a mapping populated while ticks run, bytes: takes a few milliseconds.
-const MOST_AT_ONCE: usize = 64 << 20;
+const MAX_AT_ONCE: usize = 64 << 20;
 
 /// Allocates the first `bytes` of a file in shared memory, all or none: no SIGBUS later.
 ///
@@ -42,15 +42,15 @@ pub(crate) fn populate(part: &str) {
     }
 }
 
-/// Populates the mappings of the shared-memory objects whose name contains `part` and that this process
-/// reads: no page fault later. Best effort; mappings over 64 MiB are left to page faults, because
-/// populating them would take longer than a frame may.
+/// Populates the mappings of the shared-memory objects whose name contains `part` and that this
+/// process reads: no page fault later. Best effort; mappings over 64 MiB are left to page faults,
+/// because populating them would take longer than a frame may.
 pub(crate) fn map(part: &str) {
     let Ok(maps) = fs::read_to_string("/proc/self/maps") else {
         return;
     };
     let of_part = |mapping: &Mapping<'_>| {
-        mapping.is_shared() && mapping.path.contains(part) && mapping.len <= MOST_AT_ONCE
+        mapping.is_shared() && mapping.path.contains(part) && mapping.len <= MAX_AT_ONCE
     };
     for mapping in maps.lines().filter_map(Mapping::parse).filter(of_part) {
         mapping.populate(Advice::LinuxPopulateRead);

@@ -30,7 +30,7 @@ pub(crate) fn lock_holders(file: &File, expected: Option<u32>) -> io::Result<Vec
         let is_it = number == inode && (there == device || expected == Some(pid));
         (is_flock && is_exclusive && is_it && pid > 1 && is_alive(pid)).then_some(pid)
     };
-    // With room for the kernel to give whole pages: between two reads it may pass over a lock, if others are released.
+    // Room for whole pages: between two reads the kernel may skip a lock while others are released.
     let mut locks = Vec::with_capacity(64 << 10);
     if let Ok(mut list) = File::open("/proc/locks") {
         let _ = list.read_to_end(&mut locks);

@@ -7,8 +7,8 @@ use std::sync::atomic::{AtomicU32, Ordering};
 
 use rustix::mm::{Advice, MapFlags, ProtFlags, madvise, mmap_anonymous, munmap};
 
-/// The id of this process. Asked of the kernel once in each process: what C programs call many times looks whether
-/// it is still in the process that opened a handle.
+/// The id of this process. The kernel is asked once in each process, because each call of C checks
+/// that it is still in the process that opened its handle.
 #[must_use]
 pub fn process_id() -> u32 {
     static KNOWN: OnceLock<Option<&'static AtomicU32>> = OnceLock::new();
@@ -25,8 +25,8 @@ pub fn process_id() -> u32 {
     }
 }
 
-/// A number that is 0, and is 0 again in each process forked from this one; `None` where the kernel has no such
-/// memory (before Linux 4.14, and emulators).
+/// A number that is 0, and is 0 again in each process forked from this one. `None` where the kernel
+/// has no such memory (before Linux 4.14, and emulators).
 fn emptied_by_fork() -> Option<&'static AtomicU32> {
     let length = rustix::param::page_size();
     let (protection, flags) = (ProtFlags::READ | ProtFlags::WRITE, MapFlags::PRIVATE);
@@ -38,7 +38,7 @@ fn emptied_by_fork() -> Option<&'static AtomicU32> {
         let _ = unsafe { munmap(page, length) };
         return None;
     }
-    // SAFETY: a page of zeros, which is aligned, never unmapped, and only used through this reference.
+    // SAFETY: a page of zeros, aligned, never unmapped, and only used through this reference.
     Some(unsafe { &*page.cast::<AtomicU32>() })
 }
 

@@ -33,8 +33,8 @@ pub fn schedule_process(asked: &Scheduling) -> Result<Vec<SchedulingError>, Sche
     Ok(refused)
 }
 
-/// Applies the CPU and the priority that are asked to the calling thread, number `place` of the tick's threads, 0
-/// being the tick's own. No CPU is requested beyond the end of [`Scheduling::cpus`].
+/// Applies the requested CPU and priority to the calling thread, number `place` of the tick's
+/// threads, 0 being the tick's own. No CPU is requested beyond the end of [`Scheduling::cpus`].
 ///
 /// # Errors
 /// The first refused request; the CPU is requested first.
@@ -256,8 +256,8 @@ pub fn set_timer_slack() -> io::Result<()> {
     rustix::thread::set_current_timer_slack(NonZeroU64::new(1)).map_err(Into::into)
 }
 
-/// Sets the calling thread's nice value, 0 to 19: above 0 the worker and its sources run first where all want the same
-/// processor. Threads that it starts have the same value. A refusal is logged, and leaves the value unchanged.
+/// Sets the calling thread's nice value, 0 to 19, also of threads that it starts. Above 0 the
+/// worker and its sources run first where all want the same processor. A refusal is only logged.
 pub fn yield_to_the_worker(nice: u8) {
     // On Linux this is a property of threads: of the calling one.
     if let Err(error) = setpriority_process(None, nice.into()) {

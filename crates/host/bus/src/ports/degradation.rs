@@ -5,8 +5,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use iceoryx2::port::{DegradationAction, DegradationCause, DegradationInfo};
 
-/// Most ports remembered at a time.
-const MOST_PORTS: usize = 64;
+/// Maximum number of ports remembered at a time.
+const MAX_PORTS: usize = 64;
 
 /// Connections of a port that failed: their number, and the ports of the other side.
 #[derive(Debug)]
@@ -19,12 +19,12 @@ impl Failures {
     pub(crate) fn new() -> Arc<Self> {
         Arc::new(Self {
             count: AtomicU64::new(0),
-            ports: Mutex::new(Vec::with_capacity(MOST_PORTS)),
+            ports: Mutex::new(Vec::with_capacity(MAX_PORTS)),
         })
     }
 
-    /// A handler that records a failed connection to `port` instead of returning an error immediately,
-    /// which would leave the following ports unconnected too.
+    /// A handler that records a failed connection to `port`. Returning an error immediately would
+    /// leave the following ports unconnected too.
     pub(crate) fn handler(
         self: &Arc<Self>,
         port: fn(&DegradationInfo) -> u128,
@@ -38,7 +38,7 @@ impl Failures {
 
     fn add(&self, port: u128) {
         let mut ports = self.ports.lock().unwrap_or_else(PoisonError::into_inner);
-        if !ports.contains(&port) && ports.len() < MOST_PORTS {
+        if !ports.contains(&port) && ports.len() < MAX_PORTS {
             ports.push(port);
         }
         self.count.fetch_add(1, Ordering::Relaxed);
@@ -99,6 +99,6 @@ mod tests {
         let failures = Failures::new();
         (0..1_000).for_each(|port| failures.add(port));
         assert_eq!(failures.count(), 1_000);
-        assert_eq!(failures.ports.lock().unwrap().capacity(), MOST_PORTS);
+        assert_eq!(failures.ports.lock().unwrap().capacity(), MAX_PORTS);
     }
 }

@@ -45,8 +45,9 @@ impl Bus {
         self.reader(limits).map(SampleReader::new)
     }
 
-    /// Reads a channel. On one of the worker only the frames of the process that holds the worker's lock are read.
-    /// While a reader of plan states, keyframes or records of questions is open, the worker sends them.
+    /// Reads a channel. Of the worker's channels it reads only frames of the process that holds the
+    /// worker's lock. While a reader of plan states, keyframes or records of questions is open, the
+    /// worker sends them.
     ///
     /// # Errors
     /// [`OpenError`].
@@ -54,7 +55,8 @@ impl Bus {
         Reader::open(self, limits)
     }
 
-    /// Writes a channel, in frames of up to [`Limits::rows`]. Samples have their own: [`Bus::sample_writer`].
+    /// Writes a channel, in frames of up to [`Limits::rows`]. For samples, see
+    /// [`Bus::sample_writer`].
     ///
     /// # Errors
     /// [`OpenError`].

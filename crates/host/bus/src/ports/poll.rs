@@ -1,5 +1,5 @@
-//! Waiting without events, for readers that look at fixed times: a listener costs the worker a system call per tick,
-//! and the processor a wake-up.
+//! Waiting without events, for readers that look at fixed times. A listener would cost the worker a
+//! system call per tick, and the processor a wake-up.
 
 use std::path::PathBuf;
 use std::rc::Rc;
@@ -7,12 +7,12 @@ use std::rc::Rc;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
-use super::wait::{LONGEST_SLEEP_NS, WaitError, Woken};
+use super::wait::{MAX_SLEEP_NS, WaitError, Woken};
 use crate::liveness::lock_watch::LockWatch;
 use crate::membership::Membership;
 use crate::{Bus, PeerWatch, clock};
 
-/// Waits for a time, and for the end of the worker, of which no event tells it.
+/// Waits for a time, and for the end of the worker.
 #[derive(Debug)]
 pub struct Poller {
     lock_file: PathBuf,
@@ -34,9 +34,10 @@ impl Poller {
         self.lock = LockWatch::open(&self.lock_file, pid);
     }
 
-    /// Sleeps until `deadline_ns` (monotonic), until `peer`, the process of the watched worker, is gone, or until a
-    /// signal arrives; at most 100 ms. That the worker has shut down, and without `peer` that it has died, is known
-    /// when the sleep is over. [`Woken::frame`] is never set. Does not allocate.
+    /// Sleeps until `deadline_ns` (monotonic), until `peer`, the process of the watched worker, is
+    /// gone, or until a signal arrives; at most 100 ms. A shutdown of the worker, and without
+    /// `peer` its death, is found when the sleep is over. [`Woken::frame`] is never set. Does not
+    /// allocate.
     ///
     /// # Errors
     /// [`WaitError::Removed`] if this process must end, [`WaitError::Poll`] if `poll` fails.
@@ -49,7 +50,7 @@ impl Poller {
         let sleep_ns = deadline_ns.saturating_sub(clock::monotonic_ns());
         let timeout = Timespec {
             tv_sec: 0,
-            tv_nsec: sleep_ns.min(LONGEST_SLEEP_NS).cast_signed() as _,
+            tv_nsec: sleep_ns.min(MAX_SLEEP_NS).cast_signed() as _,
         };
         let mut polled = peer.map(|peer| [PollFd::new(peer, PollFlags::IN)]);
         let polled: &mut [PollFd<'_>] = polled.as_mut().map_or(&mut [], |polled| polled);

@@ -1,13 +1,14 @@
 //! Questions and answers: iceoryx2's request-response, and an event for each direction.
 //!
 //! A client has one question in transfer at a time. Full queues refuse instead of blocking, and
-//! memory is fixed when a port is opened. Whose answers a client takes, and that the worker has
-//! ended, it learns from the worker's lock, not from iceoryx2.
+//! memory is fixed when a port is opened. A client learns from the worker's lock, not from
+//! iceoryx2, whose answers to take and that the worker has ended.
 //!
-//! iceoryx2 0.10 never gives back the connection of a client that has left while a question of it
-//! was unread (`Server::receive` finds no port for the answer, and does not release the request): two
-//! descriptors and the client's memory, and with 128 such connections it panics. The server's port is therefore
-//! opened again before that ([`QueryServer::is_worn`]), and clients send an unanswered question again.
+//! iceoryx2 0.10 never gives back the connection of a client that left while its question was
+//! unread: `Server::receive` finds no port for the answer, and does not release the request. That
+//! costs two descriptors and the client's memory, and 128 such connections are a panic. So the
+//! server's port is opened again before that ([`QueryServer::is_worn`]), and clients send an
+//! unanswered question again.
 
 use std::rc::Rc;
 use std::sync::Arc;
@@ -67,8 +68,7 @@ pub struct QueryServer {
     member: Rc<Membership>,
 }
 
-/// A question that was received. It lies in memory that its client could still change: copy it before
-/// it is checked.
+/// A question that was received. Its client could still change it: copy it before checking it.
 #[derive(Debug)]
 pub struct OpenQuery {
     request: ActiveRequest<Ipc, [f64], QueryHeader, [u64], AnswerHeader>,
@@ -100,7 +100,7 @@ impl QueryServer {
         let id = server.id().value();
         memory::populate(&id.to_string());
         let need = service::need(bus, &factory, Some(id));
-        // Clients whose question the port before this one took send it again; those that are not woken, later.
+        // Clients whose question the earlier port took send it again; those not woken, later.
         let _ = answered.wake(WakeEvent::Frame);
         Ok(Self {
             port: Kept::new((server, factory), need),
@@ -113,11 +113,11 @@ impl QueryServer {
         })
     }
 
-    /// The next waiting question. No order among clients is promised: receive as many as the clients
+    /// The next waiting question. No order among clients is promised: receive as many as clients
     /// can have in transfer, and choose. Questions whose client has stopped waiting are skipped.
     ///
     /// # Errors
-    /// [`ReceiveError::Degraded`]: open the port again. After other errors the next call may succeed.
+    /// [`ReceiveError::Degraded`]: open the port again. After other errors the next call may work.
     pub fn receive(&mut self) -> Result<Option<OpenQuery>, ReceiveError> {
         self.member.presence.check()?;
         let (server, factory) = &*self.port;
@@ -192,8 +192,8 @@ impl QueryServer {
         self.wear.look(now, clock::monotonic_ns())
     }
 
-    /// Whether connections of clients that have left may be kept for nothing: drop all questions and the port,
-    /// and open it again. `is_idle`: no question waits.
+    /// True if connections of clients that have left may be kept for nothing: drop all questions
+    /// and the port, and open it again. `is_idle`: no question waits.
     #[must_use]
     pub fn is_worn(&self, is_idle: bool) -> bool {
         self.wear.is_worn(is_idle, clock::monotonic_ns())
@@ -290,8 +290,8 @@ impl QueryClient {
     /// worker that has just opened its port, or opens it again, is asked once more.
     ///
     /// # Errors
-    /// [`QueryError`]: no worker, or it has ended since: at once. [`QueryError::NotServed`] after a second
-    /// if this worker has not answered so far.
+    /// [`QueryError`]: at once if there is no worker, or it has ended since.
+    /// [`QueryError::NotServed`] after a second if this worker has not answered so far.
     pub fn ask(
         &mut self,
         header: QueryHeader,
@@ -376,7 +376,7 @@ impl QueryClient {
     /// The answer to the question sent last, if it has arrived; without waiting.
     ///
     /// # Errors
-    /// [`QueryError`]; the question is given up. [`QueryError::TimedOut`] from `deadline_ns` (monotonic) on.
+    /// [`QueryError`]; the question is given up. [`QueryError::TimedOut`] from `deadline_ns` on.
     pub fn poll(
         &mut self,
         deadline_ns: u64,
@@ -430,8 +430,8 @@ impl QueryClient {
         }
     }
 
-    /// Watches the process that holds the worker's lock. It is not looked up while the port for questions is its own:
-    /// a fleet has one such port, and its process closes it before another may be the worker.
+    /// Watches the process that holds the worker's lock. No look-up while it serves the port for
+    /// questions: a fleet has one such port, closed before another process may be the worker.
     fn watch(&mut self) -> Result<(), QueryError> {
         let worker = self.worker.as_ref();
         let serves =
@@ -463,8 +463,8 @@ impl QueryClient {
         }
     }
 
-    /// Whether the port for questions is that of this process. iceoryx2 takes the port of a killed worker for
-    /// connected until it is cleaned up: a question sent there would never be answered.
+    /// True if the port for questions is that of this process. iceoryx2 takes the port of a killed
+    /// worker for connected until its cleanup: a question sent there would never be answered.
     fn is_served_by(&self, process: u32) -> bool {
         let mut is_its = false;
         self.port.1.dynamic_config().list_servers(|server| {

@@ -20,17 +20,14 @@ use crate::membership::Membership;
 use crate::{Bus, FilesRemoved, Limits, clock};
 
 /// Maximum number of frames of other processes than the worker that one call skips.
-const MOST_PASSED_OVER: u32 = 4_096;
+const MAX_PASSED_OVER: u32 = 4_096;
 
-/// A port and its service.
 type Port<C> = (Inlet<C>, Factory<C>);
 /// The port itself.
 type Inlet<C> = Subscriber<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
-/// A frame that was received.
 type Received<C> = Borrowed<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
 
-/// Reads frames in place; on a service of the worker, only those of the process that holds the worker's
-/// lock.
+/// Reads frames in place; on the worker's channels, only those of the holder of the worker's lock.
 #[derive(Debug)]
 pub struct Reader<C: Channel> {
     // Dropped in this order: held frame, port, factory, membership.
@@ -80,8 +77,8 @@ impl<C: Channel> Reader<C> {
         Ok(self.receive()?.map(Frame::new))
     }
 
-    /// Calls `each` for all queued frames, in order: as many as can be queued at once, so that writers
-    /// that are faster than `each` do not keep the caller for ever.
+    /// Calls `each` for all queued frames, in order: as many as can be queued at once, so that
+    /// faster writers do not keep the caller for ever.
     ///
     /// # Errors
     /// [`ReceiveError`]; the next call may succeed.
@@ -147,8 +144,8 @@ impl<C: Channel> Reader<C> {
         Some((held.user_header(), held.payload()))
     }
 
-    /// Moves the frame of [`Reader::held`] out of the reader, to keep it for longer. Of the forecasts, a
-    /// process can keep two beside the newest; with more, receiving is an error until one is dropped.
+    /// Moves the frame of [`Reader::held`] out of the reader, to keep it for longer. A process can
+    /// keep two frames of forecasts beside the newest; with more, receiving is an error.
     #[must_use]
     pub fn take_held(&mut self) -> Option<KeptFrame<C>> {
         let frame = self.held.take()?;
@@ -194,7 +191,7 @@ impl<C: Channel> Reader<C> {
                 }
                 passed_over += 1;
                 // A process that sends without end must not block the reader.
-                if passed_over == MOST_PASSED_OVER {
+                if passed_over == MAX_PASSED_OVER {
                     return Ok(None);
                 }
                 continue;
@@ -219,8 +216,8 @@ impl<C: Channel> Reader<C> {
             .is_due(self.failures.count(), clock::monotonic_ns, is_listed)
     }
 
-    /// iceoryx2 does not retry a failed connection; a new port does. The old one is empty, and is kept
-    /// if the new one fails to connect as well: it may have less.
+    /// iceoryx2 does not retry a failed connection; a new port does. The old one is empty, and is
+    /// kept if the new one fails to connect as well: it may have less.
     fn reconnect(&mut self) -> Result<(), ReceiveError> {
         self.member.presence.look()?;
         let before = self.failures.count();
@@ -281,8 +278,8 @@ impl<C: Channel> Frame<'_, C> {
     }
 }
 
-/// A frame in shared memory that is kept while this value lives, whatever becomes of its reader. The process is a
-/// member of the domain as long. Belongs to the reader's thread.
+/// A frame in shared memory that is kept while this value lives, also after its reader. The process
+/// is a member of the domain as long. Belongs to the reader's thread.
 #[derive(Debug)]
 pub struct KeptFrame<C: Channel> {
     // Dropped in this order.
@@ -311,8 +308,8 @@ pub enum ReceiveError {
     /// Files of this process were removed: every further call fails as well.
     #[error(transparent)]
     Removed(#[from] FilesRemoved),
-    /// The connection to a writer has failed for three seconds or more; its frames are missing. It is
-    /// retried every three seconds. A writer that died in the meantime is not an error.
+    /// The connection to a writer has failed for three seconds or more; its frames are missing. It
+    /// is retried every three seconds. A writer that died in the meantime is not an error.
     #[error(
         "{connections} connections to writers failed so far; are there file descriptors left \
          (`ulimit -n`), and shared memory? `joulebus doctor` tells"

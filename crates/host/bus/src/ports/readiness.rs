@@ -18,7 +18,7 @@ pub struct Readiness {
 }
 
 impl Readiness {
-    /// Of nothing yet.
+    /// A descriptor that watches nothing yet.
     ///
     /// # Errors
     /// The operating system's.
@@ -29,7 +29,7 @@ impl Readiness {
         })
     }
 
-    /// Of a waiter's events.
+    /// A descriptor that watches a waiter's events.
     ///
     /// # Errors
     /// The operating system's.
@@ -39,7 +39,7 @@ impl Readiness {
         Ok(readiness)
     }
 
-    /// Of a process as well, for as long as `peer` lives.
+    /// Watches a process as well, for as long as `peer` lives.
     ///
     /// # Errors
     /// The operating system's.

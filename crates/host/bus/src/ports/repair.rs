@@ -1,8 +1,8 @@
 //! Decides when failed connections of a port are retried.
 //!
 //! iceoryx2 tries to connect to a port once, and again whenever the service's list of ports has
-//! changed (#129). Most failures are those of a port that is being removed because its process died: it leaves
-//! the list next, and nothing needs to be done. Retried here are connections to ports that are
+//! changed (#129). Most failures are those of a port that is being removed because its process
+//! died. It leaves the list next, and nothing needs to be done. Retried are connections to ports
 //! still listed three seconds later, because file descriptors or memory were short.
 
 /// Duration of a failure until it is retried, and the period of further retries, ns. Ports of dead
@@ -19,8 +19,8 @@ pub(crate) struct Repair {
 }
 
 impl Repair {
-    /// True if connections are to be retried now; then call [`Self::retried`]. The clock is read, and
-    /// `is_listed` asked whether a failed port still exists, only after a failure.
+    /// True if connections are to be retried now; then call [`Self::retried`]. Only after a failure
+    /// the clock is read, and `is_listed` asked whether a failed port still exists.
     pub(crate) fn is_due(
         &mut self,
         failed: u64,

@@ -122,8 +122,8 @@ impl IncomingFrame<'_> {
         self.received.payload().len() - self.kept
     }
 
-    /// Copies the next samples, at most the capacity of `part`, and returns them; `None` at the end, or
-    /// if the capacity is 0.
+    /// Copies the next samples, at most the capacity of `part`, and returns them. `None` at the
+    /// end, or if the capacity is 0.
     pub fn copy_part<'p>(&mut self, part: &'p mut Vec<Sample>) -> Option<&'p [Sample]> {
         let count = part.capacity().min(self.kept - self.copied);
         if count == 0 {

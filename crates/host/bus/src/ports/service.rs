@@ -20,10 +20,11 @@ use iceoryx2::service::port_factory::request_response::PortFactory as RequestRes
 use joulebus_wire::{AnswerHeader, Channel, QueryHeader, Service, WakeEvent, service_name};
 
 use crate::cleanup::dead_nodes::remove_dead_nodes;
-use crate::cleanup::incomplete::{Abandoned, remove_incomplete};
+use crate::cleanup::incomplete::{Abandoned, holders, remove_incomplete};
 use crate::cleanup::objects::named;
 use crate::ipc::Ipc;
 use crate::liveness::presence::Need;
+use crate::os::fork;
 use crate::preflight::{PORT_BYTES, check_left};
 use crate::reserved::take_shortage;
 use crate::{Bus, CapacityError, FilesRemoved, Limits, SweepReport, clock};
@@ -35,13 +36,13 @@ const LIMITS_KEY: &[u8] = b"joulebus.limits";
 const OPEN_LIMIT_NS: u64 = 4_000_000_000;
 const OPEN_AGAIN_AFTER: Duration = Duration::from_millis(20);
 
-/// What the ports of a channel are made with.
+/// The factory of a channel's ports.
 pub(super) type Factory<C> = PortFactory<Ipc, [<C as Channel>::Row], <C as Channel>::Header>;
 
 pub(super) fn open<C: Channel>(bus: &Bus, limits: &Limits) -> Result<Factory<C>, OpenError> {
     let (service, shape) = (C::SERVICE, limits.shape(C::FLOW));
     bus.member.presence.look()?;
-    // Of an earlier attempt.
+    // Forget an earlier attempt's.
     let _ = take_shortage();
     let name = name(bus, service)?;
     let open = || {
@@ -77,7 +78,7 @@ pub(super) fn open_event(
     (listeners, notifiers): (usize, usize),
 ) -> Result<EventFactory<Ipc>, OpenError> {
     bus.member.presence.look()?;
-    // Of an earlier attempt.
+    // Forget an earlier attempt's.
     let _ = take_shortage();
     let name = name(bus, service)?;
     let open = || {
@@ -106,7 +107,7 @@ pub(super) type QueryFactory = RequestResponseFactory<Ipc, [f64], QueryHeader, [
 
 pub(super) fn open_queries(bus: &Bus, limits: &Limits) -> Result<QueryFactory, OpenError> {
     bus.member.presence.look()?;
-    // Of an earlier attempt.
+    // Forget an earlier attempt's.
     let _ = take_shortage();
     let name = name(bus, Service::ASK)?;
     let open = || {
@@ -150,18 +151,28 @@ fn retry<S, E: Debug>(
     let limit_ns = clock::monotonic_ns() + OPEN_LIMIT_NS;
     let mut abandoned = Abandoned::default();
     loop {
+        // A child has what a thread has locked, and keeps it locked if this process is killed.
+        let section = fork::enter();
         let error = match open() {
             Err(error) if is_transient(&error) => error,
             result => return result,
         };
         let is_full = check_left(PORT_BYTES).is_err();
         if is_full || clock::monotonic_ns() > limit_ns {
+            let pids = holders(bus.domain());
+            if !pids.is_empty() {
+                tracing::warn!(
+                    ?pids,
+                    "these processes make or remove a service for long: are they stopped?"
+                );
+            }
             return Err(error);
         }
         let mut report = SweepReport::default();
-        remove_dead_nodes(bus.domain(), &bus.member.config, &mut report);
+        remove_dead_nodes(&bus.member.config, &mut report);
         report.incomplete = remove_incomplete(bus.domain()).unwrap_or(0)
             + abandoned.remove(bus.domain(), name.as_str());
+        drop(section);
         tracing::info!(
             service = name.as_str(),
             ?error,
@@ -172,8 +183,8 @@ fn retry<S, E: Debug>(
     }
 }
 
-/// Creates a port. The ports of killed processes take places until their nodes are removed, which members do once a second:
-/// where no place is left it is done at once, as long as there are such nodes.
+/// Creates a port. Ports of killed processes take places until members, once a second, remove their
+/// nodes. If no place is left that is done at once, as long as there are such nodes.
 ///
 /// # Errors
 /// That of iceoryx2.
@@ -189,7 +200,7 @@ pub(super) fn create<P, E>(
             result => return result,
         }
         let mut report = SweepReport::default();
-        let is_any_dead = remove_dead_nodes(bus.domain(), &bus.member.config, &mut report);
+        let is_any_dead = remove_dead_nodes(&bus.member.config, &mut report);
         if !is_any_dead || clock::monotonic_ns() > limit_ns {
             // Another member may have removed them meanwhile.
             return port();

@@ -22,7 +22,7 @@ use crate::{Bus, FilesRemoved, Limits, PeerWatch, clock};
 /// Maximum duration of a sleep. A notification that races with the emptying of the listener can
 /// leave its descriptor not readable although events are pending, and a signal may arrive just
 /// before the sleep: this bounds both.
-pub(super) const LONGEST_SLEEP_NS: u64 = 100_000_000;
+pub(super) const MAX_SLEEP_NS: u64 = 100_000_000;
 
 /// Sends a service's event.
 #[derive(Debug)]
@@ -158,10 +158,10 @@ impl Waiter {
             woken.peer_gone = peer.is_some_and(PeerWatch::is_gone);
             return Ok(woken);
         }
-        let sleep_ns = deadline_ns.map_or(LONGEST_SLEEP_NS, |deadline| {
+        let sleep_ns = deadline_ns.map_or(MAX_SLEEP_NS, |deadline| {
             deadline
                 .saturating_sub(clock::monotonic_ns())
-                .min(LONGEST_SLEEP_NS)
+                .min(MAX_SLEEP_NS)
         });
         let timeout = Timespec {
             tv_sec: 0,

@@ -1,7 +1,7 @@
 //! When the worker's port for questions has to be opened again: not the defect of #1797.
 
 /// Clients that may have left before the port is worn: far below the 128 that iceoryx2 allows.
-const MOST_LEFT: usize = 16;
+const MAX_LEFT: usize = 16;
 /// Time after a client has left until the port is worn, ns.
 const WORN_AFTER_NS: u64 = 1_000_000_000;
 
@@ -29,9 +29,9 @@ impl Wear {
         self.clients.len()
     }
 
-    /// Whether connections of clients that have left may be kept for nothing. `is_idle`: no question waits.
+    /// True if connections of clients that have left may be kept; `is_idle`: no question waits.
     pub(crate) fn is_worn(&self, is_idle: bool, now_ns: u64) -> bool {
         let is_quiet = now_ns.saturating_sub(self.left_ns) >= WORN_AFTER_NS;
-        self.left >= MOST_LEFT || (self.left > 0 && is_idle && is_quiet)
+        self.left >= MAX_LEFT || (self.left > 0 && is_idle && is_quiet)
     }
 }

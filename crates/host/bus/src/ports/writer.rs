@@ -24,7 +24,6 @@ use crate::os::memory;
 use crate::preflight::{check_free, segment_bytes};
 use crate::{Bus, FilesRemoved, Limits, clock};
 
-/// A port and its service.
 type Port<C> = (
     Publisher<Ipc, [<C as Channel>::Row], <C as Channel>::Header>,
     Factory<C>,
@@ -94,8 +93,8 @@ impl<C: Channel> Writer<C> {
         loan.write_from_fn(element).send().map_err(SendError::send)
     }
 
-    /// Borrows memory for a frame of `len` elements, all default, to compute into; [`Loan::send`] sends
-    /// the frame, dropping it discards it. iceoryx2 allocates once.
+    /// Borrows memory for a frame of `len` elements, all default, to compute into. [`Loan::send`]
+    /// sends the frame, dropping it discards it. iceoryx2 allocates once.
     ///
     /// # Errors
     /// [`SendError`].
@@ -170,9 +169,9 @@ impl<C: Channel> Writer<C> {
         Ok(())
     }
 
-    /// Retries failed connections to readers. iceoryx2 does so when the list of readers has changed,
-    /// and a reader that joins for a moment changes it. A new port of this writer would do as well,
-    /// but the other readers would lose frames.
+    /// Retries failed connections to readers. iceoryx2 does so when the list of readers has
+    /// changed, and a reader that joins for a moment changes it. A new port of this writer would do
+    /// as well, but the other readers would lose frames.
     fn reconnect(&mut self) {
         let (publisher, factory) = &*self.port;
         let is_listed = || {

@@ -16,8 +16,8 @@ use joulebus_testkit::eventually;
 
 use crate::harness::{Place, limits, must};
 
-/// The part of a process that knows nothing of fleets: its node has iceoryx2's global configuration,
-/// which it sets from its own file.
+/// The part of a process that knows nothing of fleets: its node has iceoryx2's global
+/// configuration, set from a file of its own.
 pub(crate) struct Host {
     publisher: Publisher<ipc::Service, u64, ()>,
     subscriber: Subscriber<ipc::Service, u64, ()>,

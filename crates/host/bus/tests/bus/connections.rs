@@ -1,4 +1,4 @@
-//! Connections and starts that fail for lack of file descriptors, beside others that must not notice.
+//! Connections and starts that fail for lack of file descriptors, beside others that go on.
 
 use std::time::Duration;
 
@@ -31,8 +31,8 @@ fn a_source_that_cannot_be_connected_and_dies_costs_the_others_no_frame() {
     assert_eq!(must(&mut worker, "take"), "none");
     assert_eq!(must(&mut worker, "degraded"), "1");
     failing.kill();
-    // It is removed by the other source, and there is nothing to be retried. The worker does not look before: one that is
-    // still listed after three seconds, because the other source gets no processor, is an error.
+    // The other source removes it, and nothing needs a retry. The worker does not look before: a
+    // port still listed after three seconds, for lack of a processor, is an error.
     eventually("the dead one is removed", || {
         inspect(&place.domain).is_ok_and(|found| {
             found.nodes.len() == 2 && found.nodes.iter().all(|node| node.alive == Some(true))
@@ -105,10 +105,10 @@ fn a_writer_connects_to_a_reader_once_it_has_file_descriptors_again() {
 
 #[test]
 fn a_start_with_few_file_descriptors_is_an_error_that_says_so_and_leaves_nothing() {
-    const MOST: u64 = 200;
+    const MAX: u64 = 200;
     let place = Place::new();
     let mut started = false;
-    for more in (0..48).chain([MOST]) {
+    for more in (0..48).chain([MAX]) {
         for role in ["source", "worker", "planner"] {
             let mut member = place.member();
             must(&mut member, &format!("files {more}"));
@@ -123,7 +123,7 @@ fn a_start_with_few_file_descriptors_is_an_error_that_says_so_and_leaves_nothing
                 "{role} with {more} descriptors: {answer}"
             );
             started |= answer.starts_with("ok");
-            assert!(more < MOST || answer.starts_with("ok"), "{role}: {answer}");
+            assert!(more < MAX || answer.starts_with("ok"), "{role}: {answer}");
             must(&mut member, "files 1000");
             member.finish();
         }

@@ -43,7 +43,7 @@ impl Subscriber for Events {
     fn exit(&self, _: &Id) {}
 }
 
-/// What arrives when iceoryx2 is asked for a file that does not exist.
+/// The log of asking iceoryx2 for a file that does not exist.
 pub(crate) fn log() -> Result<String, Box<dyn Error>> {
     let events = Events::default();
     tracing::subscriber::set_global_default(events.clone())?;

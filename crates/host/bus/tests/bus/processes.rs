@@ -318,7 +318,7 @@ fn a_start_removes_all_files_only_if_no_member_is_alive() {
     let report = must(&mut place.member(), "join");
     assert!(report.contains("cold: false"), "{report}");
     assert!(!sweep(&place.domain).unwrap().cold);
-    // The source itself may be removing what the dead ones had, and has not got a processor until it is done.
+    // The source itself may be removing the dead ones' files, and not have got a processor since.
     eventually("live members are not affected", || {
         must(&mut source, "send 1") == "0"
     });
@@ -471,6 +471,28 @@ fn killed_at_every_call_of_a_start_and_the_next_one_is_ready() {
     }
 }
 
+/// A member whose threads get `signal` at their system call `call` number `number`.
+fn signalled(place: &Place, signal: &str, call: &str, number: u32) -> Member {
+    let trace = format!("trace={call}");
+    let inject = format!("inject={call}:signal={signal}:when={number}");
+    let options = ["-f", "-qq", "-e", &trace, "-e", &inject, "-o", "/dev/null"];
+    member_under(place, "strace", &options)
+}
+
+/// The answer of a traced member, which goes on where it was stopped, if for a moment by the
+/// tracer.
+fn answer_of(traced: &mut Member) -> String {
+    let mut answer = None;
+    eventually("it answers", || {
+        if let Some(child) = child_of(traced.pid()) {
+            let _ = kill_process(child, Signal::CONT);
+        }
+        answer = traced.try_next_line(Duration::from_millis(5));
+        answer.is_some()
+    });
+    answer.unwrap()
+}
+
 fn can_trace() -> bool {
     let works = Command::new("strace")
         .args(["-qq", "-e", "trace=none", "true"])
@@ -498,10 +520,7 @@ fn killed_at_every(calls: &[&str]) -> Option<u32> {
     let mut slowest = Duration::ZERO;
     for call in calls {
         for number in 1.. {
-            let trace = format!("trace={call}");
-            let inject = format!("inject={call}:signal=SIGKILL:when={number}");
-            let options = ["-f", "-qq", "-e", &trace, "-e", &inject, "-o", "/dev/null"];
-            let mut victim = member_under(&place, "strace", &options);
+            let mut victim = signalled(&place, "SIGKILL", call, number);
             for command in ["join", "worker", "quit"] {
                 victim.send_line(command);
             }
@@ -557,13 +576,10 @@ fn nodes_that_start_while_others_clean_up_are_ready_and_nobody_ends() {
     let place = Place::new();
     let source = place.joined("source");
     let mut stopped = 0;
-    // What makes a node visible: its files' permissions, and the lock that says that it is alive.
+    // A node becomes visible by its files' permissions and the lock of a live one.
     for call in ["fchmod", "fcntl"] {
         for number in 1.. {
-            let trace = format!("trace={call}");
-            let inject = format!("inject={call}:signal=SIGSTOP:when={number}");
-            let options = ["-f", "-qq", "-e", &trace, "-e", &inject, "-o", "/dev/null"];
-            let mut starting = member_under(&place, "strace", &options);
+            let mut starting = signalled(&place, "SIGSTOP", call, number);
             starting.send_line("join");
             let mut answer = None;
             eventually("it is stopped, or has joined", || {
@@ -573,24 +589,18 @@ fn nodes_that_start_while_others_clean_up_are_ready_and_nobody_ends() {
             let was_stopped = answer.is_none();
             if was_stopped {
                 stopped += 1;
+                // Also where it is so slow that what it makes is old by now.
+                std::thread::sleep(Duration::from_millis(300));
                 assert!(!sweep(&place.domain).unwrap().cold, "{call} {number}");
             }
-            eventually("it has joined", || {
-                // Also where it was stopped for a moment only, by the tracer.
-                if let Some(child) = child_of(starting.pid()) {
-                    let _ = kill_process(child, Signal::CONT);
-                }
-                let next = || starting.try_next_line(Duration::from_millis(5));
-                answer = answer.take().or_else(next);
-                answer.is_some()
-            });
+            let answer = answer.unwrap_or_else(|| answer_of(&mut starting));
             let traced = child_of(starting.pid()).unwrap();
-            assert!(answer.unwrap().starts_with("ok"), "{call} {number}");
+            assert!(answer.starts_with("ok"), "{call} {number}");
             let nodes = inspect(&place.domain).unwrap().nodes;
             let is_it = |node: &NodeInfo| node.pid == Some(traced.as_raw_pid().cast_unsigned());
             let it = nodes.iter().find(|node| is_it(node)).unwrap();
             assert_eq!(it.alive, Some(true), "{call} {number}");
-            // What it leaves is cleaned up beside the next one's start.
+            // Its files are cleaned up beside the next one's start.
             kill_process(traced, Signal::KILL).unwrap();
             starting.wait();
             if !was_stopped {
@@ -602,6 +612,64 @@ fn nodes_that_start_while_others_clean_up_are_ready_and_nobody_ends() {
     assert!(stopped >= 5, "{stopped}");
     source.finish();
     place.assert_nothing_left();
+}
+
+/// A cleanup removes a service's list of ports, then its description, by a name that others use.
+#[test]
+fn a_start_beside_a_cleanup_that_is_stopped_between_its_removals_keeps_its_files() {
+    if !can_trace() {
+        return;
+    }
+    let mut stopped_between = 0;
+    for number in 1.. {
+        let place = Place::new();
+        let mut cleaner = signalled(&place, "SIGSTOP", "unlink", number);
+        cleaner.send_line("join");
+        assert!(answer_of(&mut cleaner).starts_with("ok"));
+        // Its two services have no other users.
+        place.joined("source").kill();
+        let traced = child_of(cleaner.pid()).unwrap();
+        let ended_at = |end: &str, files: Vec<PathBuf>| {
+            let is_one = |path: &&PathBuf| path.to_string_lossy().ends_with(end);
+            files.iter().filter(is_one).count()
+        };
+        let services = || {
+            let directory = fs::read_dir(place.domain.directory().join("services")).unwrap();
+            let files = directory.map(|entry| entry.unwrap().path()).collect();
+            ended_at(".service", files)
+        };
+        // The tracer stops it for moments, too.
+        let is_stopped = || {
+            let is_first = is_stopped(traced);
+            std::thread::sleep(Duration::from_millis(20));
+            is_first && is_stopped(traced)
+        };
+        eventually("it is stopped, or has cleaned up", || {
+            is_stopped() || services() == 0
+        });
+        if is_stopped() && services() > ended_at(".dynamic", place.objects()) {
+            stopped_between += 1;
+            let mut next = place.joined("source");
+            eventually("it has cleaned up", || {
+                cleaner.send_line("housekeeping");
+                !answer_of(&mut cleaner).contains("dead_nodes: 0, failed_nodes: 0")
+            });
+            let mut worker = place.joined("worker");
+            must(&mut next, "send 2");
+            assert_eq!(must(&mut worker, "take"), "0:2", "unlink {number}");
+            next.finish();
+            worker.finish();
+        }
+        // It would stop when it leaves, too.
+        kill_process(traced, Signal::KILL).unwrap();
+        cleaner.wait();
+        assert!(sweep(&place.domain).unwrap().cold);
+        place.assert_nothing_left();
+        if stopped_between == 2 {
+            break;
+        }
+        assert!(number < 50, "stopped between {stopped_between} times");
+    }
 }
 
 #[test]

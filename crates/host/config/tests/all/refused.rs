@@ -95,8 +95,7 @@ fn assert_refused(from: &str, to: &str, key: &str, expected: &[&str]) {
     }
 }
 
-/// Checks each case of a table: the text that is replaced, by what, the key of the problem, and what
-/// it says.
+/// Checks each case of a table: the replaced text, its replacement, the problem's key, its message.
 fn each_case(table: &str, check: impl Fn(&str, &str, &str, &[&str])) {
     for case in joulebus_testkit::cases(table) {
         let case: Vec<&str> = case.iter().map(String::as_str).collect();

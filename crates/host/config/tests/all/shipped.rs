@@ -283,7 +283,7 @@ fn a_root_invalid_for_shared_memory_is_refused_with_its_line() {
 }
 
 #[test]
-fn the_demos_robots_have_a_battery() {
+fn the_robots_of_the_shipped_fleet_and_of_the_demo_have_the_battery_of_their_makers() {
     let root = PathBuf::from("/dev/shm/joulebus-demo-7");
     let demo = Demo {
         fleet: "demo".to_owned(),
@@ -292,8 +292,10 @@ fn the_demos_robots_have_a_battery() {
         robots: 2,
     };
     let config = Config::parse(&demo.toml(), Path::new("/nowhere")).unwrap();
-    let battery = config.settings().platforms[0].battery.unwrap();
-    assert_eq!(battery.capacity_j, 36_000.0);
+    for config in [config, load("fleet.toml").unwrap()] {
+        let battery = config.settings().platforms[0].battery.unwrap();
+        assert_eq!(battery.capacity_j, 3.7 * 2.5 * 3600.0);
+    }
 }
 
 #[test]

@@ -42,12 +42,12 @@ impl fmt::Display for Sum {
     }
 }
 
-/// The first `most_bytes` of a file, or as many as it has, and their CRC-32.
-pub(super) fn beginning(file: &File, most_bytes: u64) -> io::Result<(u64, Hasher)> {
+/// The first `max_bytes` of a file, or as many as it has, and their CRC-32.
+pub(super) fn beginning(file: &File, max_bytes: u64) -> io::Result<(u64, Hasher)> {
     let (mut crc, mut bytes) = (Hasher::new(), 0);
     let mut block = vec![0; BLOCK_BYTES];
-    while bytes < most_bytes {
-        let left = usize::try_from(most_bytes - bytes).unwrap_or(BLOCK_BYTES);
+    while bytes < max_bytes {
+        let left = usize::try_from(max_bytes - bytes).unwrap_or(BLOCK_BYTES);
         let wanted = &mut block[..left.min(BLOCK_BYTES)];
         match file.read_at(wanted, bytes)? {
             0 => break,

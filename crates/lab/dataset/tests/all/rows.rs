@@ -323,7 +323,7 @@ fn a_group_is_the_file_name_without_its_number() {
 proptest! {
     #[test]
     fn of_too_many_rows_evenly_spread_stretches_of_every_part_are_taken(
-        trials in 3usize..12, rows in 20usize..400, most_rows in 60usize..3_000, by_time in any::<bool>()
+        trials in 3usize..12, rows in 20usize..400, max_rows in 60usize..3_000, by_time in any::<bool>()
     ) {
         let sources = sources(trials, rows);
         let wanted = Split {
@@ -331,7 +331,7 @@ proptest! {
             ..Split::default()
         };
         let assignment = assign(&sources, wanted).expect("three trials or more");
-        let thinned = assignment.thin(most_rows);
+        let thinned = assignment.thin(max_rows);
         let found: usize = assignment.summary.rows.iter().sum();
         let taken: usize = thinned.rows.iter().sum();
         let mut counted = [0; 3];
@@ -346,21 +346,21 @@ proptest! {
             }
         }
         prop_assert_eq!(counted, thinned.rows);
-        if found <= most_rows {
+        if found <= max_rows {
             prop_assert_eq!(thinned.rows, assignment.summary.rows);
         } else {
-            let stretch = (most_rows / 64).max(1);
-            prop_assert!(taken <= most_rows + 3 * stretch, "{} of {}", taken, most_rows);
+            let stretch = (max_rows / 64).max(1);
+            prop_assert!(taken <= max_rows + 3 * stretch, "{} of {}", taken, max_rows);
             for part in 0..3 {
                 let of_part = assignment.summary.rows[part];
                 prop_assert_eq!(of_part > 0, thinned.rows[part] > 0);
                 // Ends of trials are stretches that are not full.
                 let ends = stretch * (trials + 1);
-                let share = of_part * most_rows / found;
+                let share = of_part * max_rows / found;
                 prop_assert!(thinned.rows[part] <= share + stretch);
                 prop_assert!(thinned.rows[part] + 2 * ends >= share.min(of_part), "part {}", part);
             }
         }
-        prop_assert_eq!(thinned, assignment.thin(most_rows));
+        prop_assert_eq!(thinned, assignment.thin(max_rows));
     }
 }

@@ -13,7 +13,7 @@ const READ_AT_ONCE: usize = 1 << 14;
 /// Many numbers. The file has no name: it is gone with the process.
 #[derive(Debug)]
 pub(super) struct Kept {
-    most_in_memory: usize,
+    max_in_memory: usize,
     file: Option<File>,
     /// Numbers in the file; those in memory follow.
     in_file: u64,
@@ -23,7 +23,7 @@ pub(super) struct Kept {
 impl Default for Kept {
     fn default() -> Self {
         Self {
-            most_in_memory: MAX_IN_MEMORY,
+            max_in_memory: MAX_IN_MEMORY,
             file: None,
             in_file: 0,
             memory: Vec::new(),
@@ -36,7 +36,7 @@ impl Kept {
     pub(super) fn push(&mut self, numbers: &[f32]) -> io::Result<Range<u64>> {
         let start = self.in_file + self.memory.len() as u64;
         self.memory.extend_from_slice(numbers);
-        if self.memory.len() > self.most_in_memory {
+        if self.memory.len() > self.max_in_memory {
             self.spill()?;
         }
         Ok(start..start + numbers.len() as u64)
@@ -92,9 +92,9 @@ mod tests {
 
     #[test]
     fn numbers_are_read_as_they_were_kept_wherever_they_are() {
-        for most_in_memory in [0, 3, 1_000, 10 * READ_AT_ONCE] {
+        for max_in_memory in [0, 3, 1_000, 10 * READ_AT_ONCE] {
             let mut kept = Kept {
-                most_in_memory,
+                max_in_memory,
                 ..Kept::default()
             };
             let lists: Vec<Vec<f32>> = [0, 1, 5, 0, READ_AT_ONCE + 3, 2, 3 * READ_AT_ONCE, 1]

@@ -10,14 +10,14 @@ use joulebus_train::linear::{LinearError, Terms};
 use crate::evaluate::EvaluateError;
 
 /// The longest horizon, ticks.
-pub const LONGEST_HORIZON: usize = 300;
+pub const MAX_HORIZON: usize = 300;
 /// Maximum number of draws for confidence intervals.
 const MAX_RESAMPLES: u32 = 1_000_000;
 
 /// Options of scoring.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
-    /// Horizons of the open loop, ticks, ascending, each 1 to [`LONGEST_HORIZON`]; empty to disable
+    /// Horizons of the open loop, ticks, ascending, each 1 to [`MAX_HORIZON`]; empty to disable
     /// it.
     pub horizons: Vec<usize>,
     /// Rows from one origin of the open loop to the next, counted through all recordings, at
@@ -69,7 +69,7 @@ pub enum ScoreError {
         rows: usize,
     },
     /// A horizon is not allowed.
-    #[error("horizon {found} after {before}: allowed are 1 to {LONGEST_HORIZON} ticks, ascending")]
+    #[error("horizon {found} after {before}: allowed are 1 to {MAX_HORIZON} ticks, ascending")]
     Horizon {
         /// The horizon.
         found: usize,
@@ -146,7 +146,7 @@ impl Options {
     pub(super) fn check(&self) -> Result<(), ScoreError> {
         let mut before = 0;
         for &found in &self.horizons {
-            if !(before < found && found <= LONGEST_HORIZON) {
+            if !(before < found && found <= MAX_HORIZON) {
                 return Err(ScoreError::Horizon { found, before });
             }
             before = found;

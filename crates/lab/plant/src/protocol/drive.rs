@@ -3,8 +3,9 @@
 use joulebus_statistics::noise::Noise;
 
 use super::motion::Motion;
+use super::segment::{BACKWARD_MPS, TURN_RADPS};
 use super::{Protocol, plan};
-use crate::arena::{Command, Pose};
+use crate::arena::{Command, OMEGA_MAX_RADPS, Pose, V_MAX_MPS};
 
 /// A controller that drives a robot through a protocol, again and again.
 #[derive(Clone, Debug)]
@@ -12,6 +13,8 @@ pub struct Driver {
     protocol: Protocol,
     motion: Motion,
     noise: Noise,
+    /// Factors of the protocol's v and ω.
+    scale: (f64, f64),
 }
 
 impl Driver {
@@ -26,13 +29,26 @@ impl Driver {
             protocol,
             motion,
             noise,
+            scale: (1.0, 1.0),
         };
         (driver, pose)
     }
 
     /// Phase and commanded velocities at a pose, for the next `dt_s` seconds.
     pub fn next(&mut self, dt_s: f64, pose: Pose) -> (u32, Command) {
-        self.motion.next(dt_s, pose, &mut self.noise)
+        let (phase, command) = self.motion.next(dt_s, pose, &mut self.noise);
+        let scaled = Command {
+            v_mps: self.scale.0 * command.v_mps,
+            omega_radps: self.scale.1 * command.omega_radps,
+        };
+        (phase, scaled)
+    }
+
+    /// Scales the protocol so that each of its extremes is at least what the wheels are capable of.
+    #[must_use]
+    pub fn at_full_speed(mut self) -> Self {
+        self.scale = (V_MAX_MPS / -BACKWARD_MPS, OMEGA_MAX_RADPS / TURN_RADPS);
+        self
     }
 
     /// Begins in the middle of the protocol, with a random segment.

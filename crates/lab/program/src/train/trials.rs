@@ -12,12 +12,13 @@ use joulebus_eval::score::Recording;
 use joulebus_eval::training_data::{MAX_ROWS, Parts, TrainingDataError, training_data};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, say};
+use joulebus_program::shell::word;
 use joulebus_train::{Recipe, TrainReport, TrainSettings};
 
 use super::FeatureChoice;
 use super::run::RunArguments;
 use crate::judgement::{self, AcceptArguments, Judged};
-use crate::next_command::{recordings, word};
+use crate::next_command::recordings;
 use crate::recordings::{ColumnArguments, find_recordings, open};
 use crate::split_unit::SplitUnit;
 

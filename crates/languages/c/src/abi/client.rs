@@ -14,7 +14,8 @@ use crate::version;
 
 kind!(PlanClient, joulebus_client, "client", 5);
 
-/// Joins the fleet of a config file as a program that asks. Loads no models. The worker need not run yet.
+/// Joins the fleet of a config file as a program that asks. Loads no models. The worker need not
+/// run yet.
 ///
 /// @param header      JOULEBUS_HEADER.
 /// @param config_path The fleet's config file.
@@ -48,13 +49,14 @@ pub unsafe extern "C" fn joulebus_client_open(
     })
 }
 
-/// Asks the worker, and waits for its answer. If the worker ends meanwhile, this returns at once. A question has at most
-/// JOULEBUS_MAX_QUERY_ROBOTS robots, JOULEBUS_MAX_QUERY_CANDIDATES candidates and JOULEBUS_MAX_QUERY_VALUES values.
+/// Asks the worker, and waits for its answer. If the worker ends meanwhile, this returns at once. A
+/// question has at most JOULEBUS_MAX_QUERY_ROBOTS robots, JOULEBUS_MAX_QUERY_CANDIDATES candidates
+/// and JOULEBUS_MAX_QUERY_VALUES values.
 ///
 /// @param question   What is asked.
 /// @param timeout_ns Time to wait, ns; later the worker does not answer any more.
-/// @param answers    Memory for the answers; filled with what they are of. Powers that do not fit into a frame are left
-///                   out: power_count is 0 then.
+/// @param answers    Memory for the answers; filled with what they are of. Powers that do not fit
+///                   into a frame are left out: power_count is 0 then.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_client_ask(
     client: *mut joulebus_client,

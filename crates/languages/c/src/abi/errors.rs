@@ -10,7 +10,7 @@ use crate::failure::{self, entry};
 use crate::memory::text;
 use crate::version;
 
-/// Of the library's release. Its terminator is the only zero.
+/// The library's release. Its terminator is the only zero.
 const VERSION: &CStr =
     match CStr::from_bytes_with_nul(concat!(env!("CARGO_PKG_VERSION"), "\0").as_bytes()) {
         Ok(version) => version,
@@ -29,7 +29,8 @@ pub extern "C" fn joulebus_schema_version() -> u32 {
     SCHEMA_VERSION
 }
 
-/// Refuses a program whose header is not of this library's release, with both versions. What opens a handle checks it.
+/// Refuses a program whose header is not of this library's release, with both versions. What opens
+/// a handle checks it.
 ///
 /// @param header JOULEBUS_HEADER.
 #[unsafe(no_mangle)]
@@ -38,8 +39,9 @@ pub unsafe extern "C" fn joulebus_check_version(header: *const c_char) -> jouleb
     entry(|| version::check(unsafe { text("header", header) }?))
 }
 
-/// The message of the last call that failed in this thread: what was found, what is allowed, what to do, with the words
-/// of the Rust library. NULL if none has failed. Valid until the next call that fails in this thread.
+/// The message of the last call that failed in this thread: what was found, what is allowed, what
+/// to do, with the words of the Rust library. NULL if none has failed. Valid until the next call
+/// that fails in this thread.
 #[unsafe(no_mangle)]
 pub extern "C" fn joulebus_last_error() -> *const c_char {
     failure::last()
@@ -89,7 +91,8 @@ pub extern "C" fn joulebus_alarm_name(code: u16) -> *const c_char {
     name.as_ptr().cast()
 }
 
-/// The name of the reason why a robot has no forecast, like "NotFinite": the detail of JOULEBUS_QUALITY_INVALID.
+/// The name of the reason why a robot has no forecast, like "NotFinite": the detail of
+/// JOULEBUS_QUALITY_INVALID.
 #[unsafe(no_mangle)]
 pub extern "C" fn joulebus_invalid_name(code: u16) -> *const c_char {
     let name = name!(InvalidReason::decode(code), InvalidReason: Stale, NotFinite, PowerOutOfRange,

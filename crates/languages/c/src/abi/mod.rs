@@ -1,7 +1,7 @@
-//! What C calls. Every function catches panics, and checks pointers, lengths and handles before it uses them.
+//! What C calls. Every function catches panics, and checks pointers, lengths and handles first.
 //!
-//! `include/joulebus.h` is made from the files of this module and from the layouts of `joulebus-wire`
-//! (`tests/all/layouts/header.rs`), and states what every caller promises.
+//! `tests/all/layouts/header.rs` makes `include/joulebus.h` from the files of this module and the
+//! layouts of `joulebus-wire`. It states what every caller promises.
 #![allow(
     unsafe_code,
     clippy::missing_safety_doc,

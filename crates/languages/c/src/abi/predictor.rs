@@ -1,4 +1,4 @@
-//! The network on arrays. Other than handles of shared memory, a predictor may be used by any thread.
+//! The network on arrays. Unlike handles of shared memory, a predictor may be used by any thread.
 
 use std::ffi::c_char;
 use std::ptr;
@@ -14,7 +14,7 @@ use crate::failure::{Failure, entry};
 use crate::memory::{array, array_mut, check_apart, out, product, read, text};
 use crate::{model, version};
 
-/// What a program opens if it does not say.
+/// The model of a program that names none.
 const DEFAULT: &str = "builtin:gternal-sim";
 /// Marks the number of a predictor: no code of a [`crate::handles::Kind`] begins so.
 const MARK: usize = 0xf << 60;
@@ -56,12 +56,12 @@ pub unsafe extern "C" fn joulebus_predictor_open(
     })
 }
 
-/// Forecasts of rows of features, W. Bits are those of every other way to compute them. A NaN in a row makes that row's
-/// forecast NaN and changes no other.
+/// Forecasts of rows of features, W. Bits are those of every other way to compute them. A NaN in a
+/// row makes that row's forecast NaN and changes no other.
 ///
-/// @param features rows * width values: v, omega, their derivatives, their magnitudes, the last five readings, newest
-///                 first (m, rad, s, W); of width 13 also the age of the newest reading in steps, and 1 where the next is
-///                 due, else 0.
+/// @param features rows * width values: v, omega, their derivatives, their magnitudes, the last
+///                 five readings, newest first (m, rad, s, W); of width 13 also the age of the
+///                 newest reading in steps, and 1 where the next is due, else 0.
 /// @param rows     Robots.
 /// @param width    11 or 13. 13 is not copied.
 /// @param power_w  Place for rows forecasts.
@@ -110,8 +110,8 @@ pub unsafe extern "C" fn joulebus_predictor_predict(
 ///
 /// @param rollout  The commands, and what each robot starts from.
 /// @param energy_j Place for robots * candidates energies, J.
-/// @param power_w  Place for robots * candidates * steps powers, W, in the order of the commands; NULL if they are not
-///                 wanted.
+/// @param power_w  Place for robots * candidates * steps powers, W, in the order of the commands;
+///                 NULL if they are not wanted.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_predictor_rollout(
     predictor: *mut joulebus_predictor,
@@ -134,7 +134,7 @@ pub unsafe extern "C" fn joulebus_predictor_rollout(
         let traced = if power_w.is_null() { 0 } else { commands };
         let energies = ("energy_j", energy_j.cast_const(), lanes);
         check_apart(energies, ("power_w", power_w.cast_const(), traced))?;
-        // SAFETY: as above. What is computed is written when nothing of the caller is read any more.
+        // SAFETY: as above. Results are written when nothing of the caller is read any more.
         let (v_mps, omega_radps, starts) = unsafe {
             (
                 array("v_mps", of.v_mps, commands)?,
@@ -186,7 +186,8 @@ pub unsafe extern "C" fn joulebus_predictor_hash(
     })
 }
 
-/// Closes a predictor, by any thread; calls that use it meanwhile are finished. NULL is closed already.
+/// Closes a predictor, by any thread; calls that use it meanwhile are finished. NULL is closed
+/// already.
 #[unsafe(no_mangle)]
 pub extern "C" fn joulebus_predictor_close(predictor: *mut joulebus_predictor) -> joulebus_error {
     entry(|| {
@@ -232,7 +233,7 @@ fn place(predictor: *mut joulebus_predictor) -> Result<usize, Failure> {
     Ok(place)
 }
 
-/// What the numbers of all predictors of this process begin with.
+/// The upper bits of all predictors' numbers in this process.
 fn of_process() -> usize {
     MARK | (process_id() as usize) << PID_SHIFT
 }

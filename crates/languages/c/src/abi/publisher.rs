@@ -16,14 +16,15 @@ use crate::version;
 
 kind!(Publisher, joulebus_publisher, "publisher", 1);
 
-/// What a [`joulebus_robot_state`] may say.
+/// Flags that a [`joulebus_robot_state`] may have.
 const FLAGS: u32 = sample_flag::ALL & !sample_flag::DISCONTINUITY;
 
 /// Joins the fleet of a config file as a source of samples. The worker need not run.
 ///
 /// @param header      JOULEBUS_HEADER.
 /// @param config_path The fleet's config file.
-/// @param source_name 1 to 128 bytes that tell the sources of a fleet apart and stay the same over restarts.
+/// @param source_name 1 to 128 bytes that tell the sources of a fleet apart and stay the same over
+///                    restarts.
 /// @param publisher   The new handle.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_publisher_open(
@@ -53,13 +54,15 @@ pub unsafe extern "C" fn joulebus_publisher_open(
     })
 }
 
-/// Sends one frame: each robot at most once, numbered and stamped with the current time. Never blocks; when the worker
-/// is too slow, the oldest frame is overwritten, and the worker counts it. Values are sent unchecked: what is not finite
-/// or beyond the platform's limits is refused by the worker, counted by reason.
+/// Sends one frame: each robot at most once, numbered and stamped with the current time. Never
+/// blocks; when the worker is too slow, the oldest frame is overwritten, and the worker counts it.
+/// Values are sent unchecked: what is not finite or beyond the platform's limits is refused by the
+/// worker, counted by reason.
 ///
 /// @param robots      The robots' states; NULL if count is 0.
 /// @param count       How many.
-/// @param intended_ns When the frame was due, monotonic ns: latencies are measured from there. 0: now.
+/// @param intended_ns When the frame was due, monotonic ns: latencies are measured from there. 0:
+///                    now.
 /// @param sent        The frame that was sent; NULL if it is not wanted.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_publisher_publish(
@@ -79,8 +82,9 @@ pub unsafe extern "C" fn joulebus_publisher_publish(
     })
 }
 
-/// As joulebus_publisher_publish, of samples with the caller's own numbers and stamps: for recordings and simulations.
-/// Do not mix both for the same robot: seq and stamp_ns of each must increase strictly.
+/// As joulebus_publisher_publish, of samples with the caller's own numbers and stamps: for
+/// recordings and simulations. Do not mix both for the same robot: seq and stamp_ns of each must
+/// increase strictly.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_publisher_publish_samples(
     publisher: *mut joulebus_publisher,
@@ -122,7 +126,8 @@ pub unsafe extern "C" fn joulebus_publisher_get_counts(
     })
 }
 
-/// Leaves the fleet. A worker that has not noticed this source yet takes none of its frames. NULL is closed already.
+/// Leaves the fleet. A worker that has not noticed this source yet takes none of its frames. NULL
+/// is closed already.
 #[unsafe(no_mangle)]
 pub extern "C" fn joulebus_publisher_close(publisher: *mut joulebus_publisher) -> joulebus_error {
     entry(|| handles::close::<Publisher>(publisher))
@@ -144,7 +149,7 @@ fn publish(
             samples: done.samples,
             frame_seq: done.frame_seq,
             woken: done.not_woken.is_none().into(),
-            reserved: 0,
+            refused: done.refused.try_into().unwrap_or(u32::MAX),
         });
     }
     Ok(())

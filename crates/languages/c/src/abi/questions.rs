@@ -1,4 +1,4 @@
-//! What plans cost, computed in this process.
+//! Costs of plans, computed in this process.
 
 use std::ffi::c_char;
 use std::time::Duration;
@@ -43,8 +43,9 @@ const NO_ANSWER: Answer = Answer {
     },
 };
 
-/// Joins the fleet of a config file as a planner that asks, and loads the models that the config names. The worker
-/// writes what plans start from while there is one: keep it for as long as there are questions.
+/// Joins the fleet of a config file as a planner that asks, and loads the models that the config
+/// names. The worker writes what plans start from while there is one: keep it for as long as there
+/// are questions.
 ///
 /// @param header      JOULEBUS_HEADER.
 /// @param config_path The fleet's config file, the worker's.
@@ -80,8 +81,8 @@ pub unsafe extern "C" fn joulebus_questions_open(
     })
 }
 
-/// Waits until the newest frame is at most two ticks old, and returns its tick and its age; after the time, those of the
-/// frame that there is.
+/// Waits until the newest frame is at most two ticks old, and returns its tick and its age; after
+/// the time, those of the frame that there is.
 ///
 /// @param timeout_ns Time to wait, ns.
 /// @param tick       Tick of the newest frame.
@@ -108,7 +109,8 @@ pub unsafe extern "C" fn joulebus_questions_wait(
     })
 }
 
-/// The platform of a robot, as the config describes it; of one that belongs to none, JOULEBUS_ERROR_QUESTION.
+/// The platform of a robot, as the config describes it; of one that belongs to none,
+/// JOULEBUS_ERROR_QUESTION.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_questions_platform(
     questions: *mut joulebus_questions,
@@ -126,8 +128,8 @@ pub unsafe extern "C" fn joulebus_questions_platform(
     })
 }
 
-/// The energy of each of several sequences of commands of one robot, and whether it makes them, as of the newest frame.
-/// Allocates nothing after the first call with so many candidates.
+/// The energy of each of several sequences of commands of one robot, and whether it makes them, as
+/// of the newest frame. Allocates nothing after the first call with so many candidates.
 ///
 /// @param candidates  Number of sequences.
 /// @param steps       Steps of each, at most 1,000,000.
@@ -136,7 +138,8 @@ pub unsafe extern "C" fn joulebus_questions_platform(
 /// @param omega_radps As many angular velocities, rad/s.
 /// @param coverage    Coverage of the intervals, 0.5 to 0.999.
 /// @param answers     Place for candidates answers.
-/// @param power_w     Place for candidates * steps powers, W, candidate by candidate; NULL if they are not wanted.
+/// @param power_w     Place for candidates * steps powers, W, candidate by candidate; NULL if they
+///                    are not wanted.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_questions_what_if(
     questions: *mut joulebus_questions,

@@ -76,10 +76,11 @@ pub unsafe extern "C" fn joulebus_subscriber_open(
     })
 }
 
-/// Waits for a frame that was not returned before, the worker's end, a frame that is too old, or a signal. Of several
-/// frames it returns the newest; skipped ones are counted. Frames stay where they are in shared memory: the event's
-/// pointers are valid until the next call of joulebus_subscriber_wait, joulebus_subscriber_latest or joulebus_subscriber_close
-/// with this subscriber.
+/// Waits for a frame that was not returned before, the worker's end, a frame that is too old, or a
+/// signal. Of several frames it returns the newest; skipped ones are counted. Frames stay where
+/// they are in shared memory: the event's pointers are valid until the next call of
+/// joulebus_subscriber_wait, joulebus_subscriber_latest or joulebus_subscriber_close with this
+/// subscriber.
 ///
 /// @param timeout_ns Time to wait, ns; UINT64_MAX for ever, 0 not at all.
 /// @param event      What happened.
@@ -101,11 +102,12 @@ pub unsafe extern "C" fn joulebus_subscriber_wait(
     })
 }
 
-/// A descriptor that is readable when joulebus_subscriber_wait is likely to have something to return, for event loops: a
-/// frame has arrived, or the worker's process has exited. When it is readable, call joulebus_subscriber_wait with a
-/// time of 0 until it returns JOULEBUS_EVENT_KIND_TIMED_OUT; call it as well where it has not been readable for
-/// look_within_ns, since it tells nothing of a worker that is silent, and may miss a frame that arrives while an earlier one is
-/// read. It belongs to the subscriber, and must not be closed.
+/// A descriptor that is readable when joulebus_subscriber_wait is likely to have something to
+/// return, for event loops: a frame has arrived, or the worker's process has exited. When it is
+/// readable, call joulebus_subscriber_wait with a time of 0 until it returns
+/// JOULEBUS_EVENT_KIND_TIMED_OUT; call it as well where it has not been readable for
+/// look_within_ns, since it tells nothing of a worker that is silent, and may miss a frame that
+/// arrives while an earlier one is read. It belongs to the subscriber, and must not be closed.
 ///
 /// @param descriptor     To be polled for reading only.
 /// @param look_within_ns Longest time to wait for it from now on, ns; at most 100 ms.
@@ -134,8 +136,8 @@ pub unsafe extern "C" fn joulebus_subscriber_readiness(
     })
 }
 
-/// The newest frame, without waiting, whether or not it was returned before; its header is NULL until the first has
-/// arrived. Pointers are valid as of joulebus_subscriber_wait.
+/// The newest frame, without waiting, whether or not it was returned before; its header is NULL
+/// until the first has arrived. Pointers are valid as of joulebus_subscriber_wait.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_subscriber_latest(
     subscriber: *mut joulebus_subscriber,
@@ -156,8 +158,8 @@ pub unsafe extern "C" fn joulebus_subscriber_latest(
     })
 }
 
-/// One robot of the frame that was returned last, in constant time while no robots join or leave; NULL if it is not in
-/// the frame, or the frame was taken. Valid as of joulebus_subscriber_wait.
+/// One robot of the frame that was returned last, in constant time while no robots join or leave;
+/// NULL if it is not in the frame, or the frame was taken. Valid as of joulebus_subscriber_wait.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_subscriber_robot(
     subscriber: *mut joulebus_subscriber,
@@ -177,10 +179,10 @@ pub unsafe extern "C" fn joulebus_subscriber_robot(
     })
 }
 
-/// Takes the frame that was returned last out of the subscriber, to keep it: there is no current frame then until a newer one
-/// arrives. Its pointers stay valid until joulebus_frame_close, also after the subscriber is closed and the worker has ended.
-/// Two may be kept; with more, reading is an error until one is closed. Without a frame,
-/// JOULEBUS_ERROR_NO_FRAME.
+/// Takes the frame that was returned last out of the subscriber, to keep it: there is no current
+/// frame then until a newer one arrives. Its pointers stay valid until joulebus_frame_close, also
+/// after the subscriber is closed and the worker has ended. Two may be kept; with more, reading is
+/// an error until one is closed. Without a frame, JOULEBUS_ERROR_NO_FRAME.
 ///
 /// @param frame The new handle.
 /// @param view  The frame that is kept; NULL if it is not wanted.
@@ -218,8 +220,9 @@ pub extern "C" fn joulebus_frame_close(frame: *mut joulebus_frame) -> joulebus_e
     entry(|| handles::close::<KeptForecasts>(frame))
 }
 
-/// The fleet's newest diagnostics, without waiting. The first call opens them: frames sent from then on are read. The
-/// header is NULL until the first has arrived. Valid until the next call of this function, or joulebus_subscriber_close.
+/// The fleet's newest diagnostics, without waiting. The first call opens them: frames sent from
+/// then on are read. The header is NULL until the first has arrived. Valid until the next call of
+/// this function, or joulebus_subscriber_close.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_subscriber_diagnostics(
     subscriber: *mut joulebus_subscriber,
@@ -246,9 +249,9 @@ pub unsafe extern "C" fn joulebus_subscriber_diagnostics(
     })
 }
 
-/// The fleet's newest budgets, without waiting. The first call opens them: frames sent before are read as soon as the
-/// worker sends again. The header is NULL until the first has arrived. Valid until the next call of this function, or
-/// joulebus_subscriber_close.
+/// The fleet's newest budgets, without waiting. The first call opens them: frames sent before are
+/// read as soon as the worker sends again. The header is NULL until the first has arrived. Valid
+/// until the next call of this function, or joulebus_subscriber_close.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn joulebus_subscriber_budgets(
     subscriber: *mut joulebus_subscriber,

@@ -66,11 +66,11 @@ pub struct joulebus_predictor;
 pub struct joulebus_robot_state {
     /// Id of the robot, unique in the fleet.
     pub robot: u32,
-    /// JOULEBUS_SAMPLE bits: which of the fields below are known, and HELD, CHARGING, FULL (which implies CHARGING) and
-    /// SWAPPED. Others are refused.
+    /// JOULEBUS_SAMPLE bits: which of the fields below are known, and HELD, CHARGING, FULL (which
+    /// implies CHARGING) and SWAPPED. Others are refused.
     pub flags: u32,
-    /// When the power was measured, monotonic ns. 0: when the frame is published, or, for a held reading, when the
-    /// repeated reading was measured.
+    /// When the power was measured, monotonic ns. 0: when the frame is published, or, for a held
+    /// reading, when the repeated reading was measured.
     pub measured_ns: u64,
     /// Linear velocity just commanded, after saturation, m/s.
     pub v_mps: f32,
@@ -102,8 +102,8 @@ pub struct joulebus_sent {
     pub frame_seq: u64,
     /// 1 if the worker was woken. It takes the frame at its next tick all the same.
     pub woken: u32,
-    /// 0.
-    pub reserved: u32,
+    /// Samples of it that the worker refuses for their values, by the limits of the config.
+    pub refused: u32,
 }
 
 /// What a publisher has done.
@@ -134,7 +134,8 @@ pub struct joulebus_forecasts {
     pub robots: *const Forecast,
     /// How many.
     pub count: usize,
-    /// Ticks of this worker whose frames were skipped or lost since the last frame that was returned.
+    /// Ticks of this worker whose frames were skipped or lost since the last frame that was
+    /// returned.
     pub ticks_missed: u64,
     /// 1 if the frame is the first of another run of the worker than the one before, else 0.
     pub restarted: u64,
@@ -262,8 +263,8 @@ pub struct joulebus_waypoint {
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct joulebus_question {
-    /// JOULEBUS_QUERY_KIND_WHAT_IF: candidates of one robot; IDLE: robots that stand still; FOLLOW: robots that follow
-    /// a path, which are answered the best first.
+    /// JOULEBUS_QUERY_KIND_WHAT_IF: candidates of one robot; IDLE: robots that stand still; FOLLOW:
+    /// robots that follow a path, which are answered the best first.
     pub kind: u32,
     /// JOULEBUS_QUERY_RETURN and HEADING, of FOLLOW.
     pub flags: u32,
@@ -295,8 +296,8 @@ pub struct joulebus_question {
     pub return_x_m: f64,
     /// Where to return to, m.
     pub return_y_m: f64,
-    /// Heading at the first point, rad, counter-clockwise from east, with JOULEBUS_QUERY_HEADING; else towards the
-    /// second point.
+    /// Heading at the first point, rad, counter-clockwise from east, with JOULEBUS_QUERY_HEADING;
+    /// else towards the second point.
     pub heading_rad: f64,
 }
 
@@ -310,8 +311,8 @@ pub struct joulebus_answers {
     pub row_capacity: usize,
     /// Answers written.
     pub row_count: usize,
-    /// Place for the power of every step, W, candidate by candidate, of WHAT_IF and of FOLLOW with one robot; NULL if
-    /// it is not wanted.
+    /// Place for the power of every step, W, candidate by candidate, of WHAT_IF and of FOLLOW with
+    /// one robot; NULL if it is not wanted.
     pub power_w: *mut f32,
     /// How many fit.
     pub power_capacity: usize,
@@ -359,13 +360,14 @@ pub struct joulebus_rollout {
     pub step_s: f32,
     /// 0.
     pub reserved: u32,
-    /// Linear velocities, m/s: those of the first candidate of the first robot, step by step, then the next candidate.
+    /// Linear velocities, m/s: those of the first candidate of the first robot, step by step, then
+    /// the next candidate.
     pub v_mps: *const f32,
     /// Angular velocities, rad/s, in the same order.
     pub omega_radps: *const f32,
     /// The last five readings of each robot, W, newest first.
     pub readings_w: *const f32,
-    /// The command of each robot before the first step: v in m/s, omega in rad/s. NULL: the first step has no
-    /// derivatives.
+    /// The command of each robot before the first step: v in m/s, omega in rad/s. NULL: the first
+    /// step has no derivatives.
     pub before: *const f32,
 }

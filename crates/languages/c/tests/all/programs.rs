@@ -1,5 +1,5 @@
-//! The C library and its C++ layer, as users get them: installed, found by a compiler, run beside a real worker in real
-//! shared memory. Needs `cc` and `c++`; without them the tests skip, and fail with CI=true.
+//! The C library and its C++ layer, as users get them: installed, found by a compiler, run beside a
+//! real worker in real shared memory. Without `cc` and `c++` the tests skip, and fail with CI=true.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -51,7 +51,7 @@ impl Fleet {
     fn new() -> Self {
         static FLEETS: AtomicU32 = AtomicU32::new(0);
         let number = FLEETS.fetch_add(1, Ordering::Relaxed);
-        // Of one length, so that none begins with another.
+        // All of one length, so that none begins with another.
         let process = std::process::id() % 0x1_0000;
         let prefix = format!("jc{:02x}{process:04x}", number % 0x100);
         let folder = TempDir::with_prefix_in("joulebus-c-", "/dev/shm").unwrap();

@@ -14,7 +14,7 @@ class Answer:
     """The answer to one candidate, or of one robot. What is unknown is None.
 
     ``verdict``: ``yes`` only if the upper end of the energy fits into what the battery can spare at least, on every
-    leg, and nothing weakens that; ``tight``, ``no``, or ``unknown`` with its ``reason``. ``energy_lo_j`` and
+    leg, and the robot's state is known; ``tight``, ``no``, or ``unknown`` with its ``reason``. ``energy_lo_j`` and
     ``energy_hi_j`` are the interval at the asked coverage; ``left_lo_j`` is the energy left at least; ``margin_j`` what
     the battery can spare at least, less ``energy_hi_j``; ``probability`` that of finishing above the reserve;
     ``limiting_leg`` the first that is not sure, from 0; ``turn_back_s`` until when the robot can still return for sure;

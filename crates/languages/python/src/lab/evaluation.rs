@@ -45,7 +45,7 @@ impl Asked {
     }
 }
 
-/// What an evaluation tells while it runs.
+/// Progress of an evaluation.
 enum Told {
     Remark(String),
     /// Recordings done, of all.
@@ -59,8 +59,8 @@ pub(super) fn config() -> PyResult<Config> {
         .map_err(|error| ConnectError::new_err(error.to_string()))
 }
 
-/// An evaluation: its JSON, its text, and the live series of each model's trials. `remark` is called with what was left
-/// out of directories, `progress` with the number of recordings done, and of all.
+/// An evaluation: its JSON, its text, and the live series of each model's trials. `remark` gets
+/// what was left out of directories, `progress` the numbers of recordings done and of all.
 #[pyfunction]
 #[allow(clippy::too_many_arguments, reason = "arguments of one call in Python")]
 pub(crate) fn evaluate<'py>(

@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 
 use crate::planner::SLICE;
 
-/// What a computation tells while it runs.
+/// Reports the progress of a computation.
 pub(super) struct Teller<P> {
     tell: Sender<Message<P>>,
     is_ended: Arc<AtomicBool>,
@@ -33,9 +33,9 @@ impl<P> Teller<P> {
     }
 }
 
-/// Runs `work` while other Python threads run; `told` is called in this thread with what it tells. A signal's
-/// exception, and one of `told`, is raised within [`SLICE`]: the computation then ends by itself, at the next thing
-/// that it tells, and its result is dropped.
+/// Runs `work` while other Python threads run. `told` is called in this thread with its progress.
+/// An exception of a signal or of `told` is raised within [`SLICE`]. The computation then ends at
+/// its next progress, and its result is dropped.
 pub(super) fn run<T, P>(
     py: Python<'_>,
     work: impl FnOnce(&Teller<P>) -> PyResult<T> + Send + 'static,

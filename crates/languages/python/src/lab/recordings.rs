@@ -24,7 +24,7 @@ pub(super) struct Inputs {
 type Given<'py> = (PathBuf, Option<String>, Bound<'py, PyDict>);
 
 impl Inputs {
-    /// Of a list of paths and of trials.
+    /// The inputs in a list of paths and of trials.
     pub(super) fn of(given: &Bound<'_, PyAny>) -> PyResult<Self> {
         let mut found = Self::default();
         for given in given.try_iter()? {
@@ -83,7 +83,7 @@ impl Inputs {
     }
 }
 
-/// What is implausible in the recordings: a line for each kind, with the first of them.
+/// Implausible findings in the recordings: a line for each kind, with the first of them.
 fn implausible(recordings: &[Recording]) -> Vec<String> {
     let mut kinds = BTreeMap::new();
     for found in recordings.iter().flat_map(Recording::implausible) {

@@ -13,12 +13,11 @@ use super::evaluation::config;
 use super::recordings::{Inputs, column_map};
 use super::{Choice, job, json, models, settings};
 
-/// A report as data.
 #[pyclass(module = "joulebus._native", frozen)]
 #[derive(Debug)]
 pub(crate) struct Report {
     document: Document,
-    /// Of simulated experiments.
+    /// The network of simulated experiments.
     network: Option<Network>,
 }
 
@@ -116,8 +115,7 @@ pub(crate) fn report_recorded(
     job::run(py, work, |text| remark.call1((text,)).map(|_| ()))
 }
 
-/// A report on the paper's experiments with simulated robots. `progress` is called with the seed and number of each
-/// epoch.
+/// A report on the paper's experiments with simulated robots. `progress` gets seed and epoch.
 #[pyfunction]
 pub(crate) fn report_simulated(
     py: Python<'_>,

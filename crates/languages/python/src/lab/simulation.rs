@@ -13,8 +13,8 @@ use crate::recordings::columns;
 /// A trial: its name, its robot, and its columns.
 type Made<'py> = (String, Option<String>, Bound<'py, PyDict>);
 
-/// The six trials of one robot, and the trials of seven robots together. `progress` is called with the number of
-/// trials made, and of all: the seven count as one.
+/// The six trials of one robot, and the trials of seven robots together. `progress` is called with
+/// the numbers of trials made and of all; the seven count as one.
 #[pyfunction]
 pub(crate) fn simulate<'py>(
     py: Python<'py>,

@@ -19,7 +19,7 @@ use super::recordings::{Inputs, column_map};
 use super::{job, json, settings};
 use crate::training::{EpochRow, epoch_row, refused};
 
-/// What `joulebus.train` was given beside a recipe; what is None is the recipe's.
+/// Arguments of `joulebus.train` beside a recipe; None: the recipe's.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Asked {
@@ -76,7 +76,7 @@ fn feature_set(name: &str) -> PyResult<FeatureSet> {
     })
 }
 
-/// What a training tells while it runs.
+/// Progress of a training.
 enum Told {
     Remark(String),
     Epoch(Epoch),
@@ -85,8 +85,8 @@ enum Told {
 /// The report's JSON and text, the model file's bytes, and the epochs.
 type Made<'py> = (String, String, Bound<'py, PyBytes>, Vec<EpochRow>);
 
-/// Trains on recordings: with a split of them, or with parts of their own. `remark` is called with what was left out of
-/// directories, `progress` with each epoch.
+/// Trains on recordings, with a split of them or with parts of their own. `remark` is called with
+/// what was left out of directories, `progress` with each epoch.
 #[pyfunction]
 #[allow(clippy::too_many_arguments, reason = "arguments of one call in Python")]
 pub(crate) fn train_recordings<'py>(

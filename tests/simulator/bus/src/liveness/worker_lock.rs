@@ -8,7 +8,7 @@ use joulebus_simulated_host::{self as host, memory::outside};
 
 use crate::{Domain, WorkerLockError, clock};
 
-/// What the holder of the lock has written into its file.
+/// The lock file's statement about its holder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Owner {
     pub(crate) pid: u32,
@@ -17,9 +17,9 @@ pub(crate) struct Owner {
 }
 
 thread_local! {
-    /// Whom the file names, and whether the lock is held.
+    /// The owner that the file names, and whether the lock is held.
     static FILE: Cell<Option<(Owner, bool)>> = const { Cell::new(None) };
-    /// Who has shut down.
+    /// Owners that have shut down.
     static ENDED: RefCell<Vec<Owner>> = const { RefCell::new(Vec::new()) };
 }
 
@@ -58,7 +58,7 @@ impl WorkerLock {
         Ok(Self { owner, path })
     }
 
-    /// Whom the lock's file names, held or not.
+    /// The owner that the lock's file names, holding it or not.
     pub(crate) fn named_owner(_path: &Path) -> Option<Owner> {
         host::operation();
         FILE.get().map(|(owner, _)| owner)
@@ -85,12 +85,11 @@ impl Drop for WorkerLock {
     }
 }
 
-/// Watches a worker by the file of its lock.
 #[derive(Debug)]
 pub(crate) struct LockWatch(Owner);
 
 impl LockWatch {
-    /// That of process `pid`, if the file names it.
+    /// The watch of process `pid`, if the file names it.
     pub(crate) fn open(pid: u32) -> Option<Self> {
         let (owner, _) = FILE.get().filter(|(owner, _)| owner.pid == pid)?;
         Some(Self(owner))

@@ -317,7 +317,8 @@ fn vehicles_of_vda_5050_tell_their_battery_and_velocity() {
         "0001" = 4
         [mqtt]
         broker = "{address}"
-        vda5050 = [{{ topic = "uagv/v2/KIT/{{robot}}/state" }}]
+        vda5050 = [{{ topic = "uagv/v2/KIT/{{robot}}/state" }},
+                   {{ topic = "uagv/v3/KIT/{{robot}}/state", current = "discharge_negative" }}]
         write = [{{ what = "budget", topic = "jb/{{robot}}/budget", every_s = 0.1 }}]
         "#
         ),
@@ -338,25 +339,48 @@ fn vehicles_of_vda_5050_tell_their_battery_and_velocity() {
     };
     // A state is not retained. One sent before the bridge subscribes is lost.
     let mut sent = 0;
-    let mut send = |state: &Value, is_charging: bool| {
+    let mut send = |topic: &str, state: &Value, is_charging: bool, mean_w: Option<f64>| {
         eventually("the state is published", || {
             sent += 1;
-            listener.send("uagv/v2/KIT/0001/state", state.to_string());
+            listener.send(topic, state.to_string());
             std::thread::sleep(Duration::from_millis(100));
             let messages = listener.messages();
             let budgets = messages.iter().filter(|it| it.topic == "jb/0001/budget");
             budgets.map(broker::Message::json).any(|document| {
-                document["charging"] == is_charging && soc(&document) && document["robot"] == 4
+                let drawn_w = document["mean_power_w"].as_f64();
+                let is_mean = mean_w.is_none_or(|mean_w| {
+                    drawn_w.is_some_and(|drawn_w| (drawn_w - mean_w).abs() < 0.01)
+                });
+                document["charging"] == is_charging
+                    && soc(&document)
+                    && document["robot"] == 4
+                    && is_mean
             })
         });
     };
-    send(&state, true);
+    let of_2 = "uagv/v2/KIT/0001/state";
+    send(of_2, &state, true, None);
     state["batteryState"]["charging"] = json!(false);
-    send(&state, false);
+    send(of_2, &state, false, None);
+    // Version 3 has the current: −0.15 A at 24 V are 3.6 W drawn.
+    let of_3 = "uagv/v3/KIT/0001/state";
+    state["version"] = json!("3.0.0");
+    state.as_object_mut().unwrap().remove("batteryState");
+    state["powerSupply"] = json!({
+        "stateOfCharge": 63.0, "batteryVoltage": 24.0, "batteryCurrent": -0.15, "charging": false,
+    });
+    send(of_3, &state, false, Some(3.6));
+    state["version"] = json!("4.0.0");
+    listener.send(of_3, state.to_string());
+    bridge.wait_for_line("unknown_version");
     let report = bridge.stop().json();
-    // Every received state was counted once: exactly two if no state was sent again.
+    // Every received state was counted once: exactly three if no state was sent again.
     let observations = report["observations"].as_u64().unwrap();
-    assert!((2..=sent).contains(&observations), "{sent}: {report}");
+    assert!((3..=sent).contains(&observations), "{sent}: {report}");
+    assert!(
+        has(&report, "unknown_version", "\"4.0.0\" of 0001"),
+        "{report}"
+    );
     worker.stop();
 }
 

@@ -27,6 +27,7 @@ impl Fleet {
             "[fleet]\nname = \"http\"\ncapacity = 40\n\
              [domain]\nroot = \"{root}\"\nprefix = \"jbhttp_\"\n\
              [intake]\nmax_sources = 4\n[readers]\nmax_planners = 8\n\
+             [ledger]\ncheckpoint = \"\"\n\
              [[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-19\"]\n\
              [[platform]]\nfile = \"builtin:rover\"\nrobots = [\"100-109\"]\n"
         );

@@ -1,5 +1,6 @@
 //! The metrics, read by programs that joulebus has no part in.
 
+use std::collections::BTreeSet;
 use std::io::Write as _;
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -7,7 +8,7 @@ use std::process::{Command, Stdio};
 use joulebus_testkit::{eventually, free_port};
 use serde_json::Value;
 
-use super::client::{get, get_json, has_alarm};
+use super::client::{get, get_json, has_alarm, send};
 use super::fleet::Fleet;
 
 /// A Python with the package `prometheus_client`. Without one it logs that the test is skipped.
@@ -33,14 +34,14 @@ fn python() -> Option<String> {
 }
 
 /// The samples of a text as the parser understands it: name, labels and value.
-fn parsed(python: &str, text: &str) -> Vec<Value> {
-    let script = "import json, sys\n\
-        from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse\n\
+fn parsed(python: &str, parser: &str, text: &str) -> Vec<Value> {
+    let script = "import importlib, json, sys\n\
+        parse = importlib.import_module(sys.argv[1]).text_string_to_metric_families\n\
         found = [[family.type, sample.name, sample.labels, sample.value]\n\
                  for family in parse(sys.stdin.read()) for sample in family.samples]\n\
         print(json.dumps(found))";
     let mut child = Command::new(python)
-        .args(["-c", script])
+        .args(["-c", script, parser])
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()
@@ -69,14 +70,28 @@ fn an_independent_parser_reads_the_metrics_and_finds_the_values_of_the_api() {
     eventually("the worker's end", || {
         get_json(&address, "/api/v1/fleet")["worker"]["state"] == "gone"
     });
+    let names = |samples: &[Value]| -> BTreeSet<String> {
+        let name = |sample: &Value| format!("{} {}", sample[1], sample[2]);
+        samples.iter().map(name).collect()
+    };
+    // The parser of the classic format knows no info and no unit.
     let response = get(&address, "/metrics");
-    assert!(
-        response
-            .header("content-type")
-            .unwrap()
-            .starts_with("application/openmetrics-text")
-    );
-    let samples = parsed(&python, &response.text());
+    let kind = response.header("content-type").unwrap();
+    assert!(kind.starts_with("text/plain; version=0.0.4"), "{kind}");
+    let text = response.text();
+    for line in text.lines().filter_map(|it| it.strip_prefix("# TYPE ")) {
+        let (_, kind) = line.split_once(' ').unwrap();
+        assert!(["counter", "gauge", "histogram"].contains(&kind), "{line}");
+    }
+    let classic = names(&parsed(&python, "prometheus_client.parser", &text));
+    let accept = "application/openmetrics-text;version=1.0.0,text/plain;q=0.5";
+    let head = format!("GET /metrics HTTP/1.1\r\nHost: {address}\r\nAccept: {accept}");
+    let response = send(&address, &head, b"");
+    let kind = response.header("content-type").unwrap();
+    assert!(kind.starts_with("application/openmetrics-text"), "{kind}");
+    let open = "prometheus_client.openmetrics.parser";
+    let samples = parsed(&python, open, &response.text());
+    assert_eq!(names(&samples), classic);
     let value = |name: &str, label: &str, labelled: &str| -> Option<f64> {
         let mut found = samples.iter().filter(|sample| {
             sample[1] == name && (label.is_empty() || sample[2][label] == labelled)

@@ -13,7 +13,7 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::path::PathBuf;
 use std::process::Command;
 
-use client::{Events, get, get_json, send, what_if};
+use client::{Events, acknowledge, get, get_json, send, what_if};
 use fleet::Fleet;
 use joulebus_testkit::{PATIENCE, end_signals, eventually, says};
 use rustix::process::Signal;
@@ -126,6 +126,63 @@ fn a_stream_follows_a_worker_that_is_killed_and_comes_back() {
             && view["fleet"]["worker"]["pid"] == worker.pid()
     });
     source.end();
+    server.stop();
+    worker.stop();
+}
+
+#[test]
+fn an_alarm_is_acknowledged_by_whoever_may_ask_until_it_ends() {
+    const JSON: &str = "Content-Type: application/json";
+    let fleet = Fleet::new();
+    let mut worker = fleet.worker();
+    let (mut server, address) = fleet.serve(&[]);
+    let mut source = fleet.joulebus("publish sim --robots 3");
+    eventually("robots", || {
+        get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 3
+    });
+    let of = |alarm: &str| json!({"robot": 1, "alarm": alarm, "by": "ann"}).to_string();
+    let good = of("NoData");
+    for (body, header, status, reason) in [
+        (&*good, JSON, 409, "NoData of robot 1 is not raised"),
+        (&of("WorkerGone"), JSON, 400, "allowed: NoData"),
+        (&good.replace("ann", ""), JSON, 400, "is no name"),
+        (&good.replace('1', "-1"), JSON, 400, "openapi.json"),
+        (&good, "Content-Type: text/plain", 415, "application/json"),
+        (
+            &good,
+            "Content-Type: application/json\r\nSec-Fetch-Site: cross-site",
+            403,
+            "",
+        ),
+    ] {
+        let refused = acknowledge(&address, body, header);
+        let said = refused.text();
+        assert!(
+            refused.status == status && said.contains(reason),
+            "{body} {header}: {said}"
+        );
+    }
+    source.end();
+    let by = |alarms: &Value| {
+        let mut raised = alarms["raised"].as_array().unwrap().iter();
+        let found = raised.find(|it| it["robot"] == 1 && it["alarm"] == "NoData");
+        found.map(|it| it["acknowledged"]["by"].clone())
+    };
+    let becomes = |what: &str, expected: Option<Value>| {
+        eventually(what, || {
+            by(&get_json(&address, "/api/v1/alarms")) == expected
+        });
+    };
+    becomes("silence", Some(Value::Null));
+    let taken = acknowledge(&address, &good, JSON);
+    assert_eq!(taken.text(), r#"{"robot":1,"alarm":"NoData","by":"ann"}"#);
+    becomes("who", Some("ann".into()));
+    let view = Events::open(&address, "").view;
+    assert_eq!(by(&view["alarms"]), Some("ann".into()));
+    let mut source = fleet.joulebus("publish sim --robots 3");
+    becomes("its end", None);
+    source.end();
+    becomes("its return", Some(Value::Null));
     server.stop();
     worker.stop();
 }

@@ -3,7 +3,7 @@
 use joulebus_testkit::eventually;
 use serde_json::Value;
 
-use super::client::{Events, answered, get, get_json, has_alarm, what_if};
+use super::client::{Events, acknowledge, answered, get, get_json, has_alarm, what_if};
 use super::fleet::Fleet;
 
 /// The differences between `value` and `schema`.
@@ -92,6 +92,17 @@ fn every_answer_is_as_the_document_says() {
     );
     assert_eq!(asked.status, 200, "{}", asked.text());
     check("Answers", &asked.json());
+    let acknowledged = acknowledge(
+        &address,
+        r#"{"robot": 2, "alarm": "StuckSensor", "by": "ann"}"#,
+        "Content-Type: application/json",
+    );
+    assert_eq!(acknowledged.status, 200, "{}", acknowledged.text());
+    check("Acknowledge", &acknowledged.json());
+    eventually("it is shown", || {
+        let alarms = get_json(&address, "/api/v1/alarms");
+        alarms["changes"][0]["acknowledged"]["by"] == "ann"
+    });
     for (path, item) in document["paths"].as_object().unwrap() {
         let content = &item["get"]["responses"]["200"]["content"];
         let named = content["application/json"]["schema"]["$ref"].as_str();

@@ -80,6 +80,8 @@ impl Receiver {
             .inspect(|body| assert_eq!(body["fleet"], "http"));
         let changes = bodies.flat_map(|body| body["changes"].as_array().unwrap());
         let of = |change: &Value| {
+            let meaning = change["card"]["meaning"].as_str();
+            assert_eq!(meaning.is_some(), change["change"] == "raised", "{change}");
             format!(
                 "{} {} {}",
                 change["robot"], change["alarm"], change["change"]

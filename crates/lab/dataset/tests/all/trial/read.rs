@@ -130,8 +130,8 @@ fn time_and_power_suffice_for_a_trial_and_missing_values_are_not_zero() {
     assert_eq!(trial.notes().rate_hz, 2.0);
 }
 
-/// Reads a file. Its error is this one: the beginning of its debug form, further parts of that after
-/// an `&`. Its message has the name of the file and the parts.
+/// Reads a file, which is refused with `error`: the beginning of its debug form, and further parts
+/// of that after an `&`. The message has the name of the file and `parts`.
 fn assert_refused(name: &str, bytes: &[u8], error: &str, parts: &[String]) {
     let files = Files::new();
     let refused = match Trial::read(files.write(name, bytes)) {

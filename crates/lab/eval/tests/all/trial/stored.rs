@@ -83,8 +83,8 @@ fn scores_analysis_and_training_rows_do_not_depend_on_what_is_in_memory() {
             };
             let analysis = analyze(recordings, &analysis, &[]).unwrap();
             found.push(serde_json::to_string(&analysis).unwrap());
-            for most_rows in [usize::MAX, 700] {
-                let made = training_data(Parts::Split(recordings, wanted), most_rows);
+            for max_rows in [usize::MAX, 700] {
+                let made = training_data(Parts::Split(recordings, wanted), max_rows);
                 let (dataset, summary) = made.unwrap();
                 found.push(dataset.sha256(FeatureSet::Full) + &dataset.description);
                 found.push(serde_json::to_string(&summary).unwrap());

@@ -1,5 +1,5 @@
-//! The layouts of shared memory in other languages: the C header and the table in the documentation are made from
-//! `joulebus-wire`, and a compiled C program says where its compiler puts the fields.
+//! The layouts of shared memory in other languages. The C header and the table in the documentation
+//! are made from `joulebus-wire`, and a compiled C program prints its compiler's offsets.
 //!
 //! `JOULEBUS_WRITE=1 cargo test -p joulebus-c --test all layouts` writes header and table again.
 
@@ -10,7 +10,6 @@ mod page;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The repository.
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../..")
 }

@@ -1,0 +1,93 @@
+//! `joulebus alarms --acknowledge`: a person takes notice of an alarm.
+
+use std::fmt;
+use std::time::Duration;
+
+use joulebus_planner::PlanClient;
+use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::output::Output;
+use joulebus_wire::{Acknowledgement, Alarm, AlarmCard, MAX_NAME_BYTES};
+use serde::Serialize;
+
+use super::Args;
+
+/// Time within which the worker answers.
+const WITHIN: Duration = Duration::from_secs(5);
+
+/// What the worker has taken.
+#[derive(Debug, Serialize)]
+struct Taken {
+    fleet: String,
+    robot: u32,
+    alarm: &'static str,
+    by: String,
+}
+
+pub(super) fn run(args: &Args, of: &[String], output: Output) -> anyhow::Result<Outcome> {
+    let [robot, alarm] = of else {
+        return Err(UsageError("--acknowledge takes a robot and an alarm".to_owned()).into());
+    };
+    let robot: u32 = robot.parse().map_err(|_| {
+        UsageError(format!(
+            "{robot:?} is no id of a robot; allowed: 0 to {}",
+            u32::MAX
+        ))
+    })?;
+    let alarm = alarm_named(alarm)?;
+    let by = name(args.by.as_deref())?;
+    if Acknowledgement::new(robot, alarm, 0, &by).is_none() {
+        let text = format!(
+            "--by {by:?}: allowed are 1 to {MAX_NAME_BYTES} bytes without control characters"
+        );
+        return Err(UsageError(text).into());
+    }
+    let config = args.config.load()?;
+    let mut client = PlanClient::with_config(&config, "acknowledge")?;
+    client.acknowledge(robot, alarm, &by, WITHIN)?;
+    output.report(&Taken {
+        fleet: config.fleet().to_owned(),
+        robot,
+        alarm: alarm.name(),
+        by,
+    })?;
+    Ok(Outcome::Done)
+}
+
+/// The alarm of a robot that is named so, in any case.
+fn alarm_named(name: &str) -> Result<Alarm, UsageError> {
+    let mut all = Alarm::ALL.into_iter();
+    let found = all.find(|alarm| alarm.name().eq_ignore_ascii_case(name));
+    found.ok_or_else(|| {
+        if AlarmCard::named(name).is_some() {
+            return UsageError(format!(
+                "{name} cannot be acknowledged: no worker is there that could take it"
+            ));
+        }
+        let names = Alarm::ALL.map(Alarm::name).join(", ");
+        UsageError(format!(
+            "there is no alarm {name:?} of a robot; allowed: {names}"
+        ))
+    })
+}
+
+/// Who acknowledges: as given, or the user.
+fn name(by: Option<&str>) -> Result<String, UsageError> {
+    let variables = ["USER", "LOGNAME"].into_iter();
+    let user = || {
+        variables
+            .filter_map(|name| std::env::var(name).ok())
+            .find(|it| !it.is_empty())
+    };
+    by.map(str::to_owned)
+        .or_else(user)
+        .ok_or_else(|| UsageError("the environment has no USER: say who with --by NAME".to_owned()))
+}
+
+impl fmt::Display for Taken {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            robot, alarm, by, ..
+        } = self;
+        writeln!(out, "robot {robot}: {alarm} acknowledged by {by}")
+    }
+}

@@ -1,0 +1,1 @@
+../../../examples/cpp/controller.cpp

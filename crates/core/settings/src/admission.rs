@@ -1,0 +1,251 @@
+//! Which values of a sample a platform's limits admit: asked by the worker, and by publishers, so
+//! that a source knows at once what will be refused.
+
+use std::fmt;
+use std::ops::RangeInclusive;
+
+use joulebus_wire::{DropReason, Sample, sample_flag};
+
+use crate::{FleetSettings, Platform};
+
+/// Measured states of charge: batteries report a little more than full, or less than empty.
+const SOC: RangeInclusive<f32> = -0.05..=1.05;
+/// Energy to return, J: up to the largest battery.
+const RETURN_J: RangeInclusive<f32> = 0.0..=3.6e9;
+/// What only has to be finite.
+const ANY: RangeInclusive<f32> = f32::MIN..=f32::MAX;
+
+/// A sample whose values the worker refuses, and why.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct RefusedSample {
+    /// Its robot.
+    pub robot: u32,
+    /// The reason that the worker counts.
+    pub reason: DropReason,
+    /// The value outside its range: its name with the unit, what was found, what is allowed.
+    /// `None` where no single value is at fault.
+    pub value: Option<(&'static str, f32, RangeInclusive<f32>)>,
+}
+
+/// A value of a sample: its flag, its name, itself, and its range with the reason outside it.
+type Quantity = (u32, &'static str, f32, RangeInclusive<f32>, DropReason);
+
+impl Platform {
+    /// Refuses values outside the limits of the platform. A value whose flag is cleared is unknown
+    /// and not checked.
+    ///
+    /// # Errors
+    /// The reason that the worker counts.
+    pub fn admit(&self, sample: &Sample) -> Result<(), DropReason> {
+        let full_off_the_charger =
+            sample.has(sample_flag::FULL) && !sample.has(sample_flag::CHARGING);
+        if sample.flags & !sample_flag::ALL != 0 || sample.reserved != 0 || full_off_the_charger {
+            return Err(DropReason::BadFlags);
+        }
+        if let Some((.., reason)) = self.outside(sample) {
+            return Err(reason);
+        }
+        if sample.has(sample_flag::POWER) && sample.measured_ns > sample.stamp_ns {
+            return Err(DropReason::BadTime);
+        }
+        Ok(())
+    }
+
+    /// The first value that is known and outside its range; one that is not finite before all.
+    fn outside(&self, sample: &Sample) -> Option<Quantity> {
+        let (power, v) = (self.power_min_w..=self.power_max_w, self.v_max_mps);
+        let (omega, battery) = (self.omega_max_radps, DropReason::BatteryOutOfRange);
+        let command = DropReason::CommandOutOfRange;
+        let power_reason = DropReason::PowerOutOfRange;
+        let quantities: [Quantity; 7] = [
+            (
+                sample_flag::POWER,
+                "power_w",
+                sample.power_w,
+                power,
+                power_reason,
+            ),
+            (sample_flag::V, "v_mps", sample.v_mps, -v..=v, command),
+            (
+                sample_flag::OMEGA,
+                "omega_radps",
+                sample.omega_radps,
+                -omega..=omega,
+                command,
+            ),
+            (sample_flag::SOC, "soc", sample.soc, SOC, battery),
+            (
+                sample_flag::RETURN,
+                "return_j",
+                sample.return_j,
+                RETURN_J,
+                battery,
+            ),
+            (
+                sample_flag::VOLTAGE,
+                "voltage_v",
+                sample.voltage_v,
+                ANY,
+                DropReason::NotFinite,
+            ),
+            (
+                sample_flag::CURRENT,
+                "current_a",
+                sample.current_a,
+                ANY,
+                DropReason::NotFinite,
+            ),
+        ];
+        let mut outside = None;
+        for (flag, name, value, range, reason) in quantities {
+            if !sample.has(flag) || range.contains(&value) {
+            } else if !value.is_finite() {
+                return Some((flag, name, value, range, DropReason::NotFinite));
+            } else if outside.is_none() {
+                outside = Some((flag, name, value, range, reason));
+            }
+        }
+        outside
+    }
+}
+
+impl FleetSettings {
+    /// Why the worker refuses a sample by its values; `None` where they are admitted.
+    #[must_use]
+    pub fn refusal(&self, sample: &Sample) -> Option<RefusedSample> {
+        let is_its = |ids: &RangeInclusive<u32>| ids.contains(&sample.robot);
+        let own = self
+            .platforms
+            .iter()
+            .find(|platform| platform.robots.iter().any(is_its));
+        let (reason, value) = match own {
+            None => (DropReason::UnknownRobot, None),
+            Some(platform) => {
+                let reason = platform.admit(sample).err()?;
+                (reason, platform.outside(sample))
+            }
+        };
+        Some(RefusedSample {
+            robot: sample.robot,
+            reason,
+            value: value.map(|(_, name, found, allowed, _)| (name, found, allowed)),
+        })
+    }
+}
+
+impl fmt::Display for RefusedSample {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (robot, reason) = (self.robot, self.reason.name());
+        write!(
+            out,
+            "the worker refuses the sample of robot {robot} ({reason}): "
+        )?;
+        match (&self.value, self.reason) {
+            (Some((name, found, _)), DropReason::NotFinite) => {
+                write!(out, "{name} is {found}; leave out what is unknown")
+            }
+            (Some((name, found, allowed)), _) => {
+                let (lo, hi) = (allowed.start(), allowed.end());
+                write!(out, "{name} is {found}, allowed are {lo} to {hi}")
+            }
+            (None, DropReason::UnknownRobot) => {
+                write!(out, "no platform of the config has it: see platform.robots")
+            }
+            (None, DropReason::BadTime) => write!(out, "it was measured after its stamp"),
+            (None, _) => write!(out, "flags that contradict each other"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fleet::tests::settings;
+
+    /// What a sample of robot 1 is refused for, with every value known and `set` changed.
+    fn refusal(set: impl Fn(&mut Sample)) -> Option<(DropReason, String)> {
+        let mut sample = Sample {
+            robot: 1,
+            flags: sample_flag::POWER
+                | sample_flag::V
+                | sample_flag::OMEGA
+                | sample_flag::SOC
+                | sample_flag::RETURN
+                | sample_flag::VOLTAGE
+                | sample_flag::CURRENT,
+            ..Sample::default()
+        };
+        set(&mut sample);
+        let refused = settings().refusal(&sample)?;
+        Some((refused.reason, refused.to_string()))
+    }
+
+    #[test]
+    fn each_value_is_refused_outside_its_range_and_named_with_it() {
+        assert_eq!(refusal(|_| ()), None);
+        type Case = (fn(&mut Sample), DropReason, &'static str);
+        let cases: [Case; 10] = [
+            (
+                |it| it.power_w = 3500.0,
+                DropReason::PowerOutOfRange,
+                "power_w is 3500, allowed are",
+            ),
+            (
+                |it| it.v_mps = -9e9,
+                DropReason::CommandOutOfRange,
+                "v_mps is -9000000000",
+            ),
+            (
+                |it| it.omega_radps = 9e9,
+                DropReason::CommandOutOfRange,
+                "omega_radps is 9000000000",
+            ),
+            (
+                |it| it.soc = 80.0,
+                DropReason::BatteryOutOfRange,
+                "soc is 80, allowed are -0.05 to 1.05",
+            ),
+            (
+                |it| it.return_j = -1.0,
+                DropReason::BatteryOutOfRange,
+                "return_j is -1",
+            ),
+            (
+                |it| it.voltage_v = f32::NAN,
+                DropReason::NotFinite,
+                "voltage_v is NaN",
+            ),
+            (
+                |it| it.current_a = f32::INFINITY,
+                DropReason::NotFinite,
+                "current_a is inf",
+            ),
+            (
+                |it| it.measured_ns = 1,
+                DropReason::BadTime,
+                "measured after its stamp",
+            ),
+            (
+                |it| it.flags |= sample_flag::FULL,
+                DropReason::BadFlags,
+                "flags",
+            ),
+            (
+                |it| it.robot = 10_000,
+                DropReason::UnknownRobot,
+                "platform.robots",
+            ),
+        ];
+        for (set, reason, said) in cases {
+            let (found, text) = refusal(set).unwrap();
+            assert_eq!(found, reason, "{text}");
+            assert!(text.contains(said), "{text}");
+        }
+        // What is no number comes before what is out of range; what is unknown is not looked at.
+        let both = refusal(|it| (it.power_w, it.soc) = (3500.0, f32::NAN)).unwrap();
+        assert_eq!(both.0, DropReason::NotFinite, "{}", both.1);
+        let unknown = refusal(|it| (it.flags, it.power_w, it.soc) = (0, f32::NAN, 80.0));
+        assert_eq!(unknown, None);
+    }
+}

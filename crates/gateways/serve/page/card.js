@@ -1,0 +1,77 @@
+// An alarm's card: what it means, what to check, which keys set it, how soon it is found, and who has acknowledged it.
+
+import * as format from "./format.js";
+
+const dialog = document.getElementById("card");
+const form = document.getElementById("acknowledge");
+/** Where the browser keeps the person's name. */
+const NAME = "joulebus.name";
+const part = (name) => dialog.querySelector(`[data-card="${name}"]`);
+/** The answer of the server, asked for once. */
+let cards = null;
+
+async function load() {
+  const answer = await fetch("/api/v1/alarms/cards");
+  if (!answer.ok) throw new Error(`the server answered ${answer.status}`);
+  return answer.json();
+}
+
+async function show(alarm, robot, board) {
+  showAcknowledged(alarm, robot, board);
+  cards ??= load();
+  part("alarm").textContent = alarm;
+  try {
+    const card = (await cards).find((each) => each.alarm === alarm);
+    part("mark").className = `mark ${card?.level ?? "warn"}`;
+    part("meaning").textContent = card?.meaning ?? "This server does not know it.";
+    part("check").textContent = card?.check ?? "";
+    part("keys").textContent = card?.keys.join(", ") || "no key";
+    part("found").textContent = card?.found_within ?? "";
+  } catch (error) {
+    cards = null;
+    part("meaning").textContent = `What it means cannot be read: ${error.message}`;
+    for (const name of ["check", "keys", "found"]) part(name).textContent = "";
+  }
+  if (!dialog.open) dialog.showModal();
+}
+
+/** Who has acknowledged the alarm, or a form to do so; neither of one that is not raised. */
+function showAcknowledged(alarm, robot, board) {
+  const raised = board.raised.find((each) => each.alarm === alarm && each.robot === robot);
+  const by = raised?.acknowledged;
+  part("by").textContent = by ? `Acknowledged by ${by.by} at ${format.timeOfDay(format.unixMs(by.at_unix_ns))}.` : "";
+  part("answer").textContent = "";
+  form.hidden = !raised || Boolean(by);
+  form.elements.by.value = localStorage.getItem(NAME) ?? "";
+  Object.assign(form.dataset, { alarm, robot });
+}
+
+async function acknowledge(event) {
+  event.preventDefault();
+  const { alarm, robot } = form.dataset;
+  const by = form.elements.by.value.trim();
+  localStorage.setItem(NAME, by);
+  part("answer").textContent = "Asking the worker";
+  try {
+    const reply = await fetch("/api/v1/alarms/acknowledge", {
+      method: "POST",
+      headers: { "Content-Type": "application/json" },
+      body: JSON.stringify({ robot: Number(robot), alarm, by }),
+    });
+    if (reply.ok) dialog.close();
+    else part("answer").textContent = (await reply.json()).error ?? reply.statusText;
+  } catch {
+    part("answer").textContent = "No answer: no connection to the server.";
+  }
+}
+
+/** Opens the card of every alarm that is pressed. */
+export function showCards(board) {
+  form.addEventListener("submit", acknowledge);
+  document.addEventListener("click", (event) => {
+    const alarm = event.target.closest("button.alarm");
+    if (alarm) show(alarm.textContent, Number(alarm.dataset.robot), board);
+    // Beside the card: the dialog itself is pressed, nothing within it.
+    else if (event.target === dialog) dialog.close();
+  });
+}

@@ -1,0 +1,91 @@
+//! The documents say of alarms what their cards say. `JOULEBUS_WRITE=1 cargo test -p joulebus-tests
+//! --test repository cards` writes them again.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+
+use joulebus_config::KEYS;
+use joulebus_wire::AlarmCard;
+
+/// What stands in `file` between its two lines that have `mark` is `text`.
+fn assert_says(file: &str, mark: &str, text: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(file);
+    let old = fs::read_to_string(&path).unwrap();
+    let mut parts = old.splitn(3, mark);
+    let mut part = || {
+        parts
+            .next()
+            .unwrap_or_else(|| panic!("{file}: no two {mark}"))
+    };
+    let (before, between, after) = (part(), part(), part());
+    let (end_of_line, _) = between.split_once('\n').unwrap();
+    let (_, begin_of_line) = between.rsplit_once('\n').unwrap();
+    let new = format!("{before}{mark}{end_of_line}\n{text}{begin_of_line}{mark}{after}");
+    if std::env::var_os("JOULEBUS_WRITE").is_some() {
+        fs::write(&path, &new).unwrap();
+    } else {
+        let remedy = "run this test again with JOULEBUS_WRITE=1";
+        assert!(old == new, "{file} says something else of alarms: {remedy}");
+    }
+}
+
+#[test]
+fn the_page_about_alarms_has_every_card() {
+    let mut table =
+        "\n| alarm | meaning | what to check | set by | found within |\n|---|---|---|---|---|\n"
+            .to_owned();
+    for card in AlarmCard::all() {
+        let keys: Vec<String> = card.keys.iter().map(|key| format!("`{key}`")).collect();
+        let AlarmCard {
+            name,
+            meaning,
+            check,
+            found_within,
+            ..
+        } = card;
+        let (level, keys) = (card.level.name(), keys.join(", "));
+        writeln!(
+            table,
+            "| `{name}` ({level}) | {meaning} | {check} | {keys} | {found_within} |"
+        )
+        .unwrap();
+    }
+    table.push('\n');
+    assert_says("docs/alarms.md", "<!-- cards", &table);
+}
+
+#[test]
+fn the_alert_rules_say_what_an_alarm_means() {
+    let mut text = "          description: >-\n".to_owned();
+    let mut word = "if";
+    for card in AlarmCard::all() {
+        let AlarmCard {
+            name,
+            meaning,
+            check,
+            ..
+        } = card;
+        writeln!(
+            text,
+            "            {{{{ {word} eq $labels.alarm \"{name}\" }}}}{meaning} {check}"
+        )
+        .unwrap();
+        word = "else if";
+    }
+    text.push_str("            {{ end }}\n");
+    assert_says("configs/prometheus/joulebus.rules.yml", "# cards", &text);
+}
+
+#[test]
+fn the_keys_of_every_card_can_be_configured() {
+    for card in AlarmCard::all() {
+        for key in card.keys {
+            assert!(
+                KEYS.iter().any(|known| known.path == *key),
+                "{}: {key}",
+                card.name
+            );
+        }
+    }
+}
