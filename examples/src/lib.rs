@@ -111,7 +111,6 @@ impl PrivateFleet {
     }
 
     /// Its config file, for every process of the fleet.
-    #[must_use]
     pub fn config(&self) -> &Path {
         &self.config
     }

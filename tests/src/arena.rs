@@ -71,7 +71,6 @@ impl Default for Setup {
 
 impl Setup {
     /// For [`Arena::simulate`] with a recorder: ticks wait for late robots.
-    #[must_use]
     pub fn simulated() -> Self {
         Self {
             tick_hz: 60.0,
@@ -83,7 +82,6 @@ impl Setup {
     }
 
     /// Period of the platform's samples, ns.
-    #[must_use]
     pub fn period_ns(&self) -> u64 {
         (1e9 / self.rate_hz) as u64
     }
@@ -136,7 +134,6 @@ pub struct Arena {
 
 impl Arena {
     /// Creates the directories and writes the config.
-    #[must_use]
     pub fn new(setup: &Setup) -> Self {
         let number = ARENAS.fetch_add(1, Ordering::Relaxed);
         let name = format!("jbt-{}-{number}", std::process::id());
@@ -163,31 +160,26 @@ impl Arena {
     }
 
     /// Its domain in shared memory.
-    #[must_use]
     pub const fn domain(&self) -> &Domain {
         &self.domain
     }
 
     /// A directory for the test's files, outside the fleet's root.
-    #[must_use]
     pub fn files(&self) -> &Path {
         &self.files
     }
 
     /// The config file.
-    #[must_use]
     pub fn config(&self) -> PathBuf {
         self.files.join("fleet.toml")
     }
 
     /// The ledger's checkpoint.
-    #[must_use]
     pub fn ledger(&self) -> PathBuf {
         self.files.join("ledger.json")
     }
 
     /// A command of the program under test with `arguments` and the arena's config.
-    #[must_use]
     pub fn command(&self, arguments: &[&str]) -> Command {
         let mut command = Command::new(program("joulebus-under-test"));
         command.args(arguments).arg("--config").arg(self.config());
@@ -199,13 +191,11 @@ impl Arena {
     }
 
     /// Where its programs save their state by default.
-    #[must_use]
     pub fn state(&self) -> PathBuf {
         self.files.join("state")
     }
 
     /// Runs the program under test until it exits.
-    #[must_use]
     pub fn run(&self, arguments: &[&str]) -> Ended {
         let mut child = Child::spawn(&arguments.join(" "), self.command(arguments));
         child.wait()
@@ -233,7 +223,6 @@ impl Arena {
 
     /// Starts `joulebus record` into `file` with the arguments `more` and a JSON report, and waits
     /// until it records.
-    #[must_use]
     pub fn recording(&self, file: &Path, more: &[&str]) -> Child {
         let name = file.to_str().expect("ASCII file name");
         let arguments = [&["record", "--format", "json", "-o", name], more].concat();
@@ -243,19 +232,16 @@ impl Arena {
     }
 
     /// Command of the worker: `joulebus run` with a JSON report that logs its cleanup.
-    #[must_use]
     pub fn worker_command(&self) -> Command {
         self.command(&["run", "--format", "json", "--verbose"])
     }
 
     /// Starts a worker without waiting until it is ready.
-    #[must_use]
     pub fn spawn_worker(&self) -> Child {
         Child::spawn("worker", self.worker_command())
     }
 
     /// Starts a worker and waits until it is ready.
-    #[must_use]
     pub fn worker(&self) -> Child {
         let mut worker = self.spawn_worker();
         worker.wait_for_line("ready:");
@@ -263,7 +249,6 @@ impl Arena {
     }
 
     /// The probe as a command.
-    #[must_use]
     pub fn probe(&self, arguments: &[&str]) -> Command {
         let mut command = Command::new(program("joulebus-probe"));
         command.args(arguments).arg(self.config());
@@ -271,14 +256,12 @@ impl Arena {
     }
 
     /// Starts a source controlled by the test and waits until it has joined.
-    #[must_use]
     pub fn source(&self, name: &str) -> Source {
         Source::new(Child::spawn(name, self.probe(&["source", name])))
     }
 
     /// Starts a controller: a publisher that sends [`crate::steady`] samples of `robots` robots
     /// from `first` on at `rate_hz` until it is stopped. Does not wait for it.
-    #[must_use]
     pub fn controller(&self, name: &str, first: u32, robots: u32, rate_hz: f64) -> Child {
         let numbers = [first.to_string(), robots.to_string(), rate_hz.to_string()];
         let arguments = ["controller", name, &numbers[0], &numbers[1], &numbers[2]];
@@ -286,25 +269,21 @@ impl Arena {
     }
 
     /// Starts a planner that reports every frame, and waits until it has joined.
-    #[must_use]
     pub fn planner(&self) -> Planner {
         Planner::ready(Child::spawn("planner", self.probe(&["planner"])))
     }
 
     /// Starts a planner built on the consumer library, and waits until it has joined.
-    #[must_use]
     pub fn consumer(&self) -> Planner {
         Planner::ready(Child::spawn("consumer", self.probe(&["consumer"])))
     }
 
     /// Starts a reader of samples beside the worker, and waits until it has joined.
-    #[must_use]
     pub fn recorder(&self) -> Planner {
         Planner::ready(Child::spawn("recorder", self.probe(&["recorder"])))
     }
 
     /// What is left of the fleet: objects in shared memory, and the root directory with its drafts.
-    #[must_use]
     pub fn stale_files(&self) -> Vec<PathBuf> {
         left_behind(self.domain.shm_prefix(), self.domain.root())
     }
@@ -333,7 +312,6 @@ impl Drop for Arena {
 
 /// Runs the program under test until it exits, with a JSON report and without a config, as a user
 /// who has only a capture.
-#[must_use]
 pub fn alone(arguments: &[&str]) -> Ended {
     let mut command = Command::new(program("joulebus-under-test"));
     command.args(["--format", "json"]).args(arguments);
@@ -356,7 +334,6 @@ pub fn without_loss<T>(mut record: impl FnMut(usize) -> (T, Ended)) -> (T, Ended
 }
 
 /// Path of a program of this package: cargo builds it before the tests, next to them.
-#[must_use]
 pub fn program(name: &str) -> PathBuf {
     let mut path = std::env::current_exe().expect("Linux tells");
     path.pop();

@@ -29,7 +29,6 @@ impl Spread {
     }
 
     /// Number of values.
-    #[must_use]
     pub const fn count(&self) -> usize {
         self.values.len()
     }
@@ -60,7 +59,6 @@ pub struct Dice(Pcg64Mcg);
 
 impl Dice {
     /// Reads the seed and prints it.
-    #[must_use]
     pub fn roll() -> Self {
         let seed = count("JOULEBUS_SEED", 2);
         println!("seed: {seed}");
@@ -83,7 +81,6 @@ impl Dice {
     }
 
     /// Number of repetitions: from the environment variable `name`, or `default`.
-    #[must_use]
     pub fn rounds(name: &str, default: u64) -> u64 {
         count(name, default)
     }

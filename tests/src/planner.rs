@@ -25,7 +25,6 @@ pub struct Planner {
 
 impl Planner {
     /// Wraps a process that prints the lines of the probe's readers; does not wait.
-    #[must_use]
     pub const fn new(child: Child) -> Self {
         Self {
             child,

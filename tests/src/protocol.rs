@@ -196,7 +196,6 @@ pub struct ForecastFrame {
 
 impl ForecastFrame {
     /// Converts a frame.
-    #[must_use]
     pub fn new(header: &ForecastHeader, robots: &[Forecast], read_ns: u64) -> Self {
         Self {
             read_ns,
@@ -212,19 +211,16 @@ impl ForecastFrame {
     }
 
     /// The line of a robot.
-    #[must_use]
     pub fn robot(&self, robot: u32) -> Option<&ForecastLine> {
         self.robots.iter().find(|line| line.robot == robot)
     }
 
     /// Samples dropped so far for `reason`.
-    #[must_use]
     pub fn dropped(&self, reason: DropReason) -> u64 {
         self.dropped.get(reason.name()).copied().unwrap_or(0)
     }
 
     /// Samples accepted and dropped so far.
-    #[must_use]
     pub fn accounted(&self) -> u64 {
         self.accepted + self.dropped.values().sum::<u64>()
     }
@@ -272,7 +268,6 @@ impl ForecastLine {
     }
 
     /// Its quality.
-    #[must_use]
     pub const fn quality(&self) -> Quality {
         Quality::decode(self.code.0, self.code.1)
     }
@@ -293,7 +288,6 @@ pub struct DiagnosticFrame {
 
 impl DiagnosticFrame {
     /// Converts a frame.
-    #[must_use]
     pub fn new(header: &DiagnosticHeader, robots: &[Diagnostic]) -> Self {
         let refused = header.refusals().map(|refusal| RefusalLine {
             robot: refusal.robot,
@@ -310,7 +304,6 @@ impl DiagnosticFrame {
     }
 
     /// The line of a robot.
-    #[must_use]
     pub fn robot(&self, robot: u32) -> Option<&DiagnosticLine> {
         self.robots.iter().find(|line| line.robot == robot)
     }
@@ -375,7 +368,6 @@ pub struct BudgetFrame {
 
 impl BudgetFrame {
     /// Converts a frame.
-    #[must_use]
     pub fn new(header: &BudgetHeader, robots: &[Budget]) -> Self {
         Self {
             worker_epoch: header.worker_epoch,
@@ -385,7 +377,6 @@ impl BudgetFrame {
     }
 
     /// The line of a robot.
-    #[must_use]
     pub fn robot(&self, robot: u32) -> Option<&BudgetLine> {
         self.robots.iter().find(|line| line.robot == robot)
     }
@@ -421,7 +412,6 @@ impl BudgetLine {
     }
 
     /// Energy drawn in µW·ns · 2, exact.
-    #[must_use]
     pub fn drawn_exact(&self) -> i128 {
         i128::from(self.drawn_uj) * 2_000_000_000 + i128::from(self.drawn_remainder)
     }

@@ -6,14 +6,12 @@ use crate::SampleLine;
 
 /// Power of `robot` in [`steady`], µW: exact in `f32` as watts, and within the limits of a GTernal
 /// up to robot 130.
-#[must_use]
 pub const fn steady_uw(robot: u32) -> i128 {
     3_500_000 + robot as i128 * 125_000
 }
 
 /// Sample `seq` of `robot` in a script: a pure function of the two numbers. Stamps are `period_ns`
 /// apart and start at one hour; the worker compares them only with each other.
-#[must_use]
 pub fn sample(robot: u32, seq: u64, period_ns: u64) -> Sample {
     let stamp_ns = 3_600_000_000_000 + seq * period_ns;
     let noise = noise(robot, seq);
@@ -26,7 +24,6 @@ pub fn sample(robot: u32, seq: u64, period_ns: u64) -> Sample {
 }
 
 /// `frames` frames with one sample of each of `robots`.
-#[must_use]
 pub fn script(robots: &[u32], frames: u64, period_ns: u64) -> Vec<Vec<Sample>> {
     (0..frames)
         .map(|seq| {
@@ -40,7 +37,6 @@ pub fn script(robots: &[u32], frames: u64, period_ns: u64) -> Vec<Vec<Sample>> {
 
 /// A sample of a robot with constant power; its other values are a function of robot and number, so
 /// that [`is_whole`] can check them.
-#[must_use]
 pub fn steady(robot: u32, seq: u64, stamp_ns: u64) -> Sample {
     let power_w = 3.5 + robot as f32 * 0.125;
     let noise = noise(robot, seq);
@@ -55,7 +51,6 @@ pub fn steady(robot: u32, seq: u64, stamp_ns: u64) -> Sample {
 }
 
 /// True if every byte of a sample is as [`steady`] made it.
-#[must_use]
 pub fn is_whole(sample: &Sample) -> bool {
     let expected = steady(sample.robot, sample.seq, sample.stamp_ns);
     // As bits: what a sample does not state is NaN.

@@ -36,7 +36,6 @@ use joulebus_program::output::Output;
 use arguments::{Cli, Command};
 
 /// Runs the program with the arguments of this process.
-#[must_use]
 pub fn main() -> ExitCode {
     joulebus_bus::trace_iceoryx2();
     match parse() {

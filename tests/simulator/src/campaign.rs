@@ -140,7 +140,6 @@ impl fmt::Display for Failed {
 
 /// Runs a campaign. `progress` gets the number of seeds done. Setting `stop` gives up running
 /// seeds.
-#[must_use]
 pub fn play(campaign: &Campaign, stop: &AtomicBool, progress: impl Fn(u64) + Sync) -> Totals {
     let next = AtomicU64::new(campaign.first);
     let totals = Mutex::new(Totals::default());

@@ -132,25 +132,21 @@ const MAX_FAULTS: u64 = 4_000;
 
 impl Setup {
     /// `platform.stale_after_s`, ns.
-    #[must_use]
     pub const fn stale_after_ns(&self) -> u64 {
         15 * self.period_ns
     }
 
     /// `intake.leave_after_s`, ns.
-    #[must_use]
     pub const fn leave_after_ns(&self) -> u64 {
         40 * self.period_ns
     }
 
     /// Time without faults after which everything must work again, ns.
-    #[must_use]
     pub const fn settle_ns(&self) -> u64 {
         2 * self.leave_after_ns() + 60 * self.period_ns + 20 * SECOND
     }
 
     /// Robots that sources have all the time.
-    #[must_use]
     pub const fn regular(&self) -> usize {
         self.sources * self.robots
     }
@@ -187,7 +183,6 @@ impl Setup {
     }
 
     /// The config of the fleet.
-    #[must_use]
     pub fn toml(&self, ledger: &str) -> String {
         let seconds = |ns: u64| ns as f64 * 1e-9;
         let hz = 1.0 / seconds(self.period_ns);
@@ -225,7 +220,6 @@ impl Setup {
 
 impl Scenario {
     /// The simulation that a seed means; `duration_ns` instead of its own.
-    #[must_use]
     pub fn of(seed: u64, asked_ns: Option<u64>) -> Self {
         let mut noise = Noise::new(seed, 0);
         let drawn_ns = (1 + noise.below(30)) as u64 * MAX_DURATION_NS / 30;
@@ -284,7 +278,6 @@ impl Scenario {
     }
 
     /// The same, with source 0 alone and without faults: what its robots must be answered.
-    #[must_use]
     pub fn undisturbed(&self) -> Self {
         let mut same = self.clone();
         same.faults.clear();

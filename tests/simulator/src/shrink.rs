@@ -5,7 +5,6 @@ use crate::world::Outcome;
 
 /// The smallest scenario found that fails with the same invariant as `scenario`, and its result.
 /// `run` runs a scenario; `give_up` is asked before each further run.
-#[must_use]
 pub fn shrink(
     scenario: &Scenario,
     outcome: &Outcome,

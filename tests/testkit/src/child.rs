@@ -28,7 +28,6 @@ pub fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
 
 /// Remains of a fleet: its objects in shared memory (`prefix`), the folder `root`, and drafts of
 /// it.
-#[must_use]
 pub fn left_behind(prefix: &str, root: &Path) -> Vec<PathBuf> {
     let draft = format!(".{}.", root.file_name().unwrap_or_default().display());
     let shared = std::fs::read_dir("/dev/shm")
@@ -45,7 +44,6 @@ pub fn left_behind(prefix: &str, root: &Path) -> Vec<PathBuf> {
 }
 
 /// The `joulebus` program beside `program`, another one of the same build. Built if it is missing.
-#[must_use]
 pub fn joulebus_beside(program: &str) -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     PROGRAM.get_or_init(|| beside(program, "joulebus"))
@@ -53,7 +51,6 @@ pub fn joulebus_beside(program: &str) -> &'static Path {
 
 /// The program `joulebus-lab` beside `program`, which `joulebus` runs for the verbs on recordings
 /// and models; built as [`joulebus_beside`] is.
-#[must_use]
 pub fn lab_beside(program: &str) -> &'static Path {
     static PROGRAM: OnceLock<PathBuf> = OnceLock::new();
     PROGRAM.get_or_init(|| beside(program, "joulebus-lab"))
@@ -77,7 +74,6 @@ fn beside(program: &str, name: &str) -> PathBuf {
 }
 
 /// Runs a program until it exits, without additional log output.
-#[must_use]
 pub fn run<A: AsRef<OsStr>>(program: &str, arguments: impl IntoIterator<Item = A>) -> Ended {
     let mut command = Command::new(program);
     command.args(arguments).env_remove("JOULEBUS_LOG");
@@ -111,7 +107,6 @@ pub struct Ended {
 
 impl Ended {
     /// Exit code; none if killed by a signal.
-    #[must_use]
     pub fn code(&self) -> Option<i32> {
         self.status.code()
     }
@@ -120,7 +115,6 @@ impl Ended {
     ///
     /// # Panics
     /// It was killed by a signal.
-    #[must_use]
     pub fn exit_code(&self) -> i32 {
         self.code().unwrap_or_else(|| panic!("killed: {self:?}"))
     }
@@ -136,25 +130,21 @@ impl Ended {
     }
 
     /// The signal that killed it.
-    #[must_use]
     pub fn signal(&self) -> Option<i32> {
         self.status.signal()
     }
 
     /// All of stderr.
-    #[must_use]
     pub fn errors(&self) -> String {
         self.stderr.join("\n")
     }
 
     /// All of stdout.
-    #[must_use]
     pub fn text(&self) -> String {
         self.stdout.join("\n")
     }
 
     /// stdout parsed as one JSON value.
-    #[must_use]
     pub fn json(&self) -> serde_json::Value {
         let text = self.text();
         serde_json::from_str(&text).unwrap_or_else(|error| panic!("{error} in {text:?}"))
@@ -163,13 +153,11 @@ impl Ended {
 
 impl Child {
     /// Starts a program; `name` is used in messages.
-    #[must_use]
     pub fn spawn(name: &str, command: Command) -> Self {
         Self::spawn_to(name, command, Stdio::piped())
     }
 
     /// As [`Child::spawn`], of a program whose stdout would fill the memory of the test in hours.
-    #[must_use]
     pub fn spawn_unread(name: &str, command: Command) -> Self {
         Self::spawn_to(name, command, Stdio::null())
     }
@@ -195,13 +183,11 @@ impl Child {
     }
 
     /// Its pid.
-    #[must_use]
     pub fn pid(&self) -> u32 {
         self.process.id()
     }
 
     /// Start time.
-    #[must_use]
     pub const fn started(&self) -> Instant {
         self.started
     }
@@ -296,7 +282,6 @@ impl Child {
     }
 
     /// Its output on stderr so far.
-    #[must_use]
     pub fn errors(&self) -> String {
         self.stderr.lock().lines.join("\n")
     }
@@ -310,13 +295,11 @@ impl Child {
 
     /// Lines of stdout from `from` on; waits for at least one. Empty at the end of the output or
     /// after the timeout.
-    #[must_use]
     pub fn lines(&self, from: usize, within: Duration) -> Vec<String> {
         self.stdout.after(from, within)
     }
 
     /// The last lines of its output.
-    #[must_use]
     pub fn tail(&self) -> String {
         let mut text = format!("what {} (pid {}) wrote:", self.name, self.pid());
         for output in [&self.stdout, &self.stderr] {

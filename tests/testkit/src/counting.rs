@@ -71,13 +71,11 @@ unsafe impl GlobalAlloc for Counting {
 }
 
 /// Number of allocations of this thread so far.
-#[must_use]
 pub fn calls() -> u64 {
     CALLS.get()
 }
 
 /// Bytes allocated by this thread so far, freed or not.
-#[must_use]
 pub fn bytes() -> u64 {
     BYTES.get()
 }

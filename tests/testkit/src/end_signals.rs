@@ -4,7 +4,6 @@ use rustix::process::Signal;
 
 /// SIGTERM, SIGINT and SIGHUP; without SIGHUP if this process ignores it (`nohup`), because its
 /// children then do as well.
-#[must_use]
 pub fn end_signals() -> Vec<Signal> {
     let mut signals = vec![Signal::TERM, Signal::INT];
     if ignores(std::process::id(), Signal::HUP) {
@@ -20,7 +19,6 @@ pub fn end_signals() -> Vec<Signal> {
 ///
 /// # Panics
 /// There is no such process.
-#[must_use]
 pub fn ignores(pid: u32, signal: Signal) -> bool {
     let status = std::fs::read_to_string(format!("/proc/{pid}/status")).expect("a process");
     let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));

@@ -22,7 +22,6 @@ impl Member {
     ///
     /// # Panics
     /// Linux always tells which program runs.
-    #[must_use]
     pub fn command() -> Command {
         let mut command = Command::new(std::env::current_exe().expect("Linux tells"));
         command.args(["--exact", "member", "--nocapture", "--test-threads=1"]);
@@ -30,7 +29,6 @@ impl Member {
     }
 
     /// Starts a member; `name` is used in messages.
-    #[must_use]
     pub fn spawn(name: &str, command: Command) -> Self {
         Self {
             child: Child::spawn(name, command),
@@ -39,7 +37,6 @@ impl Member {
     }
 
     /// Its pid.
-    #[must_use]
     pub fn pid(&self) -> u32 {
         self.child.pid()
     }
@@ -103,7 +100,6 @@ impl Member {
     }
 
     /// Sends SIGKILL, waits for the exit, and returns all lines that it has sent to the test.
-    #[must_use]
     pub fn all_lines(mut self) -> Vec<String> {
         let lines = self.child.kill().stdout;
         let sent = lines.iter().filter_map(|line| line.split_once(MARK));

@@ -23,7 +23,6 @@ impl Place {
     ///
     /// # Panics
     /// Its config cannot be written.
-    #[must_use]
     pub fn new() -> Self {
         let number = PLACES.fetch_add(1, Ordering::Relaxed);
         let (name, prefix) = names(std::process::id(), number);
@@ -56,14 +55,12 @@ impl Place {
     }
 
     /// Its config.
-    #[must_use]
     pub fn config(&self) -> &Path {
         &self.config
     }
 
     /// Starts a member in a separate process; it runs the function that the test binary's `member`
     /// selects by name.
-    #[must_use]
     pub fn start(&self, role: &str) -> Member {
         let mut command = Member::command();
         command.env(ROLE, role).env(CONFIG, &self.config);
@@ -123,7 +120,6 @@ pub fn run_member(member: impl FnOnce(&str, &Path)) {
 ///
 /// # Panics
 /// stdin cannot be read.
-#[must_use]
 pub fn told() -> Option<String> {
     let line = std::io::stdin().lines().next();
     line.map(|line| line.expect("the test writes UTF-8"))

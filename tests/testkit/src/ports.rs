@@ -13,7 +13,6 @@ const RESERVED_AT: &str = "127.0.0.2";
 ///
 /// # Panics
 /// All are taken.
-#[must_use]
 pub fn free_port() -> u16 {
     static RESERVED: Mutex<Vec<TcpListener>> = Mutex::new(Vec::new());
     for port in PORTS {

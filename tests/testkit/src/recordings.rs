@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 ///
 /// # Panics
 /// It is absent, and the variable `CI` is "true": there, no test may be skipped.
-#[must_use]
 pub fn shared(name: &str) -> Option<PathBuf> {
     let workspace = Path::new(env!("CARGO_MANIFEST_DIR"))
         .ancestors()
@@ -29,7 +28,6 @@ pub fn shared(name: &str) -> Option<PathBuf> {
 ///
 /// # Panics
 /// As [`shared`], or the folder cannot be read.
-#[must_use]
 pub fn trials(platform: &str) -> Option<Vec<PathBuf>> {
     let entries = std::fs::read_dir(shared(&format!("data/{platform}"))?).expect("a folder");
     let mut paths: Vec<PathBuf> = entries.map(|entry| entry.expect("a file").path()).collect();

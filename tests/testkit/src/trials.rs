@@ -16,7 +16,6 @@ impl Files {
     ///
     /// # Panics
     /// It cannot be made.
-    #[must_use]
     pub fn new() -> Self {
         Self(tempfile::tempdir().expect("a directory for temporary use"))
     }
@@ -25,7 +24,6 @@ impl Files {
     ///
     /// # Panics
     /// It cannot be written.
-    #[must_use]
     pub fn write(&self, name: &str, bytes: &[u8]) -> PathBuf {
         let path = self.0.path().join(name);
         std::fs::write(&path, bytes).expect("a file for temporary use");
@@ -40,7 +38,6 @@ impl Default for Files {
 }
 
 /// A NumPy file with this description and these data, version 1.0.
-#[must_use]
 pub fn npy(header: &str, data: &[u8]) -> Vec<u8> {
     let mut text = header.to_owned();
     while !(10 + text.len() + 1).is_multiple_of(64) {
@@ -55,7 +52,6 @@ pub fn npy(header: &str, data: &[u8]) -> Vec<u8> {
 }
 
 /// Rows in C order as a plain little-endian f8 array.
-#[must_use]
 pub fn npy_f8(rows: &[[f64; 11]]) -> Vec<u8> {
     let data = rows.iter().flatten().flat_map(|value| value.to_le_bytes());
     npy(
@@ -65,7 +61,6 @@ pub fn npy_f8(rows: &[[f64; 11]]) -> Vec<u8> {
 }
 
 /// The header of a NumPy file of so many rows of eleven columns.
-#[must_use]
 pub fn header(descr: &str, fortran: &str, rows: usize) -> String {
     format!("{{'descr': '{descr}', 'fortran_order': {fortran}, 'shape': ({rows}, 11), }}")
 }
@@ -74,7 +69,6 @@ pub fn header(descr: &str, fortran: &str, rows: usize) -> String {
 ///
 /// # Panics
 /// Never: it writes into memory.
-#[must_use]
 pub fn gzip(bytes: &[u8]) -> Vec<u8> {
     let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
     encoder.write_all(bytes).expect("memory");
@@ -82,7 +76,6 @@ pub fn gzip(bytes: &[u8]) -> Vec<u8> {
 }
 
 /// Rows in the order of the array layout, as the CSV of the recordings.
-#[must_use]
 pub fn csv(rows: &[[f64; 11]]) -> String {
     let mut text = "robot_id,timestamp_s,phase,v_cmd_mps,omega_cmd_radps,x_m,y_m,theta_rad,\
                     voltage_mV,current_mA,power_mW\n"
@@ -116,7 +109,6 @@ pub const ROWS: [[f64; 11]; 5] = [
 ];
 
 /// Rows with only time (s) and power (mW).
-#[must_use]
 pub fn timed(rows: &[(f64, f64)]) -> Vec<[f64; 11]> {
     rows.iter()
         .map(|(time_s, power_mw)| {

@@ -17,7 +17,6 @@ pub fn remove_process(pid: u32) {
 }
 
 /// Number of open ports of all services.
-#[must_use]
 pub fn size() -> usize {
     queues::size() + query::size()
 }

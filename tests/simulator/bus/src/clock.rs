@@ -3,7 +3,6 @@
 use joulebus_simulated_host::{operation, time};
 
 /// Time of the monotonic clock, ns.
-#[must_use]
 pub fn monotonic_ns() -> u64 {
     operation();
     time::monotonic_ns()
@@ -11,20 +10,17 @@ pub fn monotonic_ns() -> u64 {
 
 /// The same, since no simulated host is suspended. It is no operation, so that the permits of some
 /// workers change nothing for the others.
-#[must_use]
 pub fn boot_ns() -> u64 {
     time::monotonic_ns()
 }
 
 /// Wall-clock time, Unix ns.
-#[must_use]
 pub fn unix_ns() -> u64 {
     operation();
     time::unix_ns()
 }
 
 /// Processor time: all time is.
-#[must_use]
 pub fn thread_cpu_ns() -> u64 {
     monotonic_ns()
 }

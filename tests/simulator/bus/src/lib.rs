@@ -34,7 +34,6 @@ pub use query::{OpenQuery, QueryClient, QueryServer};
 pub use wait::{Poller, Readiness, Waiter, Waker};
 
 /// The id of the process that runs.
-#[must_use]
 pub fn process_id() -> u32 {
     joulebus_simulated_host::current()
 }

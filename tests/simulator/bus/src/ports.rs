@@ -109,19 +109,16 @@ impl<C: Channel> Writer<C> {
     }
 
     /// Number of readers.
-    #[must_use]
     pub fn readers(&self) -> usize {
         with(C::SERVICE, |state| state.readers.len())
     }
 
     /// Maximum number of elements per frame.
-    #[must_use]
     pub const fn max_len(&self) -> usize {
         self.max_len
     }
 
     /// Connections of a writer do not fail.
-    #[must_use]
     pub const fn degraded(&self) -> u64 {
         0
     }
@@ -331,27 +328,23 @@ impl<C: Channel> Reader<C> {
     }
 
     /// The frame held.
-    #[must_use]
     pub fn held(&self) -> Option<(&C::Header, &[C::Row])> {
         let held = self.held.as_ref()?;
         Some((&held.header, &held.payload))
     }
 
     /// Moves the frame of [`Reader::held`] out of the reader.
-    #[must_use]
     pub fn take_held(&mut self) -> Option<KeptFrame<C>> {
         let frame = self.held.take()?;
         Some(KeptFrame { frame })
     }
 
     /// Number of failed connections.
-    #[must_use]
     pub fn degraded(&self) -> u64 {
         self.queue.borrow().failed
     }
 
     /// Number of frames of others than the worker.
-    #[must_use]
     pub fn foreign(&self) -> u64 {
         self.worker.as_ref().map_or(0, WorkerPorts::foreign)
     }
@@ -416,13 +409,11 @@ pub struct KeptFrame<C: Channel> {
 
 impl<C: Channel> KeptFrame<C> {
     /// The frame's header.
-    #[must_use]
     pub fn header(&self) -> &C::Header {
         &self.frame.header
     }
 
     /// The frame's slice.
-    #[must_use]
     pub fn payload(&self) -> &[C::Row] {
         &self.frame.payload
     }
@@ -437,13 +428,11 @@ pub struct Frame<'a, C: Channel> {
 
 impl<C: Channel> Frame<'_, C> {
     /// The frame's header.
-    #[must_use]
     pub fn header(&self) -> &C::Header {
         &self.sent.header
     }
 
     /// The frame's slice.
-    #[must_use]
     pub fn payload(&self) -> &[C::Row] {
         &self.sent.payload
     }
@@ -457,7 +446,6 @@ thread_local! {
 }
 
 /// The frames that workers took since the last call.
-#[must_use]
 pub fn taken_frames() -> Vec<Taken> {
     TAKEN.take()
 }
@@ -499,25 +487,21 @@ pub struct IncomingFrame<'a> {
 
 impl IncomingFrame<'_> {
     /// The header.
-    #[must_use]
     pub fn header(&self) -> &SampleHeader {
         &self.sent.header
     }
 
     /// Number of samples that will be copied.
-    #[must_use]
     pub const fn len(&self) -> usize {
         self.kept
     }
 
     /// True if there are none.
-    #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.kept == 0
     }
 
     /// Number of samples beyond the limit.
-    #[must_use]
     pub fn truncated(&self) -> usize {
         self.sent.payload.len() - self.kept
     }
@@ -561,13 +545,11 @@ impl SampleWriter {
     }
 
     /// Maximum number of samples per frame.
-    #[must_use]
     pub const fn max_len(&self) -> usize {
         self.writer.max_len()
     }
 
     /// Number of failed connections.
-    #[must_use]
     pub const fn degraded(&self) -> u64 {
         self.writer.degraded()
     }
@@ -654,7 +636,6 @@ impl Bus {
     }
 
     /// Waits for times.
-    #[must_use]
     pub fn planner_poller(&self) -> Poller {
         Poller::new(self)
     }

@@ -203,7 +203,6 @@ impl QueryServer {
     }
 
     /// Whether the port is to be opened again.
-    #[must_use]
     pub fn is_worn(&self, is_idle: bool) -> bool {
         self.wear.is_worn(is_idle, clock::monotonic_ns())
     }
@@ -219,25 +218,21 @@ impl Drop for QueryServer {
 
 impl OpenQuery {
     /// Its header.
-    #[must_use]
     pub fn header(&self) -> &QueryHeader {
         &self.transfer.header
     }
 
     /// Its values.
-    #[must_use]
     pub fn values(&self) -> &[f64] {
         &self.transfer.values
     }
 
     /// The process that asked.
-    #[must_use]
     pub fn client(&self) -> u32 {
         self.transfer.client.1
     }
 
     /// False once its client has stopped waiting.
-    #[must_use]
     pub fn is_connected(&self) -> bool {
         self.transfer.is_wanted.get()
     }

@@ -10,7 +10,6 @@ thread_local! {
 pub const FIRST_PID: u32 = 100;
 
 /// The process that runs now; 0 for the simulator itself.
-#[must_use]
 pub fn current() -> u32 {
     CURRENT.get()
 }

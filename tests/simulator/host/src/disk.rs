@@ -297,14 +297,12 @@ pub fn create_dir_all(_path: impl AsRef<Path>) -> io::Result<()> {
 }
 
 /// Whether there is something of that name.
-#[must_use]
 pub fn exists(path: &Path) -> bool {
     operation();
     with(|disk| disk.names.contains_key(path))
 }
 
 /// Whether there is a file of that name: there are no links.
-#[must_use]
 pub fn is_file(path: &Path) -> bool {
     exists(path)
 }
@@ -339,7 +337,6 @@ pub fn read(path: &Path) -> io::Result<Vec<u8>> {
 }
 
 /// All bytes of a file, for the simulator.
-#[must_use]
 pub fn peek(path: &Path) -> Option<Vec<u8>> {
     with(|disk| {
         let number = disk.names.get(path)?;
@@ -348,7 +345,6 @@ pub fn peek(path: &Path) -> Option<Vec<u8>> {
 }
 
 /// The bytes of a file that would survive a power failure whatever else does, for the simulator.
-#[must_use]
 pub fn peek_durable(path: &Path) -> Option<Vec<u8>> {
     with(|disk| {
         let number = disk.durable_names.get(path)?;
@@ -384,7 +380,6 @@ pub fn take_away(path: &Path) {
 }
 
 /// Whether a file would survive a power failure with all its bytes.
-#[must_use]
 pub fn is_durable(path: &Path) -> bool {
     with(|disk| {
         let number = disk.durable_names.get(path);
@@ -394,7 +389,6 @@ pub fn is_durable(path: &Path) -> bool {
 }
 
 /// Names of all files.
-#[must_use]
 pub fn names() -> Vec<PathBuf> {
     with(|disk| disk.names.keys().cloned().collect())
 }

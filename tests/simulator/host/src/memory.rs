@@ -16,13 +16,11 @@ pub struct Account(u8);
 
 impl Account {
     /// As a byte.
-    #[must_use]
     pub const fn byte(self) -> u8 {
         self.0
     }
 
     /// The account of [`Account::byte`].
-    #[must_use]
     pub const fn of_byte(byte: u8) -> Self {
         Self(byte % ACCOUNTS as u8)
     }
@@ -68,7 +66,6 @@ fn add(account: Account, bytes: i64) {
 }
 
 /// Bytes that the process `pid`, and earlier ones with its pid, have allocated and not freed.
-#[must_use]
 pub fn live(pid: u32) -> i64 {
     LIVE.with(|live| live[usize::from(Account::of(pid).0)].get())
 }

@@ -67,26 +67,22 @@ pub(crate) fn begin(seed: u64) {
 }
 
 /// A number that no other thing of this host has.
-#[must_use]
 pub fn number() -> u64 {
     NUMBER.set(NUMBER.get() + 1);
     NUMBER.get()
 }
 
 /// Uniform on 0..`bound`.
-#[must_use]
 pub fn below(bound: usize) -> usize {
     NOISE.with_borrow_mut(|noise| noise.below(bound))
 }
 
 /// True once in `times` calls.
-#[must_use]
 pub fn once_in(times: usize) -> bool {
     below(times) == 0
 }
 
 /// True while the destructors of a killed process run.
-#[must_use]
 pub fn is_dead() -> bool {
     IS_DEAD.get()
 }
@@ -138,7 +134,6 @@ pub fn end_life(pid: u32) {
 }
 
 /// The number of the process `pid`, if it lives.
-#[must_use]
 pub fn life(pid: u32) -> Option<u64> {
     LIVES.with_borrow(|lives| {
         let found = lives.iter().find(|(other, _)| *other == pid);
@@ -147,7 +142,6 @@ pub fn life(pid: u32) -> Option<u64> {
 }
 
 /// The thread that runs: 0, the main one of its process, or that of [`start_thread`].
-#[must_use]
 pub fn thread() -> u64 {
     THREAD.get()
 }
@@ -229,7 +223,6 @@ pub fn fill_memory(is_full: bool) {
 }
 
 /// Whether shared memory is full.
-#[must_use]
 pub fn memory_is_full() -> bool {
     MEMORY_IS_FULL.get()
 }
@@ -245,7 +238,6 @@ pub fn take_descriptors(pid: u32, are_gone: bool) {
 }
 
 /// Whether process `pid` has file descriptors left.
-#[must_use]
 pub fn has_descriptors(pid: u32) -> bool {
     WITHOUT_DESCRIPTORS.with_borrow(|pids| !pids.contains(&pid))
 }
@@ -265,7 +257,6 @@ pub fn start_thread(work: Work) -> u64 {
 }
 
 /// Removes a thread, and returns its work unless that has ended.
-#[must_use]
 pub fn take_thread(number: u64) -> Option<Work> {
     THREADS.with_borrow_mut(|threads| {
         let at = threads.iter().position(|thread| thread.number == number)?;
@@ -274,7 +265,6 @@ pub fn take_thread(number: u64) -> Option<Work> {
 }
 
 /// The thread of process `pid` that is due first: its number, and when (simulated ns).
-#[must_use]
 pub fn next_thread(pid: u32) -> Option<(u64, u64)> {
     THREADS.with_borrow(|threads| {
         let of_process = threads.iter().filter(|thread| thread.pid == pid);

@@ -44,7 +44,6 @@ fn change(of: impl FnOnce(&mut Clocks)) {
 }
 
 /// Simulated time, ns.
-#[must_use]
 pub fn now_ns() -> u64 {
     CLOCKS.get().now_ns
 }
@@ -68,13 +67,11 @@ impl Clocks {
 }
 
 /// Time of the monotonic clock, ns.
-#[must_use]
 pub fn monotonic_ns() -> u64 {
     CLOCKS.get().monotonic_ns()
 }
 
 /// Simulated time at which the monotonic clock will show `monotonic_ns`, give or take its drift.
-#[must_use]
 pub fn simulated_ns(monotonic_ns: u64) -> u64 {
     let clocks = CLOCKS.get();
     clocks
@@ -83,7 +80,6 @@ pub fn simulated_ns(monotonic_ns: u64) -> u64 {
 }
 
 /// Time of the wall clock, Unix ns.
-#[must_use]
 pub fn unix_ns() -> u64 {
     let clocks = CLOCKS.get();
     (BEGIN_UNIX_NS + clocks.now_ns).saturating_add_signed(clocks.wall_offset_ns)
@@ -117,7 +113,6 @@ pub fn boot() {
 }
 
 /// Number of the boot, from 1.
-#[must_use]
 pub fn boots() -> u64 {
     CLOCKS.get().boots
 }

@@ -15,7 +15,6 @@ use crate::ledger::LEDGER;
 use crate::scenario::Scenario;
 
 /// Runs a scenario, and the one without faults if answers must be equal. Setting `stop` ends it.
-#[must_use]
 pub fn run(scenario: &Scenario, stop: &AtomicBool) -> Outcome {
     let (mut outcome, answers) = run_once(scenario, stop);
     if outcome.failure.is_some() || outcome.is_stopped || scenario.setup.everything {

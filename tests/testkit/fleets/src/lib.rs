@@ -19,7 +19,6 @@ pub const PERIOD_NS: u64 = 33_333_333;
 pub const SLOW_NS: u64 = 50 * MS;
 
 /// A battery of 10 kJ.
-#[must_use]
 pub fn battery() -> Battery {
     Battery {
         initial_soc: 0.9,
@@ -51,7 +50,6 @@ fn platform(name: &str, first: u32, period_ns: u64) -> Platform {
 
 /// Robots 0 to 99 need velocities and have a battery, 100 to 199 need none and regenerate, 200 to
 /// 299 use persistence, and their energy is as trained.
-#[must_use]
 pub fn settings(capacity: u32) -> FleetSettings {
     FleetSettings {
         capacity,
@@ -93,14 +91,12 @@ pub fn settings(capacity: u32) -> FleetSettings {
 }
 
 /// Models with the paper's features.
-#[must_use]
 pub fn models() -> Vec<Model> {
     models_of([FeatureSet::Full, FeatureSet::PowerOnly])
 }
 
 /// As [`models`], with a given kernel and instruction set; unchanged if this processor does not
 /// support it.
-#[must_use]
 pub fn models_on(kernel: Kernel) -> Vec<Model> {
     let on = |model: Model| match model {
         Model::Network(network) => {
@@ -113,7 +109,6 @@ pub fn models_on(kernel: Kernel) -> Vec<Model> {
 }
 
 /// As [`models`], reading the reading age too.
-#[must_use]
 pub fn fresh_models() -> Vec<Model> {
     models_of([FeatureSet::Freshness, FeatureSet::PowerFreshness])
 }
@@ -132,7 +127,6 @@ fn models_of([first, second]: [FeatureSet; 2]) -> Vec<Model> {
 }
 
 /// As [`settings`], with all forecasts learning online.
-#[must_use]
 pub fn learning(capacity: u32) -> FleetSettings {
     let mut settings = settings(capacity);
     for platform in &mut settings.platforms {
@@ -142,13 +136,11 @@ pub fn learning(capacity: u32) -> FleetSettings {
 }
 
 /// A fleet with [`settings`] and [`models`].
-#[must_use]
 pub fn fleet(capacity: u32) -> Fleet {
     fleet_of(capacity, models())
 }
 
 /// As [`fleet`], with other models.
-#[must_use]
 pub fn fleet_of(capacity: u32, models: Vec<Model>) -> Fleet {
     Fleet::new(settings(capacity), models).expect("the settings are consistent")
 }
@@ -162,7 +154,6 @@ pub struct Source {
 
 impl Source {
     /// A run of a source.
-    #[must_use]
     pub fn new(id: u64, epoch: u64) -> Self {
         Self {
             header: SampleHeader {
@@ -198,7 +189,6 @@ impl Source {
 
 /// The `step`-th sample of a healthy robot: varying command and power, a new measurement every
 /// third sample.
-#[must_use]
 pub fn healthy(robot: u32, step: u64, stamp_ns: u64, period_ns: u64) -> Sample {
     let phase = |rate: f64| ((step as f64 + f64::from(robot) * 7.3) * rate).sin() as f32;
     let since = step % 3;
@@ -232,7 +222,6 @@ pub struct Bits {
 
 /// Outputs of a robot; `None` when it is not in the fleet. The slot's generation is omitted: it
 /// belongs to the slot, not to the robot.
-#[must_use]
 pub fn bits(fleet: &Fleet, robot: u32) -> Option<Bits> {
     let place = place(fleet, robot)?;
     Some(Bits {
@@ -250,7 +239,6 @@ pub fn bits(fleet: &Fleet, robot: u32) -> Option<Bits> {
 }
 
 /// Place of a robot in the fleet; `None` if it is not there.
-#[must_use]
 pub fn place(fleet: &Fleet, robot: u32) -> Option<usize> {
     (0..fleet.len()).find(|place| fleet.forecast(*place).robot == robot)
 }
@@ -259,7 +247,6 @@ pub fn place(fleet: &Fleet, robot: u32) -> Option<usize> {
 ///
 /// # Panics
 /// It is not.
-#[must_use]
 pub fn forecast(fleet: &Fleet, robot: u32) -> Forecast {
     fleet.forecast(place(fleet, robot).expect("the robot is in the fleet"))
 }
@@ -268,7 +255,6 @@ pub fn forecast(fleet: &Fleet, robot: u32) -> Forecast {
 ///
 /// # Panics
 /// It is not.
-#[must_use]
 pub fn diagnostic(fleet: &Fleet, robot: u32) -> Diagnostic {
     fleet.diagnostic(place(fleet, robot).expect("the robot is in the fleet"))
 }
@@ -277,7 +263,6 @@ pub fn diagnostic(fleet: &Fleet, robot: u32) -> Diagnostic {
 ///
 /// # Panics
 /// It is not.
-#[must_use]
 pub fn budget(fleet: &Fleet, robot: u32) -> Budget {
     fleet.budget(place(fleet, robot).expect("the robot is in the fleet"))
 }
@@ -286,7 +271,6 @@ pub fn budget(fleet: &Fleet, robot: u32) -> Budget {
 ///
 /// # Panics
 /// It is not.
-#[must_use]
 pub fn plan_state(fleet: &Fleet, robot: u32) -> PlanState {
     fleet.plan_state(place(fleet, robot).expect("the robot is in the fleet"))
 }
@@ -295,7 +279,6 @@ pub fn plan_state(fleet: &Fleet, robot: u32) -> PlanState {
 ///
 /// # Panics
 /// It is not.
-#[must_use]
 pub fn quality(fleet: &Fleet, robot: u32) -> Quality {
     forecast(fleet, robot).quality()
 }

@@ -8,7 +8,6 @@ use std::collections::BTreeMap;
 pub type Contents = (BTreeMap<String, String>, Vec<(String, Vec<usize>, Vec<u8>)>);
 
 /// A file with the given contents and a matching digest.
-#[must_use]
 pub fn forged(
     metadata: &BTreeMap<String, String>,
     tensors: &[(String, Vec<usize>, Vec<u8>)],
@@ -55,7 +54,6 @@ pub fn forged(
 ///
 /// # Panics
 /// It is none.
-#[must_use]
 pub fn contents(bytes: &[u8]) -> Contents {
     let (_, header) = SafeTensors::read_metadata(bytes).expect("own files are safetensors");
     let metadata = header

@@ -64,7 +64,6 @@ pub fn parameters(noise: &mut Noise, feature_set: FeatureSet) -> Parameters {
 }
 
 /// A model card that fits all of them.
-#[must_use]
 pub fn card(feature_set: FeatureSet) -> ModelCard {
     let mut min = [0.0; INPUTS];
     let mut max = [0.0; INPUTS];
@@ -143,7 +142,6 @@ fn linear(feature_set: FeatureSet) -> Linear {
 ///
 /// # Panics
 /// Never: random weights are valid.
-#[must_use]
 pub fn network(seed: u64, feature_set: FeatureSet) -> Network {
     let parameters = parameters(&mut Noise(seed), feature_set);
     Network::new(parameters, card(feature_set)).expect("random weights are a valid network")

@@ -11,7 +11,6 @@ pub struct PeerWatch {
 
 impl PeerWatch {
     /// Watches the process `pid`; `None` if there is no such process.
-    #[must_use]
     pub fn open(pid: u32) -> Option<Self> {
         host::operation();
         let life = host::life(pid)?;
@@ -19,7 +18,6 @@ impl PeerWatch {
     }
 
     /// True if the process has ended.
-    #[must_use]
     pub fn is_gone(&self) -> bool {
         host::life(self.pid) != Some(self.life)
     }
