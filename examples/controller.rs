@@ -1,5 +1,5 @@
 //! A fleet controller publishes its commands and readings, 30 times a second, whether or not a
-//! worker runs: `cargo run -p joulebus-examples --example controller configs/fleet.toml`
+//! worker runs: `cargo run -p joulebus-examples --example controller configs/fleet.toml [TICKS]`
 
 use std::path::Path;
 use std::time::Duration;
@@ -9,7 +9,8 @@ use joulebus_publisher::{Pace, Publisher, RobotState};
 fn main() -> anyhow::Result<()> {
     let config = std::env::args().nth(1);
     let config = config.as_deref().unwrap_or("configs/fleet.toml");
-    let sent = run(config.as_ref(), 90)?;
+    let ticks = std::env::args().nth(2).map_or(Ok(90), |ticks| ticks.parse());
+    let sent = run(config.as_ref(), ticks?)?;
     println!("{sent} samples sent");
     Ok(())
 }
