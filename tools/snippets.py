@@ -18,7 +18,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 SECONDS = 60.0
-READY_S = 120.0
+READY_S = 600.0
 # Of all controllers.
 ROBOTS = 20 + 20 + 8 + 1 + 2 + 8 + 8 + 8
 # Alarms that a machine without a free processor raises, whatever is published.
@@ -32,7 +32,7 @@ prefix = "sn{mark}_"
 [ledger]
 checkpoint = ""
 [readers]
-max_planners = 32
+max_planners = 16
 [[platform]]
 file = "builtin:gternal"
 robots = ["0-99"]
@@ -144,10 +144,10 @@ def complaints(folder, target, programs):
     wrong = [f"{name} does not say yes" for name in ("planning", "queries") if not said_yes([rust / name], programs)]
     while time.monotonic() < end:
         time.sleep(0.5)
-    with urllib.request.urlopen(f"{address}/api/v1/robots", timeout=30) as answer:
+    with urllib.request.urlopen(f"{address}/api/v1/robots?count=100", timeout=30) as answer:
         robots = json.load(answer)["robots"]
     wrong += [f"{name} has ended\n{programs.log(name)}" for name, process in programs.running.items() if process.poll() is not None]
-    changes = [json.loads(line) for line in programs.log("alarms").splitlines()]
+    changes = [json.loads(line) for line in programs.log("alarms").splitlines() if line.startswith("{")]
     wrong += [f"an alarm: {change}" for change in changes if change["alarm"] not in BUSY]
     wrong += [f"robot {robot['robot']} is {robot['level']}: {robot}" for robot in robots
               if robot["level"] != "ok" and not BUSY.issuperset(robot["alarms"] or {"unknown"})]
