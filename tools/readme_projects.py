@@ -2,8 +2,9 @@
 """Builds what users would: programs against the packages that crates.io would get, not against paths of this repository.
 
 Each program of the README and of docs/planning.md is pasted, with the [dependencies] above it, into a new project and
-checked; a project that also uses iceoryx2, on its defaults (tests/beside_iceoryx2), is built and run. Their dependencies on
-joulebus are the unpacked files of `cargo package`.
+built, and so are those of docs/queries.md and of the publisher's page; then they run beside the other languages'
+(tools/snippets.py). A project that also uses iceoryx2, on its defaults (tests/beside_iceoryx2), is built and run. Their
+dependencies on joulebus are the unpacked files of `cargo package`.
 
 The doctests of `joulebus-examples` compile the same programs, but with more dependencies than these pages name.
 """
@@ -15,6 +16,8 @@ import sys
 import tarfile
 import tempfile
 from pathlib import Path
+
+import snippets
 
 ROOT = Path(__file__).resolve().parent.parent
 TARGET = ROOT / "target"
@@ -101,21 +104,38 @@ def main() -> int:
             print(f"{page} has {len(found)} programs with dependencies, at least {least} are expected", file=sys.stderr)
             return 1
         programs += found
-    programs = [(f"readme{number}", *found) for number, found in enumerate(programs)]
+    # Two more, with the dependencies of those that use the same packages.
+    others = [
+        (programs[0], "crates/publisher/README.md", [("new(0)", "new(51)"), ("new(1)", "new(52)")]),
+        (programs[-1], "docs/queries.md", []),
+    ]
+    for (dependencies, _), page, ids in others:
+        text = snippets.block(page, "rust,no_run", "fn main()")
+        for own in ids:
+            text = snippets.moved(text, *own)
+        programs.append((dependencies, text))
+    example = snippets.moved((ROOT / "examples/controller.rs").read_text(), "(0..20_u32)", "(20..40_u32)")
+    programs.append((programs[0][0], example))
+    names = ["controller", "planner", "planning", "two-robots", "queries", "example"]
+    programs = [(name, *found) for name, found in zip(names, programs, strict=True)]
     # A workspace of its own: iceoryx2's features would be those of the programs above, too.
     beside = [("beside", (BESIDE / "dependencies.toml").read_text(), (BESIDE / "main.rs").read_text())]
     packages = closure({name for _, dependencies, _ in programs + beside for name in PATH.findall(dependencies)})
     unpack(packages)
     with tempfile.TemporaryDirectory() as folder:
         workspace(folder, programs, packages)
-        failed = cargo(folder, "check")
+        failed = cargo(folder, "build")
     print(
         f"{len(programs)} programs of {', '.join(PAGES)}, {'some refused' if failed else 'all compile'} in a new project, "
         f"with {len(packages)} packages as crates.io would have them"
     )
     joulebus = TARGET / "debug/joulebus"
-    if not joulebus.exists():
-        failed |= cargo(ROOT, "build", "--locked")
+    built = [joulebus.exists(), (TARGET / "debug/joulebus-serve").exists(), any(TARGET.glob("debug/deps/libjoulebus_c*.a"))]
+    if not all(built):
+        selected = [argument for name in ("joulebus", "joulebus-serve", "joulebus-c") for argument in ("--package", name)]
+        failed |= cargo(ROOT, "build", "--locked", *selected)
+    if not failed:
+        failed = snippets.run(TARGET)
     with tempfile.TemporaryDirectory() as folder:
         workspace(folder, beside, packages)
         ended = cargo(folder, "run", "--", str(joulebus))

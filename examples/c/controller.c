@@ -42,7 +42,7 @@ int main(int count, char **arguments) {
     signal(SIGTERM, on_signal);
 
     joulebus_publisher *publisher = NULL;
-    if (joulebus_publisher_open(JOULEBUS_HEADER, arguments[1], "controller", &publisher)) {
+    if (joulebus_publisher_open(JOULEBUS_HEADER, arguments[1], "example-c", &publisher)) {
         return failed("cannot join the fleet");
     }
     uint64_t due_ns = joulebus_monotonic_ns();

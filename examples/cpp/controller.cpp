@@ -27,7 +27,7 @@ int main(int count, char **arguments) {
     const unsigned long frames = count > 2 ? std::strtoul(arguments[2], nullptr, 10) : 0;
     std::signal(SIGINT, [](int) { stop = 1; });
     std::signal(SIGTERM, [](int) { stop = 1; });
-    auto publisher = joulebus::Publisher::open(arguments[1], "controller");
+    auto publisher = joulebus::Publisher::open(arguments[1], "example-cpp");
     if (!publisher) {
         std::cerr << "cannot join the fleet: " << publisher.error().message << '\n';
         return EXIT_FAILURE;

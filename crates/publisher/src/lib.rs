@@ -9,15 +9,17 @@
 //! fn main() -> anyhow::Result<()> {
 //!     let mut publisher = Publisher::connect("configs/fleet.toml", "fleet-controller")?;
 //!     let mut pace = Pace::every(Duration::from_nanos(33_333_333));
-//!     loop {
+//!     for tick in 0.. {
 //!         let slot = pace.wait();
-//!         // The command just issued to each robot, and the reading of its power monitor.
-//!         let (v_mps, omega_radps, power_w) = (0.2, 0.0, 4.6);
 //!         let robots = (0..20).map(|robot| {
+//!             // The command just issued to each robot, and the reading of its power monitor.
+//!             let (v_mps, omega_radps) = (0.2, 0.0);
+//!             let power_w = 4.0 + 0.02 * ((tick + robot) % 7) as f32;
 //!             RobotState::new(robot).command(v_mps, omega_radps).reading(power_w)
 //!         });
 //!         publisher.publish_intended(slot.intended_ns, robots)?;
 //!     }
+//!     Ok(())
 //! }
 //! ```
 //!

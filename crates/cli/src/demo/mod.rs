@@ -6,12 +6,14 @@ mod place;
 mod show;
 mod summary;
 
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use joulebus_board::{Board, Feed};
 use joulebus_bus::clock;
 use joulebus_program::exit::Outcome;
+use joulebus_program::installed::find_program;
 use joulebus_program::output::{Format, Output, say};
 use joulebus_program::stop::Stop;
 
@@ -27,6 +29,7 @@ const WORKER: &str = "worker";
 const SOURCE: &str = "source";
 const PLANNER: &str = "planner";
 const RECORDER: &str = "recorder";
+const PAGE: &str = "page";
 
 /// Timeout of the worker's first frame.
 const START_LIMIT_NS: u64 = 15_000_000_000;
@@ -44,6 +47,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(10);
     joulebus demo --robots 200 --duration 60\n  \
     joulebus demo --format json > demo.json\n\n\
     Needs no set-up, and leaves nothing except a capture, which Foxglove can open. Two robots get a fault, which the alarms detect. \
+    Where the program joulebus-serve is there, the address of a live page is printed. \
     Exit code 3 if a sample that was sent is not accounted for.")]
 pub(crate) struct Args {
     /// Simulated GTernal robots
@@ -93,6 +97,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         lines_to_stdout: output.format() == Format::Text,
         events: Vec::new(),
     };
+    say(&demo.purpose());
     let played = demo.play(&place, &stop);
     let events = demo.supervisor.end_all();
     if played.is_err() {
@@ -143,6 +148,21 @@ struct Demo<'a> {
 }
 
 impl Demo<'_> {
+    /// What is about to be shown.
+    fn purpose(&self) -> String {
+        let Args {
+            robots, duration, ..
+        } = self.args;
+        let mut text = format!(
+            "{robots} simulated robots with batteries, a worker and a planner as processes of their own, for {duration} s"
+        );
+        for planted in &self.planted {
+            let (robot, means, from_s) = (planted.robot, planted.means, planted.from_s);
+            let _ = write!(text, "; robot {robot} {means} from {from_s} s on");
+        }
+        text
+    }
+
     /// Starts, shows and ends everything in order.
     fn play(&mut self, place: &Place, stop: &Stop) -> anyhow::Result<Summary> {
         self.supervisor.add(task(WORKER, place, &["run"]));
@@ -153,7 +173,17 @@ impl Demo<'_> {
         }
         let feed = Feed::start(place.config(), "demo", true)?;
         self.wait_for_worker(&feed, stop)?;
-        self.wait_for_recorder(&feed, stop);
+        if self.capture.is_some() {
+            self.wait_for_line(&feed, stop, RECORDER, "recording ");
+        }
+        if self.lines_to_stdout && find_program("joulebus-serve").is_ok() {
+            let verb = ["serve", "--http", "127.0.0.1:0"];
+            self.supervisor.add(task(PAGE, place, &verb));
+            if let Some(line) = self.wait_for_line(&feed, stop, PAGE, "serving fleet ") {
+                say(&line);
+                feed.board().note(line, clock::monotonic_ns());
+            }
+        }
         feed.board().begin(clock::monotonic_ns());
         self.supervisor.add(self.source(place));
         let began_ns = clock::monotonic_ns();
@@ -205,23 +235,26 @@ impl Demo<'_> {
         Ok(())
     }
 
-    /// Waits until the recorder records, so that the capture begins before the first sample.
-    fn wait_for_recorder(&mut self, feed: &Feed, stop: &Stop) {
+    /// Waits until a process says that it is ready, and returns the line: so the capture begins
+    /// before the first sample, and the page's address is known.
+    fn wait_for_line(&mut self, feed: &Feed, stop: &Stop, of: &str, begin: &str) -> Option<String> {
         let give_up_ns = clock::monotonic_ns() + START_LIMIT_NS;
-        let records = |event: &Event| {
-            let Event::Output { name, line } = event else {
-                return false;
-            };
-            *name == RECORDER && line.starts_with("recording ")
+        let said = |event: &Event| match event {
+            Event::Output { name, line } if *name == of && line.starts_with(begin) => {
+                Some(line.clone())
+            }
+            _ => None,
         };
-        while self.capture.is_some()
-            && !self.events.iter().any(records)
-            && !stop.is_asked()
-            && clock::monotonic_ns() < give_up_ns
-        {
+        let died = |event: &Event| matches!(event, Event::Exited { name, .. } if *name == of);
+        while !stop.is_asked() && clock::monotonic_ns() < give_up_ns {
             self.look_after(feed);
+            let line = self.events.iter().find_map(said);
+            if line.is_some() || self.events.iter().any(died) {
+                return line;
+            }
             std::thread::sleep(LOOK_EVERY);
         }
+        None
     }
 
     /// Stops the recorder; returns its report on the capture.
@@ -252,6 +285,7 @@ impl Demo<'_> {
             std::thread::sleep(LOOK_EVERY);
         }
         let planner = self.supervisor.end(PLANNER, GRACE, &mut self.events);
+        self.supervisor.end(PAGE, GRACE, &mut self.events);
         let board = feed.finish()?;
         let captured = self.captured();
         self.supervisor.end(WORKER, GRACE, &mut self.events);
