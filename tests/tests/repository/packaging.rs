@@ -184,8 +184,10 @@ fn embedded_files_are_inside_their_crate() {
                     "{embedded}"
                 );
             }
+            // `joulebus new` looks whether a clone is there.
+            let looks = file.ends_with("cli/src/new/mod.rs");
             assert!(
-                !shipped.contains("CARGO_MANIFEST_DIR"),
+                looks || !shipped.contains("CARGO_MANIFEST_DIR"),
                 "{} requires a file of the repository",
                 file.display()
             );
@@ -273,12 +275,10 @@ fn the_debian_package_has_every_program_and_unit_and_names_files_that_exist() {
         .collect();
     expected.sort_unstable();
     assert_eq!(programs, expected);
-    for program in &programs {
-        assert!(
-            script.contains(program.as_str()),
-            "tools/deb.sh builds no {program}"
-        );
-    }
+    assert!(script.contains("tools/programs.sh"), "{script}");
+    let listed = Command::new(folder.join("../../tools/programs.sh")).output();
+    let listed = String::from_utf8(listed.unwrap().stdout).unwrap();
+    assert_eq!(listed.lines().collect::<Vec<_>>(), programs);
     let all = matching(&folder.join("../../configs/systemd/*.service"));
     assert_eq!(units.len(), all.len(), "{units:?}, expected {all:?}");
     for unit in units {
