@@ -57,6 +57,27 @@ impl AlarmCard {
     };
 }
 
+impl Alarm {
+    /// What it means and what to do about it; `None` for [`Alarm::None`] and [`Alarm::Unknown`].
+    #[must_use]
+    pub const fn card(self) -> Option<&'static AlarmCard> {
+        match self {
+            Self::None | Self::Unknown => None,
+            raised => Some(&OF_ROBOTS[raised as usize]),
+        }
+    }
+
+    /// The level that this alarm means.
+    #[must_use]
+    pub const fn level(self) -> Level {
+        match self.card() {
+            Some(card) => card.level,
+            None if matches!(self, Self::None) => Level::Ok,
+            None => Level::Error,
+        }
+    }
+}
+
 /// The samples before a raise, of alarms that are decided sample by sample.
 const RAISE: &str = "alarms.raise_samples";
 /// The residuals before any alarm on them.

@@ -1,6 +1,5 @@
 //! Residual scores and alarms per robot.
 
-use crate::alarm_card::{AlarmCard, OF_ROBOTS};
 use crate::declare::ZeroCopySend;
 use crate::layout::{bits, names};
 use crate::rows;
@@ -258,25 +257,6 @@ impl Alarm {
             Self::ALL[code as usize - 1]
         } else {
             Self::Unknown
-        }
-    }
-
-    /// What it means and what to do about it; `None` for [`Alarm::None`] and [`Alarm::Unknown`].
-    #[must_use]
-    pub const fn card(self) -> Option<&'static AlarmCard> {
-        match self {
-            Self::None | Self::Unknown => None,
-            raised => Some(&OF_ROBOTS[raised as usize]),
-        }
-    }
-
-    /// The level that this alarm means.
-    #[must_use]
-    pub const fn level(self) -> Level {
-        match self.card() {
-            Some(card) => card.level,
-            None if matches!(self, Self::None) => Level::Ok,
-            None => Level::Error,
         }
     }
 }
