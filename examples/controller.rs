@@ -9,7 +9,9 @@ use joulebus_publisher::{Pace, Publisher, RobotState};
 fn main() -> anyhow::Result<()> {
     let config = std::env::args().nth(1);
     let config = config.as_deref().unwrap_or("configs/fleet.toml");
-    let ticks = std::env::args().nth(2).map_or(Ok(90), |ticks| ticks.parse());
+    let ticks = std::env::args()
+        .nth(2)
+        .map_or(Ok(90), |ticks| ticks.parse());
     let sent = run(config.as_ref(), ticks?)?;
     println!("{sent} samples sent");
     Ok(())
