@@ -158,7 +158,7 @@ impl Demo<'_> {
         );
         for planted in &self.planted {
             let (robot, means, from_s) = (planted.robot, planted.means, planted.from_s);
-            let _ = write!(text, "; robot {robot} {means} from {from_s} s on");
+            let _ = write!(text, "; robot {robot}: {means}, from {from_s} s on");
         }
         text
     }
