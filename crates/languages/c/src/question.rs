@@ -37,7 +37,7 @@ pub(crate) unsafe fn read(from: &joulebus_question, power: bool) -> Result<Quest
         Some(QueryKind::Follow) => follow(from, robots, unsafe {
             array("path", from.path, from.points)
         }?),
-        None => {
+        Some(QueryKind::Acknowledge) | None => {
             return Err(Failure::argument(format!(
                 "kind of a question is {}, allowed are JOULEBUS_QUERY_KIND_WHAT_IF, _IDLE and _FOLLOW",
                 from.kind
