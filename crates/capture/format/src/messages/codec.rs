@@ -573,9 +573,9 @@ impl<'a> Decoded<'a> {
             }
             Form::Text(size) => {
                 let found = str::from_utf8(data.bytes(wire)?).map_err(|_| Wrong::Text)?;
-                let found = &found.as_bytes()[..found.floor_char_boundary(*size)];
+                let found = text(&found.as_bytes()[..found.len().min(*size)]);
                 into[..*size].fill(0);
-                into[..found.len()].copy_from_slice(found);
+                into[..found.len()].copy_from_slice(found.as_bytes());
             }
             Form::Struct(table) => {
                 let data = data.bytes(wire)?;
