@@ -99,7 +99,6 @@ fn codes() -> Vec<Constants> {
         ("WhatIf", QueryKind::WhatIf),
         ("Idle", QueryKind::Idle),
         ("Follow", QueryKind::Follow),
-        ("Acknowledge", QueryKind::Acknowledge),
     ];
     let reasons = (1..).map(InvalidReason::decode);
     let reasons = reasons.take_while(|reason| *reason != InvalidReason::Unknown);

@@ -226,6 +226,7 @@
 #define JOULEBUS_REFUSAL_ENDING 11u
 #define JOULEBUS_REFUSAL_CLIENT_GONE 12u
 #define JOULEBUS_REFUSAL_UNSENT 13u
+#define JOULEBUS_REFUSAL_NOT_RAISED 14u
 
 #define JOULEBUS_MAX_QUERY_VALUES 4096u
 #define JOULEBUS_MAX_QUERY_ROBOTS 64u
@@ -699,7 +700,7 @@ typedef struct joulebus_query_header {
     uint32_t robots;
     /** Number of candidates, at most QUERY_CANDIDATES; 0 unless they are asked about. */
     uint32_t candidates;
-    /** Steps of each candidate, or points of the path. */
+    /** Steps of each candidate, points of the path, or characters of a name. */
     uint32_t steps;
     /** Coverage of the intervals, 0.5 to 0.999. */
     float coverage;

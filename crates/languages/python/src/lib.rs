@@ -47,7 +47,7 @@ mod _native {
     #[pymodule_export]
     use crate::publisher::PublisherPort;
     #[pymodule_export]
-    use crate::questions::QuestionPorts;
+    use crate::questions::{QuestionPorts, acknowledge};
     #[pymodule_export]
     use crate::recordings::{read_capture, read_trials, trial_rows, write_trial};
     #[pymodule_export]

@@ -8,7 +8,8 @@ use joulebus_plan::answering::Work;
 use joulebus_plan::{
     Fleet, MAX_STEPS, Path, Plan, Point, Question, QuestionError, RobotRows, Row, Verdict,
 };
-use joulebus_planner::{Config, Planner, ViewError};
+use joulebus_planner::{Config, PlanClient, Planner, ViewError};
+use joulebus_wire::Alarm;
 use pyo3::exceptions::{PyKeyError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -25,6 +26,37 @@ pub(crate) struct QuestionPorts {
     /// Empty after closing.
     thread: PortThread<Option<Planner>>,
     fleet: Fleet,
+}
+
+/// Acknowledges an alarm of a robot: the worker is asked.
+#[pyfunction]
+pub(crate) fn acknowledge(
+    py: Python<'_>,
+    joined: (PathBuf, String),
+    robot: u32,
+    alarm: &str,
+    by: &str,
+    timeout_s: f64,
+) -> PyResult<()> {
+    let mut all = Alarm::ALL.into_iter();
+    let alarm = all.find(|known| known.name() == alarm).ok_or_else(|| {
+        let allowed = Alarm::ALL.map(Alarm::name).join(", ");
+        PyValueError::new_err(format!(
+            "{alarm:?} is no alarm of a robot; allowed: {allowed}"
+        ))
+    })?;
+    let timeout = Duration::try_from_secs_f64(timeout_s);
+    let timeout = timeout.map_err(|error| PyValueError::new_err(error.to_string()))?;
+    let (config, name) = joined;
+    py.detach(|| {
+        let failed = |error: &dyn std::fmt::Display| ConnectError::new_err(error.to_string());
+        let config = Config::load(config).map_err(|error| failed(&error))?;
+        let client = PlanClient::with_config(&config, &name);
+        let taken = client
+            .map_err(|error| failed(&error))?
+            .acknowledge(robot, alarm, by, timeout);
+        taken.map_err(|error| PyRuntimeError::new_err(error.to_string()))
+    })
 }
 
 /// The robots asked about, as of one tick.

@@ -508,3 +508,23 @@ next(loop)
         expected = {"sys.exit(7)": 7, "raise KeyError('x')": 1}.get(end, 0)
         assert ending.returncode == expected, errors
         assert "panicked" not in errors and "Fatal" not in errors
+
+
+def test_an_alarm_is_acknowledged_once_it_is_raised(fleet):
+    with fleet.worker(), joulebus.Planner(fleet.config) as planner:
+        with Source(fleet):
+            next_event(planner, joulebus.Frame)
+            with pytest.raises(RuntimeError, match="is not raised"):
+                planner.acknowledge(3, "NoData", "ann")
+            with pytest.raises(ValueError, match="NoData"):
+                planner.acknowledge(3, "WorkerGone", "ann")
+
+        def is_taken():
+            try:
+                return planner.acknowledge(3, "NoData", "ann") is None
+            except RuntimeError:
+                return False
+
+        until("the robot is silent", is_taken)
+    with joulebus.Planner(fleet.config) as planner, pytest.raises(RuntimeError, match="worker"):
+        planner.acknowledge(3, "NoData", "ann")

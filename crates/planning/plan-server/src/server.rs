@@ -54,7 +54,7 @@ pub(crate) struct Server {
     server: QueryServer,
     records: Records,
     acknowledged: Acknowledged,
-    /// While there are clients.
+    /// While there are clients that have asked about plans.
     planner: Option<Planner>,
     bus: Bus,
     config: Config,
@@ -112,9 +112,11 @@ impl Server {
     /// Takes all waiting questions, works on one of them, or waits.
     pub(crate) fn round(&mut self) -> Result<(), ServerError> {
         self.bus.check().map_err(WaitError::from)?;
-        self.connect()?;
+        // Before the questions are received, because it notices who has left.
+        let clients = self.server.clients();
         self.take()?;
         self.acknowledge()?;
+        self.connect(clients)?;
         let (next, is_awaited) = self.next()?;
         match next {
             Some(place) => self.advance(place)?,
@@ -208,12 +210,14 @@ impl Server {
         Ok(())
     }
 
-    /// Reads plan states while there are clients: without, the tick does not write them.
-    fn connect(&mut self) -> Result<(), ServerError> {
+    /// Reads plan states from the first question about a plan on, while there are clients: without, the
+    /// tick does not write them.
+    fn connect(&mut self, clients: usize) -> Result<(), ServerError> {
         let now_ns = clock::monotonic_ns();
-        if self.server.clients() > 0 {
+        let is_plan = |job: &Job| job.acknowledgement().is_none();
+        if clients > 0 {
             self.asked_ns = now_ns;
-            if self.planner.is_none() {
+            if self.planner.is_none() && self.jobs.iter().any(is_plan) {
                 self.planner = Some(Planner::with_fleet(
                     &self.config,
                     "queries",

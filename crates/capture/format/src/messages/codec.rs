@@ -573,11 +573,9 @@ impl<'a> Decoded<'a> {
             }
             Form::Text(size) => {
                 let found = str::from_utf8(data.bytes(wire)?).map_err(|_| Wrong::Text)?;
-                let mut ends = (0..=found.len().min(*size)).rev();
-                let end = ends.find(|end| found.is_char_boundary(*end)).unwrap_or(0);
-                let found = &found.as_bytes()[..end];
+                let found = text(&found.as_bytes()[..found.len().min(*size)]);
                 into[..*size].fill(0);
-                into[..found.len()].copy_from_slice(found);
+                into[..found.len()].copy_from_slice(found.as_bytes());
             }
             Form::Struct(table) => {
                 let data = data.bytes(wire)?;

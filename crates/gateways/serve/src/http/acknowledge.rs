@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::error::ApiError;
 
 /// Time within which the worker answers.
-const WITHIN: Duration = Duration::from_secs(3);
+const WITHIN: Duration = Duration::from_secs(5);
 
 /// An acknowledgement as JSON, in both directions.
 #[derive(Debug, Deserialize, Serialize)]

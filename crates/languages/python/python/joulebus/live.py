@@ -327,6 +327,14 @@ class Planner(_Connection):
             return Answers(asked.idle(ids, idle_s, coverage, timeout))
         return Answers(asked.follow(ids, path, speed, heading, back_to, coverage, power, timeout))
 
+    def acknowledge(self, robot: int, alarm: str, by: str, *, timeout: float = 5.0) -> None:
+        """Acknowledges a raised alarm in the name of the person `by`, until the alarm ends: everybody sees who and when.
+
+        ``RuntimeError`` if the alarm is not raised, or no worker takes it within `timeout` seconds.
+        """
+        self._ports.check()
+        _native.acknowledge(self._joined, robot, alarm, by, timeout)
+
     def close(self) -> None:
         """Leaves the fleet. Further use is refused; closing again does nothing."""
         super().close()
