@@ -2,10 +2,10 @@
 //! it encodes, and each field is what its name says.
 
 use joulebus_wire::{
-    Alarm, AlarmSet, Budgets, Channel, ChargeState, DiagnosticHeader, Diagnostics, DropCounts,
-    DropReason, FieldLayout, FieldRole, Forecast, ForecastHeader, Forecasts, FrameHeader as _,
-    InvalidReason, Level, Place, PlanStates, Quality, Queries, Row, Samples, State, TickHeader,
-    Ticks,
+    Acknowledgements, Alarm, AlarmSet, Budgets, Channel, ChargeState, DiagnosticHeader,
+    Diagnostics, DropCounts, DropReason, FieldLayout, FieldRole, Forecast, ForecastHeader,
+    Forecasts, FrameHeader as _, InvalidReason, Level, Place, PlanStates, Quality, Queries, Row,
+    Samples, State, TickHeader, Ticks,
 };
 
 #[test]
