@@ -210,8 +210,8 @@ impl Server {
         Ok(())
     }
 
-    /// Reads plan states from the first question about a plan on, while there are clients: without, the
-    /// tick does not write them.
+    /// Reads plan states from the first question about a plan on, while there are clients: without,
+    /// the tick does not write them.
     fn connect(&mut self, clients: usize) -> Result<(), ServerError> {
         let now_ns = clock::monotonic_ns();
         let is_plan = |job: &Job| job.acknowledgement().is_none();
