@@ -1,6 +1,6 @@
 /* A planner: reads forecasts where the worker has written them, and stops relying on them when the worker ends.
  *
- *     ./planner fleet.toml [FRAMES]     ends after so many frames, by Ctrl-C, or when nothing has come for ten seconds
+ *     ./planner fleet.toml [FRAMES]     ends after so many frames, by Ctrl-C, or after ten seconds without any
  */
 #include <inttypes.h>
 #include <joulebus.h>
@@ -8,7 +8,8 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-static const uint64_t TIMEOUT_NS = 10ull * 1000 * 1000 * 1000;
+static const uint64_t TIMEOUT_NS = 1000ull * 1000 * 1000;
+static const int MAX_SILENT = 10;
 
 /* Nothing to do: a signal ends the wait, and the wait says so. */
 static void on_signal(int signal_number) { (void)signal_number; }
@@ -50,7 +51,7 @@ int main(int count, char **arguments) {
         return failed("cannot join the fleet");
     }
     unsigned long seen = 0;
-    int ends = 0;
+    int ends = 0, silent = 0;
     while (!ends && (frames == 0 || seen < frames)) {
         joulebus_event event;
         if (joulebus_subscriber_wait(subscriber, TIMEOUT_NS, &event)) {
@@ -62,6 +63,7 @@ int main(int count, char **arguments) {
         case JOULEBUS_EVENT_KIND_FRAME:
             print_frame(subscriber, &event.frame);
             seen++;
+            silent = 0;
             break;
         case JOULEBUS_EVENT_KIND_GONE:
             printf("the worker has ended (%u): do not rely on forecasts\n", (unsigned)event.end);
@@ -70,6 +72,11 @@ int main(int count, char **arguments) {
         case JOULEBUS_EVENT_KIND_STALE:
             printf("no frame for %.3f s: do not rely on forecasts\n", 1e-9 * (double)event.age_ns);
             fflush(stdout);
+            break;
+        case JOULEBUS_EVENT_KIND_TIMED_OUT:
+            printf("no forecasts: does a worker run, and does a controller publish?\n");
+            fflush(stdout);
+            ends = ++silent == MAX_SILENT;
             break;
         default:
             ends = 1;
