@@ -459,7 +459,7 @@ fn more_robots_than_a_file_has_channels_are_refused_with_the_numbers() {
     let refused = Recorder::start(&config, Vec::new(), clock, none, target, &options);
     let refused = refused.err().unwrap().to_string();
     assert!(
-        refused.contains("80008") && refused.contains("65535"),
+        refused.contains("80009") && refused.contains("65535"),
         "{refused}"
     );
     assert!(!root.exists());

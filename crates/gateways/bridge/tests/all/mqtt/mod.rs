@@ -373,7 +373,10 @@ fn vehicles_of_vda_5050_tell_their_battery_and_velocity() {
     state["version"] = json!("4.0.0");
     listener.send(of_3, state.to_string());
     bridge.wait_for_line("unknown_version");
-    let report = bridge.stop().json();
+    // The state that was refused is lost.
+    let ended = bridge.end();
+    assert_eq!(ended.code(), Some(3), "{ended:?}");
+    let report = ended.json();
     // Every received state was counted once: exactly three if no state was sent again.
     let observations = report["observations"].as_u64().unwrap();
     assert!((3..=sent).contains(&observations), "{sent}: {report}");
