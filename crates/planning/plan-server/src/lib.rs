@@ -12,6 +12,7 @@
 #![forbid(unsafe_code)]
 
 mod acknowledgements;
+mod error;
 mod fair;
 mod job;
 mod records;
@@ -183,7 +184,7 @@ impl Answering {
     }
 
     /// Logs an error that persists. The port of a killed worker stays until it is cleaned up.
-    fn failed(&mut self, error: &server::ServerError) {
+    fn failed(&mut self, error: &error::ServerError) {
         self.failures += 1;
         if self.failures.is_multiple_of(LOG_AFTER) {
             tracing::warn!(%error, "questions about plans are not answered at present");

@@ -1,19 +1,17 @@
 //! The ports, and the order in which questions are answered.
 
-use joulebus_bus::{
-    Bus, DomainError, JoinError, Limits, OpenError, QueryServer, ReceiveError, SendError,
-    WaitError, clock, process_id,
-};
+use joulebus_bus::{Bus, Limits, QueryServer, SendError, clock, process_id};
 use joulebus_config::Config;
 use joulebus_plan::answering::Work;
 use joulebus_plan::{Fleet, QuestionError, Refused, Reply};
-use joulebus_planner::{ConnectError, Planner, View};
+use joulebus_planner::{Planner, View};
 use joulebus_wire::{
     Acknowledgement, AnswerHeader, QUERY_STEPS, QueryCounts, QueryRecord, QueryRefusal,
     SCHEMA_VERSION, fnv1a,
 };
 
 use crate::acknowledgements::{Acknowledged, Table};
+use crate::error::ServerError;
 use crate::fair::Fair;
 use crate::job::{Job, State};
 use crate::records::Records;
@@ -27,25 +25,6 @@ const MAX_RENEWALS: u32 = 3;
 const FRAME_POLL_NS: u64 = 1_000_000;
 /// Time after the last client has left until plan states are not read any more, ns.
 const LINGER_NS: u64 = 5_000_000_000;
-
-/// Errors of answering. The ports are opened again.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum ServerError {
-    #[error(transparent)]
-    Domain(#[from] DomainError),
-    #[error(transparent)]
-    Join(#[from] JoinError),
-    #[error(transparent)]
-    Open(#[from] OpenError),
-    #[error(transparent)]
-    Connect(#[from] ConnectError),
-    #[error(transparent)]
-    Receive(#[from] ReceiveError),
-    #[error(transparent)]
-    Send(#[from] SendError),
-    #[error(transparent)]
-    Wait(#[from] WaitError),
-}
 
 /// The ports of one run of the worker. Belongs to the thread that opened them.
 pub(crate) struct Server {

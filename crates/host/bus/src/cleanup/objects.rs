@@ -64,7 +64,10 @@ impl Object {
         let Some(claim) = Claim::take(self.path.clone()) else {
             return false;
         };
-        claim.object().is_some_and(|now| now == self) && claim.remove()
+        let now = claim
+            .found()
+            .and_then(|(path, file)| Self::found(path, &file));
+        now.is_some_and(|now| now == self) && claim.remove()
     }
 
     /// Also of a file from the future: the clock has been set back since it was made.
@@ -165,5 +168,17 @@ mod tests {
             assert!(object.is_old(), "{modified:?}");
         }
         fs::remove_file(&path).unwrap();
+    }
+
+    #[test]
+    fn a_file_that_replaced_the_one_that_was_found_is_kept() {
+        let path = std::env::temp_dir().join(format!("joulebus-found-{}", std::process::id()));
+        fs::write(&path, "").unwrap();
+        let found = Object::new(path.clone()).unwrap();
+        fs::write(path.with_extension("new"), "").unwrap();
+        fs::rename(path.with_extension("new"), &path).unwrap();
+        assert!(!found.remove());
+        assert!(Object::new(path.clone()).unwrap().remove());
+        assert!(!path.exists());
     }
 }
