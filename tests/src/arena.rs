@@ -35,7 +35,11 @@ pub struct Setup {
     pub max_planners: u32,
     /// Whether the ledger is saved to [`Arena::ledger`], at most every 50 ms.
     pub ledger: bool,
-    /// Robots of the only platform, a GTernal.
+    /// Whether the config says nothing of the ledger.
+    pub default_ledger: bool,
+    /// File of the only platform.
+    pub platform: &'static str,
+    /// Its robots.
     pub robots: &'static str,
     /// `platform.rate_hz`.
     pub rate_hz: f64,
@@ -58,6 +62,8 @@ impl Default for Setup {
             buffer_frames: 8,
             max_planners: 4,
             ledger: false,
+            default_ledger: false,
+            platform: "builtin:gternal",
             robots: "0-99",
             // Slower than the tests send: however long a process waits for a CPU, no sample is
             // overdue and no robot silent by the worker's clock.
@@ -105,16 +111,18 @@ impl Setup {
         );
         // Writing to a string cannot fail.
         let ledger = if self.ledger { ledger } else { Path::new("") };
+        if !self.default_ledger {
+            let _ = write!(
+                text,
+                "[ledger]\ncheckpoint = \"{}\"\nevery_s = 0.05\n",
+                ledger.display()
+            );
+        }
         let _ = write!(
             text,
-            "[ledger]\ncheckpoint = \"{}\"\nevery_s = 0.05\n",
-            ledger.display()
-        );
-        let _ = write!(
-            text,
-            "[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"{}\"]\n\
+            "[[platform]]\nfile = \"{}\"\nrobots = [\"{}\"]\n\
              rate_hz = {:?}\nstale_after_s = {:?}\nhold_max_s = 1.0\n",
-            self.robots, self.rate_hz, self.stale_after_s,
+            self.platform, self.robots, self.rate_hz, self.stale_after_s,
         );
         if let Some(model) = &self.model {
             let _ = writeln!(text, "model = \"{}\"", model.display());

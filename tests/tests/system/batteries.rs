@@ -9,6 +9,7 @@ fn setup() -> Setup {
     Setup {
         rate_hz: 50.0,
         stale_after_s: 0.5,
+        default_ledger: true,
         // A few watts empty it within minutes.
         more: "[platform.battery]\ncapacity_wh = 0.05\ninitial_soc_lo = 1.0\n".to_owned(),
         ..Setup::default()
@@ -60,6 +61,7 @@ fn a_killed_worker_saves_batteries_by_default_and_the_next_one_does_not_fill_the
 #[test]
 fn a_fleet_without_batteries_saves_nothing_by_default() {
     let arena = Arena::new(&Setup {
+        platform: "builtin:rover",
         more: String::new(),
         ..setup()
     });

@@ -1,6 +1,6 @@
 //! The ports, and the order in which questions are answered.
 
-use joulebus_bus::{Bus, Limits, QueryServer, SendError, clock, process_id};
+use joulebus_bus::{Bus, Limits, QueryServer, SendError, WaitError, clock, process_id};
 use joulebus_config::Config;
 use joulebus_plan::answering::Work;
 use joulebus_plan::{Fleet, QuestionError, Refused, Reply};
