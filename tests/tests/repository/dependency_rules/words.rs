@@ -156,6 +156,8 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         "link/src/wall_clock.rs",
         // Times that a page shows beside its values.
         "serve/src/http/reader.rs",
+        // When a person acknowledged an alarm.
+        "plan-server/src/acknowledgements.rs",
         // Times that other hosts are told.
         "bridge/src/outbound.rs",
         // Captures and their names contain their creation time.
