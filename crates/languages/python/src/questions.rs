@@ -15,7 +15,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::array::{Doubles, Ids, Numbers, array, shape_error};
-use crate::error::{ReadError, of_read};
+use crate::error::{ConnectError, ReadError, of_read};
 use crate::planner::{SLICE, deadline};
 use crate::port_thread::PortThread;
 
