@@ -511,7 +511,8 @@ next(loop)
 
 
 def test_an_alarm_is_acknowledged_once_it_is_raised(fleet):
-    with fleet.worker(), joulebus.Planner(fleet.config) as planner:
+    fleet.start()
+    with joulebus.Planner(fleet.config) as planner:
         with Source(fleet):
             next_event(planner, joulebus.Frame)
             with pytest.raises(RuntimeError, match="is not raised"):
@@ -525,6 +526,7 @@ def test_an_alarm_is_acknowledged_once_it_is_raised(fleet):
             except RuntimeError:
                 return False
 
-        until("the robot is silent", is_taken)
+        until("the robot is silent", is_taken, fleet)
+    fleet.kill()
     with joulebus.Planner(fleet.config) as planner, pytest.raises(RuntimeError, match="worker"):
         planner.acknowledge(3, "NoData", "ann")
