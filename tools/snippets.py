@@ -160,6 +160,8 @@ def run(target):
     """Whether something was wrong."""
     missing = [tool for tool in ("cc", "c++") if not shutil.which(tool)]
     python = target / "python/bin/python"
+    # What tools/python_package.sh --workspace leaves.
+    os.environ["PYTHONPATH"] = str(target / "python-package")
     if not python.exists() or subprocess.run([python, "-c", "import joulebus"], capture_output=True).returncode:
         missing.append(f"{python} with joulebus (tools/python_package.sh --workspace)")
     if missing:
