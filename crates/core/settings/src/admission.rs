@@ -25,8 +25,11 @@ pub struct RefusedSample {
     pub reason: DropReason,
     /// The value outside its range: its name with the unit, what was found, what is allowed.
     /// `None` where no single value is at fault.
-    pub value: Option<(&'static str, f32, RangeInclusive<f32>)>,
+    pub value: Option<Value>,
 }
+
+/// The name of a value of a sample, itself, and its range.
+type Value = (&'static str, f32, RangeInclusive<f32>);
 
 /// A value of a sample: its flag, its name, itself, and its range with the reason outside it.
 type Quantity = (u32, &'static str, f32, RangeInclusive<f32>, DropReason);
@@ -38,22 +41,27 @@ impl Platform {
     /// # Errors
     /// The reason that the worker counts.
     pub fn admit(&self, sample: &Sample) -> Result<(), DropReason> {
+        self.judge(sample).map_err(|(reason, _)| reason)
+    }
+
+    /// The reason to refuse it, with the value at fault if it is a single one.
+    fn judge(&self, sample: &Sample) -> Result<(), (DropReason, Option<Value>)> {
         let full_off_the_charger =
             sample.has(sample_flag::FULL) && !sample.has(sample_flag::CHARGING);
         if sample.flags & !sample_flag::ALL != 0 || sample.reserved != 0 || full_off_the_charger {
-            return Err(DropReason::BadFlags);
+            return Err((DropReason::BadFlags, None));
         }
-        if let Some((.., reason)) = self.outside(sample) {
-            return Err(reason);
+        if let Some((reason, value)) = self.outside(sample) {
+            return Err((reason, Some(value)));
         }
         if sample.has(sample_flag::POWER) && sample.measured_ns > sample.stamp_ns {
-            return Err(DropReason::BadTime);
+            return Err((DropReason::BadTime, None));
         }
         Ok(())
     }
 
     /// The first value that is known and outside its range; one that is not finite before all.
-    fn outside(&self, sample: &Sample) -> Option<Quantity> {
+    fn outside(&self, sample: &Sample) -> Option<(DropReason, Value)> {
         let (power, v) = (self.power_min_w..=self.power_max_w, self.v_max_mps);
         let (omega, battery) = (self.omega_max_radps, DropReason::BatteryOutOfRange);
         let command = DropReason::CommandOutOfRange;
@@ -100,11 +108,12 @@ impl Platform {
         let mut outside = None;
         for (flag, name, value, range, reason) in quantities {
             if !sample.has(flag) || range.contains(&value) {
-            } else if !value.is_finite() {
-                return Some((flag, name, value, range, DropReason::NotFinite));
-            } else if outside.is_none() {
-                outside = Some((flag, name, value, range, reason));
+                continue;
             }
+            if !value.is_finite() {
+                return Some((DropReason::NotFinite, (name, value, range)));
+            }
+            outside = outside.or(Some((reason, (name, value, range))));
         }
         outside
     }
@@ -121,15 +130,12 @@ impl FleetSettings {
             .find(|platform| platform.robots.iter().any(is_its));
         let (reason, value) = match own {
             None => (DropReason::UnknownRobot, None),
-            Some(platform) => {
-                let reason = platform.admit(sample).err()?;
-                (reason, platform.outside(sample))
-            }
+            Some(platform) => platform.judge(sample).err()?,
         };
         Some(RefusedSample {
             robot: sample.robot,
             reason,
-            value: value.map(|(_, name, found, allowed, _)| (name, found, allowed)),
+            value,
         })
     }
 }
