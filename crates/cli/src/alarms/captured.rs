@@ -9,12 +9,13 @@ use anyhow::Context as _;
 use joulebus_board::AcknowledgedRecord;
 use joulebus_capture_format::{Entry, Frame, ReadError, Reader};
 use joulebus_consumer::{AlarmChange, AlarmHistory, Change, FleetAlarm};
+use joulebus_plan::report::Lasting;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
 use joulebus_wire::{Acknowledgement, Acknowledgements, Diagnostics};
 use serde::Serialize;
 
-use super::{Lasted, s_between};
+use super::s_between;
 
 /// An alarm from its raise to its end.
 #[derive(Debug, Serialize)]
@@ -184,7 +185,7 @@ fn acknowledged(row: &Acknowledgement) -> AcknowledgedRecord {
 impl fmt::Display for AlarmsReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let from_ns = self.from_ns.unwrap_or_default();
-        let lasted = Lasted(s_between(from_ns, self.to_ns.unwrap_or_default()));
+        let lasted = Lasting(s_between(from_ns, self.to_ns.unwrap_or_default()));
         if self.from_ns.is_none() {
             return writeln!(out, "no diagnostics: record the topic `diagnostics`");
         }
@@ -214,10 +215,10 @@ impl fmt::Display for AlarmsReport {
             let after_s = s_between(from_ns, episode.raised_ns);
             let lasted = episode
                 .lasted_s
-                .map_or(String::new(), |s| Lasted(s).to_string());
+                .map_or(String::new(), |s| Lasting(s).to_string());
             let by = episode.acknowledged.as_ref().map_or(String::new(), |it| {
                 let after_s = s_between(episode.raised_ns, it.at_unix_ns);
-                format!(", acknowledged by {} after {}", it.by, Lasted(after_s))
+                format!(", acknowledged by {} after {}", it.by, Lasting(after_s))
             });
             let Episode {
                 fleet,

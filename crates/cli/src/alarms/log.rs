@@ -8,11 +8,10 @@ use joulebus_bus::{Background, Steps};
 use joulebus_config::Config;
 use joulebus_connect::ConnectError;
 use joulebus_consumer::{AlarmChange, AlarmFeed, Change, FleetAlarm};
+use joulebus_plan::report::Lasting;
 use joulebus_program::logging::ALARMS;
 use joulebus_wire::Level;
 use serde::Serialize;
-
-use super::Lasted;
 
 /// Pause before the diagnostics are opened again.
 const OPEN_EVERY: Duration = Duration::from_secs(1);
@@ -168,7 +167,7 @@ fn log(change: &AlarmChange) {
         }
         (Change::Cleared | Change::Left, _) => {
             let lasted_s = FleetAlarm::from(*change).lasted_s().unwrap_or_default();
-            let lasted = Lasted(lasted_s);
+            let lasted = Lasting(lasted_s);
             tracing::info!(target: ALARMS, robot, alarm, level = level_name, change = what, lasted_s, "alarm ended after {lasted}");
         }
     }

@@ -11,6 +11,7 @@ use std::fmt;
 use std::path::PathBuf;
 
 use joulebus_board::AlarmRecord;
+use joulebus_plan::report::Lasting;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
@@ -85,19 +86,6 @@ pub(crate) fn seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-/// A duration, readable.
-struct Lasted(f64);
-
-impl fmt::Display for Lasted {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self.0 {
-            short if short < 120.0 => write!(out, "{short:.1} s"),
-            long if long < 7_200.0 => write!(out, "{:.1} min", long / 60.0),
-            long => write!(out, "{:.1} h", long / 3_600.0),
-        }
-    }
-}
-
 /// Time in s of a difference in ns.
 fn s_between(from_ns: u64, to_ns: u64) -> f64 {
     to_ns.saturating_sub(from_ns) as f64 * 1e-9
@@ -127,9 +115,9 @@ impl fmt::Display for Line {
         match (self.0.lasted_s, by) {
             (None, None) => write!(out, " ({})", self.0.level),
             (None, Some(by)) => write!(out, " by {by}"),
-            (Some(lasted_s), None) => write!(out, " after {}", Lasted(lasted_s)),
+            (Some(lasted_s), None) => write!(out, " after {}", Lasting(lasted_s)),
             (Some(lasted_s), Some(by)) => {
-                write!(out, " after {}, acknowledged by {by}", Lasted(lasted_s))
+                write!(out, " after {}, acknowledged by {by}", Lasting(lasted_s))
             }
         }
     }

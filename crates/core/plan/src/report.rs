@@ -90,8 +90,11 @@ impl AnswerReport {
         let percent = 100.0 * coverage;
         if let Some(energy) = self.energy {
             lines.push(format!(
-                "energy  {:.1} J, {:.1} to {:.1} J at {percent} %, in {:.1} s",
-                energy.mean_j, energy.lo_j, energy.hi_j, self.duration_s
+                "energy  {:.1} J, {:.1} to {:.1} J at {percent} %, in {}",
+                energy.mean_j,
+                energy.lo_j,
+                energy.hi_j,
+                Lasting(self.duration_s.into())
             ));
         }
         if let (Some(left), Some(margin_j)) = (self.left, self.margin_j) {
@@ -110,7 +113,8 @@ impl AnswerReport {
         }
         match (self.asked_to_return, self.turn_back_s) {
             (true, Some(turn_back_s)) => {
-                lines.push(format!("must turn back within {turn_back_s:.1} s"));
+                let within = Lasting(turn_back_s.into());
+                lines.push(format!("must turn back within {within}"));
             }
             (true, None) => lines.push("no time to turn back can be promised".to_owned()),
             (false, _) => {}
@@ -119,6 +123,20 @@ impl AnswerReport {
             lines.push(format!("weakened: {}", self.caveats));
         }
         lines
+    }
+}
+
+/// A time in s as people read it: seconds up to two minutes, minutes up to two hours, hours.
+#[derive(Debug, Clone, Copy)]
+pub struct Lasting(pub f64);
+
+impl fmt::Display for Lasting {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            short if short < 120.0 => write!(out, "{short:.1} s"),
+            long if long < 7_200.0 => write!(out, "{:.1} min", long / 60.0),
+            long => write!(out, "{:.1} h", long / 3_600.0),
+        }
     }
 }
 
