@@ -132,6 +132,31 @@ describe("a fleet of 20 robots", () => {
     });
   });
 
+  test("a column says what it means, under the pointer and with the focus, and stops at Escape", async () => {
+    await withPage(server.url, {}, async (page) => {
+      await live(page);
+      const tip = page.locator("#meaning");
+      const heads = page.locator("#grid thead th");
+      for (let at = 0; at < await heads.count(); at += 1) {
+        const named = heads.nth(at).locator("xpath=descendant-or-self::*[@data-meaning]");
+        const meaning = await named.getAttribute("data-meaning");
+        assert.ok(meaning.length > 20, meaning);
+        for (const reach of ["hover", "focus"]) {
+          await named[reach]();
+          assert.equal(await tip.textContent(), meaning);
+          const box = await tip.boundingBox();
+          assert.ok(box.x >= 0 && box.x + box.width <= WIDE.width && box.y > 0, JSON.stringify(box));
+          assert.equal(await named.getAttribute("aria-describedby"), "meaning");
+          await page.keyboard.press("Escape");
+          assert.equal(await tip.isVisible(), false);
+          await page.mouse.move(700, 700);
+        }
+      }
+      await page.locator("[data-fleet='dropped']").locator("xpath=preceding-sibling::dt").hover();
+      assert.match(await tip.textContent(), /did not take/);
+    });
+  });
+
   test("an alarm is acknowledged on its card, by a name that is asked for once", async () => {
     await withPage(`${server.url}/?view=alarms`, {}, async (page) => {
       await live(page);

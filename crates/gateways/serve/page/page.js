@@ -6,6 +6,7 @@ import { emptyBoard, take } from "./board.js";
 import { showCards } from "./card.js";
 import * as format from "./format.js";
 import { RobotList } from "./list.js";
+import { explainNames } from "./meaning.js";
 import { RobotView } from "./robot.js";
 import { Stream } from "./stream.js";
 import { WhatIf } from "./what_if.js";
@@ -337,6 +338,7 @@ function escape(event, typing) {
 }
 
 listen();
+explainNames();
 showControls();
 list.measure();
 showOrHide();

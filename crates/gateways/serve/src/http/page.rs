@@ -37,6 +37,7 @@ static PAGE: &[File] = &[
     file!("favicon.svg", SVG),
     file!("format.js", JS),
     file!("list.js", JS),
+    file!("meaning.js", JS),
     file!("page.css", CSS),
     file!("page.js", JS),
     file!("robot.js", JS),

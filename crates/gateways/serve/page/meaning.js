@@ -1,0 +1,31 @@
+// What a column or a value means, while the pointer or the focus is on its name.
+
+const tip = document.getElementById("meaning");
+let of = null;
+
+function hide() {
+  of?.removeAttribute("aria-describedby");
+  of = null;
+  tip.hidden = true;
+}
+
+function show({ target }) {
+  const named = target.closest?.("[data-meaning]") ?? null;
+  if (named === of) return;
+  hide();
+  if (named === null) return;
+  of = named;
+  named.setAttribute("aria-describedby", tip.id);
+  tip.textContent = named.dataset.meaning;
+  tip.hidden = false;
+  const { left, bottom } = named.getBoundingClientRect();
+  const most = document.documentElement.clientWidth - tip.offsetWidth - 8;
+  tip.style.setProperty("left", `${Math.max(8, Math.min(left, most))}px`);
+  tip.style.setProperty("top", `${bottom + 4}px`);
+}
+
+export function explainNames() {
+  for (const event of ["pointerover", "focusin"]) document.addEventListener(event, show);
+  for (const event of ["focusout", "scroll"]) document.addEventListener(event, hide, { capture: true, passive: true });
+  document.addEventListener("keydown", ({ key }) => key === "Escape" && hide());
+}
