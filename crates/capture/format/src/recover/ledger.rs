@@ -211,6 +211,12 @@ struct OpenChunk {
 }
 
 impl Ledger {
+    /// Whether nothing that a file is kept for was found.
+    pub(super) fn is_empty(&self) -> bool {
+        let kinds = [self.messages, self.attachments, self.metadata];
+        kinds.iter().all(|counts| counts.recovered == 0)
+    }
+
     pub(super) fn is_past_data(&self) -> bool {
         self.data_ended
     }

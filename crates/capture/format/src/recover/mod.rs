@@ -53,6 +53,8 @@ impl From<io::Error> for RecoverError {
 /// Messages of a chunk with a wrong checksum are copied and counted as suspect, because the corrupt
 /// ones cannot be identified. A metadata record of the result, [`RECOVERED`], states the counts.
 ///
+/// The first bytes may be damaged, too: a file is no MCAP file if nothing in it can be recovered.
+///
 /// # Errors
 /// [`RecoverError`]: the input is not an MCAP file, or one of the two files fails.
 pub fn recover<R, W>(mut input: R, output: W) -> Result<(Recovery, W), RecoverError>
@@ -61,7 +63,7 @@ where
     W: Write + Seek,
 {
     let summary = read_summary(&mut input);
-    let mut scan = Scan::new(input)?;
+    let (mut scan, not_mcap) = Scan::anyway(input)?;
     let mut rescue = Rescue {
         out: Out::Waiting(output),
         profile: String::new(),
@@ -69,6 +71,12 @@ where
         summary,
         known: BTreeMap::new(),
     };
+    if let Some(not_mcap) = &not_mcap {
+        rescue.ledger.broken(not_mcap);
+        if let Some(skipped) = scan.resume()? {
+            rescue.ledger.skipped(skipped);
+        }
+    }
     loop {
         match scan.next_event() {
             Ok(Some(event)) => rescue.take(event)?,
@@ -83,7 +91,10 @@ where
             }
         }
     }
-    rescue.finish()
+    match not_mcap {
+        Some(not_mcap) if rescue.ledger.is_empty() => Err(not_mcap.into()),
+        _ => rescue.finish(),
+    }
 }
 
 /// Contents of the summary section, which may be intact where the data section is not.
@@ -127,7 +138,7 @@ fn try_summary(input: &mut (impl Read + Seek), saved: &mut Saved) -> Result<bool
     if tail[0] != op::FOOTER || summary_start == 0 || summary_start > at {
         return Ok(false);
     }
-    let mut scan = Scan::new(input)?;
+    let (mut scan, _) = Scan::anyway(input)?;
     scan.go_to(summary_start)?;
     while let Some(event) = scan.next_event()? {
         let Event::Record(raw) = event else {

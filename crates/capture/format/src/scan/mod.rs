@@ -138,19 +138,35 @@ impl<R: Read + Seek> Scan<R> {
     /// # Errors
     /// [`ScanError::NotMcap`] if it does not begin like an MCAP file, [`ScanError::Io`].
     pub fn new(input: R) -> Result<Self, ScanError> {
+        match Self::anyway(input)? {
+            (scan, None) => Ok(scan),
+            (_, Some(not_mcap)) => Err(not_mcap),
+        }
+    }
+
+    /// Starts a scan, also of a file whose first bytes are not those of an MCAP file: the error
+    /// beside it says so, and [`Scan::resume`] finds the records that there are.
+    ///
+    /// # Errors
+    /// [`ScanError::Io`].
+    pub(crate) fn anyway(input: R) -> Result<(Self, Option<ScanError>), ScanError> {
         let mut source = Source::new(input)?;
         let file_bytes = source.file_bytes();
-        let mut magic = Vec::new();
-        source.read_up_to(MAGIC_BYTES, &mut magic)?;
-        if magic != mcap::MAGIC {
-            return Err(ScanError::NotMcap { found: magic });
-        }
-        Ok(Self {
+        let mut found = Vec::new();
+        source.read_up_to(MAGIC_BYTES, &mut found)?;
+        let is_mcap = found == mcap::MAGIC;
+        let failed = (!is_mcap).then_some(resume::Failure {
+            from: 0,
+            search_from: 1,
+            next: Some(MAGIC_BYTES),
+        });
+        let scan = Self {
             state: State::Top(source),
             buffer: Vec::new(),
-            failed: None,
+            failed,
             file_bytes,
-        })
+        };
+        Ok((scan, (!is_mcap).then_some(ScanError::NotMcap { found })))
     }
 
     /// Length of the file, bytes.
@@ -169,6 +185,7 @@ impl<R: Read + Seek> Scan<R> {
             source.go_to(offset)?;
             source.restart_crc();
         }
+        self.failed = None;
         Ok(())
     }
 
