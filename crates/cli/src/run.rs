@@ -47,10 +47,11 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     // Before anything is created: a signal during the start must clean up as well.
     let stop = Stop::on_signals()?;
     let config = args.config.load()?;
-    let recorder = match &args.record {
-        Some(file) => Some(RecorderProcess::start(&args.config, file)?),
-        None => None,
-    };
+    // Robots are forecast whatever becomes of the recording.
+    let recorder = args.record.as_ref().map(|file| {
+        let started = RecorderProcess::start(&args.config, file);
+        started.inspect_err(|error| say(&format!("nothing is recorded: {error:#}")))
+    });
     let questions = PlanServer::start(&config)?;
     let turns = Arc::new(AtomicU64::new(0));
     let service = ServiceManager::start(Arc::clone(&turns))?;
@@ -87,7 +88,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let alarms = alarms.finish();
     ran?;
     let worker = worker.finish();
-    let is_recorded = recorder.is_none_or(RecorderProcess::finish);
+    let is_recorded = recorder.is_none_or(|started| started.is_ok_and(RecorderProcess::finish));
     let is_lossy = !is_recorded || worker.ledger_unsaved;
     output.report(&RunReport {
         worker,

@@ -2,8 +2,10 @@
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
-use joulebus_files::disk::{self, File};
+use joulebus_files::disk::{self, File, FileId};
 
 use joulebus_capture_format::WriteError;
 
@@ -15,7 +17,31 @@ pub(crate) struct CaptureFile {
     path: PathBuf,
     file: File,
     bytes: u64,
-    flushed_bytes: u64,
+    flushed_bytes: Arc<AtomicU64>,
+}
+
+/// Looks whether the file is still at its path with all that was flushed.
+#[derive(Debug)]
+pub(crate) struct Watch {
+    path: PathBuf,
+    id: FileId,
+    flushed_bytes: Arc<AtomicU64>,
+}
+
+impl Watch {
+    /// What another process has done to the file, if anything. Since each write goes to the end, a
+    /// file that was cut stays too short.
+    pub(crate) fn harm(&self) -> Option<&'static str> {
+        match disk::found_at(&self.path) {
+            Ok(None) => Some("removed"),
+            Ok(Some((id, _))) if id != self.id => Some("replaced"),
+            Ok(Some((_, bytes))) if bytes < self.flushed_bytes.load(Ordering::Relaxed) => {
+                Some("cut")
+            }
+            // What cannot be looked at is seen when it cannot be written.
+            Ok(Some(_)) | Err(_) => None,
+        }
+    }
 }
 
 impl CaptureFile {
@@ -24,7 +50,7 @@ impl CaptureFile {
     /// # Errors
     /// [`WriteError::Exists`], [`WriteError::Create`].
     pub(crate) fn create(path: &Path) -> Result<Self, WriteError> {
-        let file = File::create_new(path).map_err(|source| match source.kind() {
+        let file = disk::create_to_append(path).map_err(|source| match source.kind() {
             io::ErrorKind::AlreadyExists => WriteError::Exists {
                 path: path.to_owned(),
             },
@@ -37,7 +63,19 @@ impl CaptureFile {
             path: path.to_owned(),
             file,
             bytes: 0,
-            flushed_bytes: 0,
+            flushed_bytes: Arc::default(),
+        })
+    }
+
+    /// A watch over the file.
+    ///
+    /// # Errors
+    /// That of the system.
+    pub(crate) fn watch(&self) -> io::Result<Watch> {
+        Ok(Watch {
+            path: self.path.clone(),
+            id: disk::id(&self.file)?,
+            flushed_bytes: Arc::clone(&self.flushed_bytes),
         })
     }
 
@@ -59,7 +97,10 @@ impl Write for CaptureFile {
             }
             Err(error) if error.kind() == io::ErrorKind::Interrupted => Err(error),
             ended => {
-                if let Err(error) = self.file.set_len(self.flushed_bytes) {
+                if let Err(error) = self
+                    .file
+                    .set_len(self.flushed_bytes.load(Ordering::Relaxed))
+                {
                     let path = self.path.display();
                     tracing::warn!(%error, "{path} ends with half a chunk");
                 }
@@ -69,7 +110,7 @@ impl Write for CaptureFile {
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.flushed_bytes = self.bytes;
+        self.flushed_bytes.store(self.bytes, Ordering::Relaxed);
         Ok(())
     }
 }
@@ -97,7 +138,7 @@ mod tests {
             path: PathBuf::from("memory"),
             file,
             bytes: 0,
-            flushed_bytes: 0,
+            flushed_bytes: Arc::default(),
         };
         (capture, reading)
     }

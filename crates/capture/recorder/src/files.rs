@@ -10,7 +10,7 @@ use std::sync::Arc;
 use joulebus_files::disk;
 use joulebus_wire::{Diagnostics, State};
 
-use crate::capture_file::CaptureFile;
+use crate::capture_file::{CaptureFile, Watch};
 use crate::item::Item;
 use crate::options::{Options, Snapshot};
 use joulebus_capture_format::{
@@ -93,7 +93,15 @@ pub(crate) struct Files {
 struct Open {
     path: PathBuf,
     writer: Writer<Out>,
+    /// None of a stream.
+    watch: Option<Watch>,
     from_ns: Option<u64>,
+}
+
+impl Open {
+    fn harm(&self) -> Option<&'static str> {
+        self.watch.as_ref()?.harm()
+    }
 }
 
 impl Files {
@@ -176,7 +184,17 @@ impl Files {
         }
     }
 
-    /// Finishes the open file with its summary. Messages that its writer could not write are lost.
+    /// Begins the next part if another process has removed, replaced or cut the open file.
+    pub(crate) fn check(&mut self) -> Result<(), WriteError> {
+        if self.open.as_ref().is_none_or(|open| open.harm().is_none()) {
+            return Ok(());
+        }
+        self.end()?;
+        self.open()
+    }
+
+    /// Finishes the open file with its summary. Messages that its writer could not write are lost,
+    /// and those of a file that another process has taken away.
     pub(crate) fn end(&mut self) -> Result<(), WriteError> {
         let Some(mut open) = self.open.take() else {
             return Ok(());
@@ -186,6 +204,7 @@ impl Files {
         for (topic, count) in open.writer.unwritten() {
             *self.lost.entry(topic).or_default() += count;
         }
+        let watch = open.watch.take();
         let finished = flushed.and_then(|()| open.writer.finish());
         let (written, ended) = match finished {
             Ok((written, sequences, out)) => {
@@ -194,6 +213,17 @@ impl Files {
             }
             Err(error) => (so_far, Err(error)),
         };
+        if let Some(harm) = watch.as_ref().and_then(Watch::harm) {
+            tracing::error!(
+                "{} was {harm} by another process while it was recorded: its {} messages are lost",
+                open.path.display(),
+                written.messages
+            );
+            for (topic, count) in written.by_topic {
+                *self.lost.entry(topic).or_default() += count;
+            }
+            return Ok(());
+        }
         self.done.push((open.path, written));
         ended
     }
@@ -245,6 +275,13 @@ impl Files {
             }
         };
         let is_file = matches!(out, Out::File(_));
+        let watch = match &out {
+            Out::File(file) => Some(file.watch().map_err(|source| WriteError::Create {
+                path: path.clone(),
+                source,
+            })?),
+            Out::Stream(_) => None,
+        };
         self.attachments.describe("part", self.parts.to_string());
         let sequences = self.sequences.clone();
         let writer =
@@ -258,6 +295,7 @@ impl Files {
         self.open = Some(Open {
             path,
             writer,
+            watch,
             from_ns: None,
         });
         Ok(())
@@ -600,6 +638,54 @@ mod tests {
         assert_eq!(names(&files), ["run_7.mcap"]);
         let first = std::fs::read_to_string(folder.path().join("run_1.mcap"));
         assert_eq!(first.unwrap(), "somebody's");
+    }
+
+    #[test]
+    fn a_file_that_is_removed_replaced_or_cut_meanwhile_is_noticed_and_its_messages_are_lost() {
+        for harm in ["removed", "replaced", "cut", "nothing"] {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("run.mcap");
+            let mut files = Files::begin(
+                Target::File(path.clone()),
+                Attachments::default(),
+                Options::default(),
+            )
+            .unwrap();
+            let message = |at_ns| {
+                item(
+                    at_ns,
+                    Message::of::<Ticks>(TickHeader::default(), Vec::new()),
+                )
+            };
+            files.take(message(1)).unwrap();
+            files.look(10_000_000_000).unwrap();
+            files.check().unwrap();
+            match harm {
+                "removed" => std::fs::remove_file(&path).unwrap(),
+                "replaced" => {
+                    let other = folder.path().join("other");
+                    std::fs::write(&other, vec![0; 1 << 20]).unwrap();
+                    std::fs::rename(&other, &path).unwrap();
+                }
+                "cut" => std::fs::write(&path, "").unwrap(),
+                _ => {}
+            }
+            files.take(message(2)).unwrap();
+            files.look(20_000_000_000).unwrap();
+            files.check().unwrap();
+            files.take(message(3)).unwrap();
+            files.end().unwrap();
+            let lost: u64 = files.lost().values().sum();
+            let (last, written) = files.written().pop().unwrap();
+            if harm == "nothing" {
+                assert_eq!((lost, written.messages), (0, 3));
+                continue;
+            }
+            assert_eq!((lost, written.messages), (2, 1), "{harm}");
+            assert_eq!(last, folder.path().join("run_1.mcap"), "{harm}");
+            let read = joulebus_capture_format::Reader::open(&last).unwrap();
+            assert_eq!(read.map(Result::unwrap).count(), 1, "{harm}");
+        }
     }
 
     #[test]

@@ -47,7 +47,7 @@ pub use shared::{Lost, Summary};
 
 /// Interval at which the writing thread looks for messages, and whether a chunk is due.
 const WRITE_EVERY: Duration = Duration::from_millis(10);
-/// Interval at which a running recording updates its summary, ns.
+/// Interval at which a running recording looks after its file and updates its summary, ns.
 const NOTE_EVERY_NS: u64 = 500_000_000;
 
 /// Errors of starting a recording.
@@ -244,6 +244,7 @@ impl FileWriter {
             self.files.look(self.clock.unix_ns(now_ns))?;
             if now_ns >= self.note_from_ns {
                 self.note_from_ns = now_ns.saturating_add(NOTE_EVERY_NS);
+                self.files.check()?;
                 self.shared.note_files(&self.files);
             }
             if is_empty {

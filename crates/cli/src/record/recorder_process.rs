@@ -30,7 +30,8 @@ impl RecorderProcess {
         let program =
             std::env::current_exe().context("cannot find the executable of this program")?;
         let mut command = Command::new(program);
-        command.args(["record", "--exit-with-stdin", "--out"]);
+        // After a crash the same command begins the next part, as a unit's recorder does.
+        command.args(["record", "--exit-with-stdin", "--resume", "--out"]);
         command.arg(file);
         if let Some(config) = &config.config {
             command.arg("--config").arg(config);

@@ -8,8 +8,9 @@ use std::process::{Command, Output};
 use joulebus_capture_format::{Attachments, CaptureSettings, Writer};
 use joulebus_testkit::recordings::shared;
 
-use crate::fleet::{Exits as _, Fleet, code, joulebus, json, output, stderr, stdout};
-use joulebus_testkit::says;
+use crate::fleet::{Exits as _, Fleet, Program, code, joulebus, json, output, stderr, stdout};
+use joulebus_testkit::{eventually, says};
+use rustix::process::Signal;
 
 /// The program with the words of a line.
 fn run(line: impl AsRef<str>) -> Output {
@@ -171,12 +172,57 @@ fn an_existing_file_is_refused_with_a_remedy() {
     let fleet = Fleet::new();
     let file = fleet.path("run.mcap");
     fs::write(&file, "precious").unwrap();
-    for verb in ["record -o", "run --record"] {
-        let refused = fleet.output(&format!("{verb} {}", file.display())).exits(1);
-        says(&stderr(&refused), ["--resume"]);
-        assert_eq!(fs::read_to_string(&file).unwrap(), "precious");
+    let refused = fleet
+        .output(&format!("record -o {}", file.display()))
+        .exits(1);
+    says(&stderr(&refused), ["--resume"]);
+    assert_eq!(fs::read_to_string(&file).unwrap(), "precious");
+    assert!(fleet.stale_files().is_empty());
+}
+
+#[test]
+fn a_worker_runs_whatever_becomes_of_its_recording() {
+    // The same command again after a crash: the next part. No such folder: no recording, code 3.
+    for (name, parts, wanted) in [("run.mcap", 2, 0), ("none/run.mcap", 0, 3)] {
+        let fleet = Fleet::new();
+        let run = || {
+            let mut command = fleet.joulebus("run --record");
+            command.arg(fleet.path(name));
+            let mut program = Program::start(command);
+            program.wait_for_stderr("ready:");
+            program.end(Signal::TERM).exits(wanted)
+        };
+        run();
+        let said = stderr(&run());
+        assert_eq!(said.contains("nothing is recorded"), parts == 0, "{said}");
+        let there = |part: &str| fleet.path(part).exists();
+        let found = ["run.mcap", "run_1.mcap"].map(there);
+        assert_eq!(found, [parts > 0, parts > 1], "{said}");
         assert!(fleet.stale_files().is_empty());
     }
+}
+
+#[test]
+fn a_recorder_whose_file_is_removed_says_so_goes_on_and_exits_with_3() {
+    let fleet = Fleet::new();
+    let mut worker = Program::start(fleet.joulebus("run"));
+    worker.wait_for_stderr("ready:");
+    let file = fleet.path("run.mcap");
+    let mut command = fleet.joulebus("record --format json");
+    command.arg("-o").arg(&file);
+    let mut recorder = Program::start(command);
+    recorder.wait_for_stderr("recording cli into");
+    fs::remove_file(&file).unwrap();
+    recorder.wait_for_stderr("was removed by another process");
+    let next = fleet.path("run_1.mcap");
+    eventually("the next part", || next.exists());
+    let ended = recorder.end(Signal::TERM).exits(3);
+    let files = json(&ended)["files"].to_string();
+    assert!(
+        files.contains("run_1.mcap") && !files.contains("run.mcap"),
+        "{files}"
+    );
+    worker.end(Signal::TERM).exits(0);
 }
 
 #[test]

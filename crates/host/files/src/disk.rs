@@ -3,6 +3,7 @@
 //! Everything that must survive a crash or a full disk is written only through this module.
 
 use std::io;
+use std::os::unix::fs::MetadataExt as _;
 use std::path::Path;
 
 pub use std::fs::{File, create_dir_all, remove_file, rename};
@@ -25,4 +26,35 @@ pub fn is_file(path: &Path) -> bool {
 /// That of the system.
 pub fn sync_directory(path: &Path) -> io::Result<()> {
     File::open(path)?.sync_all()
+}
+
+/// What a file is known by, whatever its name: device and inode.
+pub type FileId = (u64, u64);
+
+/// Creates a file whose every write goes to its end.
+///
+/// # Errors
+/// There is one, or that of the system.
+pub fn create_to_append(path: &Path) -> io::Result<File> {
+    File::options().append(true).create_new(true).open(path)
+}
+
+/// The id of an open file.
+///
+/// # Errors
+/// That of the system.
+pub fn id(file: &File) -> io::Result<FileId> {
+    file.metadata().map(|found| (found.dev(), found.ino()))
+}
+
+/// The file of that name and its length; `None` if there is none.
+///
+/// # Errors
+/// That of the system.
+pub fn found_at(path: &Path) -> io::Result<Option<(FileId, u64)>> {
+    match std::fs::metadata(path) {
+        Ok(found) => Ok(Some(((found.dev(), found.ino()), found.len()))),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(error),
+    }
 }

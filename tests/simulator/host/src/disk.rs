@@ -307,6 +307,37 @@ pub fn is_file(path: &Path) -> bool {
     exists(path)
 }
 
+/// What a file is known by, whatever its name.
+pub type FileId = u64;
+
+/// Creates a file; all files are written at their end.
+///
+/// # Errors
+/// There is one; the disk fails or is full.
+pub fn create_to_append(path: &Path) -> io::Result<File> {
+    File::create_new(path)
+}
+
+/// The id of an open file.
+///
+/// # Errors
+/// None.
+pub fn id(file: &File) -> io::Result<FileId> {
+    Ok(file.number)
+}
+
+/// The file of that name and its length; `None` if there is none.
+///
+/// # Errors
+/// The disk fails.
+pub fn found_at(path: &Path) -> io::Result<Option<(FileId, u64)>> {
+    access(false)?;
+    with(|disk| {
+        let number = disk.names.get(path).copied();
+        Ok(number.map(|number| (number, disk.contents[&number].bytes.len() as u64)))
+    })
+}
+
 /// Makes the names in a directory durable.
 ///
 /// # Errors
