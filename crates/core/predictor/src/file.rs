@@ -134,11 +134,16 @@ pub(crate) fn read(bytes: &[u8]) -> Result<(Parameters, ModelCard), ModelError> 
     Ok((parameters, read_card(&metadata, feature_set)?))
 }
 
+/// Longest name of a model, bytes.
+const MAX_NAME_BYTES: usize = 128;
+/// Longest other text of a model's card, bytes.
+const MAX_TEXT_BYTES: usize = 1 << 16;
+
 fn read_card(metadata: &Metadata<'_>, feature_set: FeatureSet) -> Result<ModelCard, ModelError> {
     Ok(ModelCard {
-        name: metadata.text("name")?.to_owned(),
-        source: metadata.text("source")?.to_owned(),
-        training_data: metadata.text("training_data")?.to_owned(),
+        name: metadata.shown("name", MAX_NAME_BYTES)?,
+        source: metadata.shown("source", MAX_TEXT_BYTES)?,
+        training_data: metadata.shown("training_data", MAX_TEXT_BYTES)?,
         training_data_sha256: metadata.text("training_data_sha256")?.to_owned(),
         trained_rows: read_trained_rows(metadata)?,
         seed: metadata.number("seed")?,
@@ -384,6 +389,27 @@ impl Metadata<'_> {
             .get(field)
             .map(String::as_str)
             .ok_or(ModelError::MissingField { field })
+    }
+
+    /// A text that people are shown, in terminals and pages.
+    fn shown(&self, field: &'static str, max_bytes: usize) -> Result<String, ModelError> {
+        let text = self.text(field)?;
+        if text.len() > max_bytes {
+            let found = format!("{} bytes", text.len());
+            return Err(ModelError::field(
+                field,
+                &found,
+                format!("{max_bytes} bytes"),
+            ));
+        }
+        match text.chars().find(|letter| letter.is_control()) {
+            Some(found) => Err(ModelError::field(
+                field,
+                &format!("{found:?}"),
+                "text without control characters",
+            )),
+            None => Ok(text.to_owned()),
+        }
     }
 
     fn must_be(&self, field: &'static str, allowed: &str) -> Result<(), ModelError> {

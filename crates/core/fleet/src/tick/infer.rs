@@ -66,29 +66,28 @@ impl SimdTask for Store<'_, '_> {
     #[inline(always)]
     fn run(self) {
         let (columns, mut row) = (self.columns, 0);
-        let members = self
-            .members
-            .as_ref()
-            .map(|members| (members, self.possible));
+        let (members, possible) = (self.members.as_ref(), self.possible);
         while let Some((inferred, next)) = self.batch.of_block(row) {
             row = next;
-            store_block(members, columns, &inferred);
+            store_block((members, possible), columns, &inferred);
         }
     }
 }
 
 #[inline(always)]
 fn store_block(
-    members: Option<(&Members, PossiblePower)>,
+    (members, possible): (Option<&Members>, PossiblePower),
     columns: &mut ColumnsMut<'_>,
     inferred: &Inferred,
 ) {
     let windows = &mut columns.windows[inferred.block];
     let (mut finite, mut invalid) = ([false; LANES], [false; LANES]);
     for lane in 0..LANES {
-        let is_finite = inferred.forecast_w[lane].is_finite();
-        finite[lane] = inferred.rows[lane] & is_finite;
-        invalid[lane] = inferred.rows[lane] & !is_finite;
+        // Where robots learn nothing, nobody else judges what the network says.
+        let network_w = inferred.forecast_w[lane];
+        let is_number = network_w.is_finite() & (members.is_some() | possible.is_near(network_w));
+        finite[lane] = inferred.rows[lane] & is_number;
+        invalid[lane] = inferred.rows[lane] & !is_number;
     }
     let mut forecast_w = inferred.forecast_w;
     if let Some(members) = members {
@@ -99,7 +98,7 @@ fn store_block(
         combine(members, windows, online, &mut forecast_w);
     }
     for lane in 0..LANES {
-        windows.forecast(lane, finite[lane], forecast_w[lane]);
+        windows.forecast(lane, finite[lane], possible.nearest(forecast_w[lane]));
     }
     let first = inferred.block * LANES;
     if lanes::any(&invalid) {
@@ -117,7 +116,7 @@ fn store_block(
 /// Replaces the network's forecasts of a block by the robots' own.
 #[inline(always)]
 fn combine(
-    (members, possible): (&Members, PossiblePower),
+    members: &Members,
     windows: &WindowLanes,
     online: &OnlineLanes,
     forecast_w: &mut Lanes<f32>,
@@ -126,8 +125,7 @@ fn combine(
     for lane in 0..LANES {
         let (window, robot) = (windows.closed.get(lane), online.get(lane));
         let (lag_w, due) = (window.lags_w(), window.due());
-        let combined_w = robot.forecast(&members, &lag_w, robot.network_w, due);
-        forecast_w[lane] = possible.nearest(combined_w);
+        forecast_w[lane] = robot.forecast(&members, &lag_w, robot.network_w, due);
     }
 }
 

@@ -92,6 +92,14 @@ pub(crate) struct PossiblePower {
 }
 
 impl PossiblePower {
+    /// Whether it can be a forecast at all: no further outside the limits than they are apart. NaN
+    /// is not.
+    #[inline(always)]
+    pub(crate) fn is_near(self, forecast_w: f32) -> bool {
+        let apart_w = self.max_w - self.min_w;
+        (self.min_w - apart_w <= forecast_w) & (forecast_w <= self.max_w + apart_w)
+    }
+
     /// The nearest possible forecast, W; NaN stays NaN, and −0 stays −0 on every CPU.
     #[inline(always)]
     pub(crate) fn nearest(self, forecast_w: f32) -> f32 {
@@ -105,6 +113,29 @@ impl PossiblePower {
         } else {
             below
         }
+    }
+}
+
+#[cfg(test)]
+#[test]
+fn what_is_farther_outside_the_limits_than_they_are_apart_is_no_forecast() {
+    let possible = PossiblePower {
+        min_w: -1.0,
+        max_w: 5.0,
+    };
+    for (forecast_w, is_near) in [
+        (-1.0, true),
+        (5.0, true),
+        (-7.0, true),
+        (11.0, true),
+        (-7.01, false),
+        (11.01, false),
+        (1e38, false),
+        (f32::INFINITY, false),
+        (f32::NEG_INFINITY, false),
+        (f32::NAN, false),
+    ] {
+        assert_eq!(possible.is_near(forecast_w), is_near, "{forecast_w} W");
     }
 }
 

@@ -23,6 +23,10 @@ pub(crate) struct Experts {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Forecasts {
     pub forecast_w: f32,
+    /// Whether the robot learns which forecaster to trust.
+    pub learns: bool,
+    /// A network says what no robot of the platform can draw.
+    pub is_absurd: bool,
     pub network_w: f32,
     lag_w: [f32; 5],
 }
@@ -51,7 +55,7 @@ struct Weights {
     experts: f32,
 }
 
-/// Nothing else can be published, except a network's forecast that is published unchanged.
+/// Nothing else can be published.
 pub(crate) fn possible(platform: &Platform, forecast_w: f32) -> f32 {
     forecast_w.clamp(platform.power_min_w, platform.power_max_w)
 }
@@ -83,12 +87,17 @@ impl Experts {
     ) -> Forecasts {
         let lag_w = [row[6], row[7], row[8], row[9], row[10]];
         let known = Knowledge::of(platform, model, &self.readings);
+        let learns = known.is_some();
         let forecast_w = known.map_or(network_w, |known| {
             let (members_w, _) = known.members(model, &lag_w, network_w, due);
-            possible(platform, dot(known.shares(due), members_w))
+            dot(known.shares(due), members_w)
         });
+        let apart_w = platform.power_max_w - platform.power_min_w;
+        let nearest_w = possible(platform, forecast_w);
         Forecasts {
-            forecast_w,
+            forecast_w: nearest_w,
+            learns,
+            is_absurd: (network_w - nearest_w).abs() > apart_w,
             network_w,
             lag_w,
         }

@@ -293,7 +293,8 @@ impl Robot {
         }
         self.account
             .meter(sample.stamp_ns, reading_w, scorable_w, period_ns);
-        let network_w = self.run.forecasts.map(|forecasts| forecasts.network_w);
+        let learned = self.run.forecasts.filter(|forecasts| forecasts.learns);
+        let network_w = learned.map(|forecasts| forecasts.network_w);
         let judged_w = forecast_w.map(|forecast_w| network_w.unwrap_or(forecast_w));
         self.residual_w = reading_w.zip(judged_w).map(|(y, f)| y - f);
         // If it is unknown, a measurement counts as due.
@@ -421,7 +422,8 @@ impl Robot {
         let fresh = self.run.history.interval().is_some() || !model.needs_freshness();
         let runs = full && fresh && (known || !model.needs_command());
         if runs {
-            self.run.forecasts = self.run.predict(self.by(model), command, dv, domega);
+            let forecasts = self.run.predict(self.by(model), command, dv, domega);
+            self.run.forecasts = forecasts.filter(|one| one.learns || !one.is_absurd);
             self.run.forecast_w = self.run.forecasts.map(|forecasts| forecasts.forecast_w);
         }
         self.quality = match sample.freshness() {
