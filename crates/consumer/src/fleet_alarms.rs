@@ -7,7 +7,7 @@ use joulebus_config::Config;
 use joulebus_connect::ConnectError;
 use joulebus_wire::{Acknowledgement, AlarmCard, Level};
 
-use crate::{AlarmChange, AlarmFeed, AlarmHistory, Change, Event, ReadError, Subscriber};
+use crate::{AlarmChange, AlarmFeed, AlarmHistory, Change, ReadError, Subscriber, WorkerState};
 
 /// A raise or an end of an alarm, of a robot or of the worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -83,11 +83,13 @@ impl FleetAlarms {
     /// # Errors
     /// [`ReadError`]; the next call may succeed, unless the fleet's files were removed.
     pub fn wait(&mut self, mut each: impl FnMut(FleetAlarm)) -> Result<(), ReadError> {
-        let now = match self.subscriber.wait_next(self.feed.look_every())? {
-            Event::Frame(_) => Some(None),
-            Event::Gone(_) => Some(Some(AlarmCard::WORKER_GONE)),
-            Event::Stale { .. } => Some(Some(AlarmCard::WORKER_STALE)),
-            _ => None,
+        // What it was does not matter: the state says it.
+        let _ = self.subscriber.wait_next(self.feed.look_every())?;
+        let now = match self.subscriber.worker_for_people() {
+            WorkerState::Alive => Some(None),
+            WorkerState::Gone(_) => Some(Some(AlarmCard::WORKER_GONE)),
+            WorkerState::Stale { .. } => Some(Some(AlarmCard::WORKER_STALE)),
+            WorkerState::Waiting => None,
         };
         if let Some(now) = now {
             self.set_worker(now, &mut each);

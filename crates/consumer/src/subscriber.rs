@@ -15,7 +15,7 @@ use joulebus_wire::{Channel, Forecast, ForecastHeader};
 use crate::frame::{Frame, KeptForecasts};
 use crate::index::RobotIndex;
 use crate::newest::{ReadError, check_schema, newer};
-use crate::tracker::{Tracker, place};
+use crate::tracker::{Lateness, Tracker, place};
 use crate::{
     Arrival, Budgets, Counts, Diagnostics, End, Feed, Forecasts, PlanStates, Queries, WorkerState,
 };
@@ -42,6 +42,7 @@ pub struct Subscriber {
     watch: Option<PeerWatch>,
     readiness: Option<Readiness>,
     tracker: Tracker,
+    lateness: Lateness,
     arrival: Arrival,
     index: RefCell<RobotIndex>,
     limits: Limits,
@@ -167,6 +168,7 @@ impl Subscriber {
             watch: None,
             readiness: None,
             tracker: Tracker::new(),
+            lateness: Lateness::new(config.worker_stale_after_ns()),
             arrival: Arrival::default(),
             index: RefCell::default(),
             limits,
@@ -311,6 +313,12 @@ impl Subscriber {
             // Frames that have arrived since are not known yet.
             Waiting::Polling(polling) => polling.looked_ns,
         })
+    }
+
+    /// As [`Subscriber::worker`], for people: late only after the config's
+    /// `readers.worker_stale_after_s`, and no longer once frames have come for as long.
+    pub fn worker_for_people(&mut self) -> WorkerState {
+        self.lateness.look(self.worker(), clock::monotonic_ns())
     }
 
     /// Numbers of frames returned and missed.

@@ -201,6 +201,49 @@ const fn stale_ns(last: &Last) -> u64 {
         .saturating_add(1)
 }
 
+/// Whether people hear that the worker is late: later than planners, who may not rely on an old
+/// forecast, and until frames have come for as long. A host that is busy for two ticks is nobody's
+/// alarm.
+#[derive(Debug)]
+pub(crate) struct Lateness {
+    after_ns: u64,
+    is_late: bool,
+    /// Since when nothing was late, while it counts as late.
+    calm_from_ns: Option<u64>,
+}
+
+impl Lateness {
+    pub(crate) const fn new(after_ns: u64) -> Self {
+        Self {
+            after_ns,
+            is_late: false,
+            calm_from_ns: None,
+        }
+    }
+
+    /// The state for people, of a worker whose state for planners is `state`.
+    pub(crate) fn look(&mut self, state: WorkerState, now_ns: u64) -> WorkerState {
+        let age_ns = match state {
+            WorkerState::Alive => 0,
+            WorkerState::Stale { age_ns } => age_ns,
+            WorkerState::Waiting | WorkerState::Gone(_) => {
+                (self.is_late, self.calm_from_ns) = (false, None);
+                return state;
+            }
+        };
+        if age_ns >= self.after_ns {
+            (self.is_late, self.calm_from_ns) = (true, None);
+        } else if self.is_late {
+            let calm_from_ns = *self.calm_from_ns.get_or_insert(now_ns);
+            self.is_late = now_ns.saturating_sub(calm_from_ns) < self.after_ns;
+        }
+        match self.is_late {
+            true => WorkerState::Stale { age_ns },
+            false => WorkerState::Alive,
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -353,5 +396,37 @@ mod tests {
         wild.sent_ns = 10;
         tracker.frame(1, &wild);
         assert_eq!(tracker.state(11), WorkerState::Stale { age_ns: 1 });
+    }
+
+    #[test]
+    fn people_hear_of_a_late_worker_once_until_it_has_been_on_time_for_as_long() {
+        let (stale, alive) = (|age_ns| WorkerState::Stale { age_ns }, WorkerState::Alive);
+        let mut lateness = Lateness::new(100);
+        for (now_ns, state, shown) in [
+            (0, WorkerState::Waiting, WorkerState::Waiting),
+            (10, alive, alive),
+            // Two ticks missed: nothing for people, again and again.
+            (20, stale(70), alive),
+            (30, alive, alive),
+            (40, stale(99), alive),
+            (50, stale(100), stale(100)),
+            // A frame now and then is not the end of it.
+            (60, alive, stale(0)),
+            (150, stale(70), stale(70)),
+            (155, stale(101), stale(101)),
+            (160, alive, stale(0)),
+            (259, alive, stale(0)),
+            (260, alive, alive),
+            (300, stale(100), stale(100)),
+            (
+                310,
+                WorkerState::Gone(End::Exited),
+                WorkerState::Gone(End::Exited),
+            ),
+            // The next run begins anew.
+            (320, alive, alive),
+        ] {
+            assert_eq!(lateness.look(state, now_ns), shown, "at {now_ns}");
+        }
     }
 }

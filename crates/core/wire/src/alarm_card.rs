@@ -49,11 +49,15 @@ impl AlarmCard {
     pub const WORKER_STALE: Self = Self {
         name: "WorkerStale",
         level: Level::Stale,
-        meaning: "A worker runs and has published nothing for a while.",
+        meaning: "A worker runs and has published nothing for `readers.worker_stale_after_s`.",
         check: "Do sources publish? With no samples there are no ticks by frames. Is its process \
             stopped, or the host overloaded? `joulebus doctor` looks at both.",
-        keys: &["tick.policy", "tick.rate_hz"],
-        found_within: "a second",
+        keys: &[
+            "readers.worker_stale_after_s",
+            "tick.policy",
+            "tick.rate_hz",
+        ],
+        found_within: "a second; planners hear of two missed ticks",
     };
 }
 

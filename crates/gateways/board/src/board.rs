@@ -138,8 +138,10 @@ pub struct Row {
 #[derive(Debug, Clone)]
 pub struct Board {
     began_ns: u64,
-    /// State of the worker.
+    /// State of the worker, for people.
     pub link: Link,
+    /// Whether a planner may rely on the newest forecasts: none was missed.
+    pub is_reliable: bool,
     /// Robots by id.
     pub rows: BTreeMap<u32, Row>,
     /// Alarms of each robot in the order in which they were first seen, including cleared ones.
@@ -172,6 +174,7 @@ impl Board {
         Self {
             began_ns: now_ns,
             link: Link::Waiting,
+            is_reliable: false,
             rows: BTreeMap::new(),
             raised: BTreeMap::new(),
             runs: Vec::new(),
@@ -218,6 +221,7 @@ impl Board {
 
     /// Sets the state of the worker, and logs a change.
     pub fn set_link(&mut self, link: Link, now_ns: u64) {
+        self.is_reliable = link == Link::Live;
         if self.link == link {
             return;
         }

@@ -127,7 +127,8 @@ impl Reading {
             Err(ReadError::Receive(error)) => board.note(format!("forecasts: {error}"), now_ns),
             Err(error) => return Err(error),
         }
-        board.set_link(link(self.planner.worker()), now_ns);
+        board.set_link(link(self.planner.worker_for_people()), now_ns);
+        board.is_reliable = self.planner.worker() == WorkerState::Alive;
         if let Some(tap) = &mut self.tap {
             tap.read(&mut board);
         }

@@ -68,6 +68,7 @@ pub struct Config {
     models: Vec<ModelSource>,
     buffer_frames: usize,
     max_planners: usize,
+    worker_stale_after_ns: u64,
     checkpoint: Checkpoint,
     checkpoint_every_ns: u64,
     scheduling: Scheduling,
@@ -235,6 +236,12 @@ impl Config {
         self.max_planners
     }
 
+    /// Silence of the worker of which people hear, ns. Planners hear of two missed ticks.
+    #[must_use]
+    pub const fn worker_stale_after_ns(&self) -> u64 {
+        self.worker_stale_after_ns
+    }
+
     /// Where the energy ledger and the batteries are saved.
     #[must_use]
     pub const fn checkpoint(&self) -> &Checkpoint {
@@ -312,6 +319,7 @@ impl Builder<'_> {
             models: models?,
             buffer_frames: fleet.0.integer("intake.buffer_frames")?,
             max_planners: fleet.0.integer("readers.max_planners")?,
+            worker_stale_after_ns: ns(fleet.0.number("readers.worker_stale_after_s")?),
             checkpoint,
             checkpoint_every_ns: ns(fleet.0.number("ledger.every_s")?),
             scheduling: fleet.scheduling()?,

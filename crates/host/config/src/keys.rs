@@ -131,6 +131,8 @@ pub const KEYS: &[Key] = &[
 
     key("readers.max_planners", int(bounds::MAX_PLANNERS), "readers", DefaultValue::Integer(16),
         "Planners, watchers and recorders that can be connected at the same time."),
+    key("readers.worker_stale_after_s", num(SILENCE_S), "s", DefaultValue::Number(1.0),
+        "Silence of the worker of which people hear: page, alarms, webhooks, metrics. Planners hear of two missed ticks."),
 
     key("queries.answer", ValueKind::Choice(&["on", "off"]), "", DefaultValue::Text("on"),
         "Whether a thread of the worker answers questions about plans, for processes that do not compute for themselves."),

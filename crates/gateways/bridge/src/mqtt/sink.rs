@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError};
 
-use joulebus_board::{AlarmRecord, Board, Link};
+use joulebus_board::{AlarmRecord, Board};
 use joulebus_config::Config;
 use joulebus_consumer::{FleetAlarm, FleetAlarms};
 use rumqttc::QoS;
@@ -216,7 +216,7 @@ impl MqttSink {
         let topic = &mut self.topics[place];
         topic.due_ns = next_due_ns(topic.due_ns, topic.write.every_ns, times.now_ns);
         // Without a worker there are no values. The status topic reports that.
-        if board.link != Link::Live {
+        if !board.is_reliable {
             return;
         }
         let mut left = topic.kept.clone();

@@ -91,7 +91,7 @@ impl RosSink {
 
     fn publish_robots(&self, topic: &Topic, board: &Board, times: Times) {
         // Without a worker there are no values. The diagnostics report that.
-        if board.link != Link::Live {
+        if !board.is_reliable {
             return;
         }
         for (robot, row) in &board.rows {
@@ -128,7 +128,7 @@ impl RosSink {
         let worker = (level, board.link.name());
         let mut statuses = vec![worker_status((&self.fleet, &self.name), worker, counts)];
         statuses.extend(self.robots.iter().map(|(robot, name)| {
-            let row = board.rows.get(&robot).filter(|_| board.link == Link::Live);
+            let row = board.rows.get(&robot).filter(|_| board.is_reliable);
             row.map_or_else(
                 || unknown_status(name, board.link.name()),
                 |row| {

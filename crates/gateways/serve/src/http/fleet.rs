@@ -124,6 +124,7 @@ fn histogram(counted: &Counted) -> Vec<(Option<f64>, u64)> {
 pub(super) struct Around<'a> {
     pub(super) fleet: &'a str,
     pub(super) period_ns: u64,
+    pub(super) stale_after_ns: u64,
     /// Monotonic.
     pub(super) now_ns: u64,
     pub(super) now_unix_ns: u64,
@@ -179,7 +180,7 @@ impl WorkerRecord {
                 Some(format!(
                     "its newest frame is {:.2} s old, {:.2} s are allowed: see `joulebus doctor`",
                     age_s.unwrap_or_default(),
-                    around.period_ns as f64 * 2e-9
+                    around.stale_after_ns as f64 * 1e-9
                 )),
             ),
             Link::Gone => (

@@ -470,6 +470,7 @@ mod tests {
         let around = Around {
             fleet: "lab",
             period_ns: 33_333_333,
+            stale_after_ns: 1_000_000_000,
             now_ns: second_ns,
             now_unix_ns: second_ns,
             distributions: &Distributions::default(),

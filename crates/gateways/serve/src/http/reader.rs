@@ -133,6 +133,7 @@ impl Work {
         let around = Around {
             fleet: config.fleet(),
             period_ns: config.tick_period_ns(),
+            stale_after_ns: config.worker_stale_after_ns(),
             now_ns,
             now_unix_ns: clock::unix_ns(),
             distributions: &distributions,
@@ -209,6 +210,7 @@ impl Work {
         let around = Around {
             fleet: self.config.fleet(),
             period_ns: self.config.tick_period_ns(),
+            stale_after_ns: self.config.worker_stale_after_ns(),
             now_ns,
             now_unix_ns,
             distributions: &self.distributions,
