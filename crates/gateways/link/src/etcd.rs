@@ -16,7 +16,7 @@ use ureq::Agent;
 use ureq::tls::{Certificate, ClientCert, PemItem, PrivateKey, RootCerts, TlsConfig, parse_pem};
 
 use crate::config::LeaseSettings;
-use crate::protocol::lease::{Call, Holder, Reply, StoreView};
+use crate::protocol::lease::{Call, Holder, MAX_TTL_S, Reply, StoreView};
 
 /// A call may take this share of the lease's time to live, divided among all members.
 const CALL_DIVISOR: u32 = 3;
@@ -48,6 +48,11 @@ pub(crate) struct Etcd {
     /// The failure that was logged last, and when.
     last_failure: Option<(String, Instant)>,
 }
+
+/// The store knows no such lease (any longer).
+#[derive(Debug, thiserror::Error)]
+#[error("the lease is gone")]
+struct LeaseGone;
 
 /// The value of the holder's key.
 #[derive(Debug, Serialize, Deserialize)]
@@ -180,6 +185,7 @@ impl Etcd {
                 }
                 reply
             }
+            Err(error) if error.is::<LeaseGone>() => Reply::Gone,
             Err(error) => {
                 self.log_failure(format!("{error:#}"));
                 Reply::Failed
@@ -195,7 +201,7 @@ impl Etcd {
                 *last_failure == error || at.elapsed() < LOG_INTERVAL
             });
         if !is_logged {
-            tracing::warn!("etcd does not answer: {error}");
+            tracing::warn!("etcd does not answer as it should: {error}");
             self.last_failure = Some((error, Instant::now()));
         }
     }
@@ -205,15 +211,16 @@ impl Etcd {
             Call::Grant => {
                 let body = json!({"TTL": self.ttl_s.to_string()});
                 let granted: Granted = self.post("lease/grant", &body)?;
+                anyhow::ensure!(granted.id.0 > 0, "it grants lease 0, which is none");
                 Ok(Reply::Granted {
                     lease: granted.id.0,
-                    ttl_ns: granted.ttl_s.0.saturating_mul(NANOSECONDS),
+                    ttl_ns: self.ttl_ns(granted.ttl_s)?,
                 })
             }
             Call::Renew { lease } => {
                 let body = json!({"ID": lease.to_string()});
                 let renewed: Renewed = self.post("lease/keepalive", &body)?;
-                let ttl_ns = renewed.result.ttl_s.0.saturating_mul(NANOSECONDS);
+                let ttl_ns = self.ttl_ns(renewed.result.ttl_s)?;
                 Ok(Reply::Renewed { ttl_ns })
             }
             Call::Look => self.look().map(Reply::StoreView),
@@ -227,6 +234,17 @@ impl Etcd {
                 Ok(Reply::Acquired(done.succeeded))
             }
         }
+    }
+
+    /// A time to live that the store states, ns. It may be longer than what was asked for, since
+    /// etcd has a least one, and not longer than any that can be.
+    fn ttl_ns(&self, stated: Number) -> anyhow::Result<u64> {
+        let (asked_s, found_s) = (self.ttl_s, stated.0);
+        anyhow::ensure!(
+            found_s <= MAX_TTL_S.into(),
+            "it states {found_s} s for a lease of {asked_s} s: allowed are up to {MAX_TTL_S} s"
+        );
+        Ok(found_s * NANOSECONDS)
     }
 
     /// Reads all three keys in one transaction, so from a quorum and at one revision.
@@ -300,6 +318,7 @@ impl Etcd {
         for _ in 0..self.endpoints.len() {
             match self.post_to(verb, body) {
                 Ok(answer) => return Ok(answer),
+                Err(error) if error.is::<LeaseGone>() => return Err(error),
                 Err(error) => failed = error.context(self.endpoints[self.at].clone()),
             }
             // The next member needs a login of its own.
@@ -336,6 +355,9 @@ impl Etcd {
             .with_config()
             .limit(MAX_BYTES)
             .read_to_string()?;
+        if answer.status() == 404 && text.contains("requested lease not found") {
+            return Err(LeaseGone.into());
+        }
         if !answer.status().is_success() {
             bail!("{}: {}", answer.status(), text.trim());
         }
@@ -486,6 +508,10 @@ mod tests {
             (Call::Grant, r#"{"ID":"-7","TTL":"3"}"#),
             (Call::Grant, r#"{"ID":"7","TTL":"18446744073709551616"}"#),
             (Call::Grant, r#"{"ID":7.5,"TTL":3}"#),
+            (Call::Grant, r#"{"ID":"0","TTL":"3"}"#),
+            (Call::Grant, r#"{"ID":"7","TTL":"61"}"#),
+            (Call::Grant, r#"{"ID":"7","TTL":"999999999999"}"#),
+            (RENEW, r#"{"result":{"TTL":"99999999"}}"#),
             (RENEW, r#"{"result":{"TTL":"-1"}}"#),
             (RENEW, r#"{"result":{"TTL":"2"}}{"result":{"TTL":"2"}}"#),
             (
@@ -513,6 +539,10 @@ mod tests {
                 ttl_ns: 2 * NANOSECONDS
             }
         );
+        let gone = r#"{"error":"etcdserver: requested lease not found","code":5}"#;
+        let length = gone.len();
+        let gone = format!("HTTP/1.1 404 Not Found\r\nContent-Length: {length}\r\n\r\n{gone}");
+        assert_eq!(answer(&RENEW, gone.as_bytes(), b"").0, Reply::Gone);
         let cut = ok(good);
         let chunked = b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n";
         let limit = Duration::from_secs(TTL_S.into()) / CALL_DIVISOR;

@@ -86,6 +86,8 @@ pub(crate) enum Reply {
     Renewed {
         ttl_ns: u64,
     },
+    /// There is no such lease, or no longer.
+    Gone,
     /// No reply in time, or an unintelligible one. The store may have executed the call.
     Failed,
 }
@@ -281,6 +283,8 @@ impl Candidate {
             (Call::Renew { lease }, Reply::Renewed { ttl_ns }) => {
                 self.renewed(*lease, ttl_ns, (asked_ns, now_ns));
             }
+            // A lease that was thought to last, and does not: begin anew with another.
+            (Call::Acquire { .. } | Call::Renew { .. }, Reply::Gone) => self.ends(),
             // Retry soon. After a failed acquisition the next look shows whether it took effect.
             (call, _) => {
                 let soon_ns = now_ns + POLL_INTERVAL_NS.0;

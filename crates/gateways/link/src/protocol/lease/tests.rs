@@ -520,3 +520,39 @@ fn after_the_last_term_nobody_serves_since_two_would_in_one() {
         }
     }
 }
+
+#[test]
+fn a_lease_that_the_store_no_longer_knows_is_followed_by_another() {
+    let mut candidate = Candidate::new("base", 0, TTL_NS, None);
+    candidate.is_able(true);
+    let mut store = Store::default();
+    let mut now_ns = 0;
+    let mut calls = Vec::new();
+    let mut is_forgotten = false;
+    for _ in 0..200 {
+        now_ns += STEP_NS;
+        if let Next::Call(call) = candidate.next(now_ns) {
+            // An operator revokes the lease between its grant and its use.
+            if matches!(call, Call::Acquire { .. }) && !is_forgotten {
+                is_forgotten = true;
+                store.leases.clear();
+            }
+            let of_lease = match &call {
+                Call::Acquire { lease, .. } | Call::Renew { lease } => Some(*lease),
+                Call::Grant | Call::Look => None,
+            };
+            let reply = match of_lease {
+                Some(lease) if !store.leases.contains_key(&lease) => Reply::Gone,
+                _ => store.answer("base", &call, now_ns),
+            };
+            candidate.answered(&call, reply, (now_ns, now_ns));
+            calls.push(call);
+        }
+        if candidate.leader_lease(now_ns).is_some() {
+            break;
+        }
+    }
+    let grants = calls.iter().filter(|call| **call == Call::Grant).count();
+    assert_eq!(grants, 2, "{calls:?}");
+    assert!(candidate.leader_lease(now_ns).is_some(), "{calls:?}");
+}
