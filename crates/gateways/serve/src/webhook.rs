@@ -183,6 +183,16 @@ fn address(to: &str) -> anyhow::Result<Uri> {
     let refused =
         "--webhook: expected an address such as https://host.example/path, or @FILE with one";
     let address = Uri::from_str(text.trim()).context(refused)?;
+    let authority = address.authority();
+    let named = authority.map_or("", |authority| authority.as_str());
+    let (host, port) = (address.host().unwrap_or_default(), address.port_u16());
+    if port.is_none_or(|port| port == 0)
+        && named
+            .rsplit_once(host)
+            .is_some_and(|(_, rest)| rest.starts_with(':'))
+    {
+        return Err(anyhow!("--webhook {named}: a port is 1 to 65535"));
+    }
     let is_http = matches!(address.scheme_str(), Some("http" | "https"));
     if is_http && address.host().is_some_and(|host| !host.is_empty()) {
         return Ok(address);
@@ -398,6 +408,9 @@ mod tests {
             "file:///etc/passwd",
             "http://",
             "@/nowhere",
+            "https://host.example:70000/x",
+            "https://host.example:0/x",
+            "http://[::1]:99999/",
         ] {
             assert!(address(bad).is_err(), "{bad}");
         }

@@ -85,6 +85,14 @@ pub(super) struct Access {
     pub(super) cookie: String,
     /// Allowed names of the server, beside addresses and localhost.
     pub(super) hosts: Vec<String>,
+    /// Reverse proxies, which are believed for whom they ask.
+    pub(super) proxies: Vec<IpAddr>,
+}
+
+/// Whether a path tells supervisors of processes whether server and worker run: they have no token,
+/// learn nothing else, and are answered whatever other clients do.
+pub(super) fn is_of_health(uri: &Uri) -> bool {
+    matches!(uri.path(), "/healthz" | "/readyz")
 }
 
 impl Access {
@@ -93,14 +101,14 @@ impl Access {
     /// # Errors
     /// The refusal.
     pub(super) fn check(&self, uri: &Uri, headers: &HeaderMap) -> Result<(), ApiError> {
-        self.check_site(headers)?;
-        // Process supervisors have no token. They learn only whether a worker runs.
-        let is_open = matches!(uri.path(), "/healthz" | "/readyz");
+        self.check_site(uri, headers)?;
         match &self.token {
-            Some(token) if !is_open && !token.is_in(headers, &self.cookie) => Err(ApiError::new(
-                StatusCode::UNAUTHORIZED,
-                "no token, or another one: send `Authorization: Bearer TOKEN`, or open /?token=TOKEN once",
-            )),
+            Some(token) if !is_of_health(uri) && !token.is_in(headers, &self.cookie) => {
+                Err(ApiError::new(
+                    StatusCode::UNAUTHORIZED,
+                    "no token, or another one: send `Authorization: Bearer TOKEN`, or open /?token=TOKEN once",
+                ))
+            }
             _ => Ok(()),
         }
     }
@@ -109,8 +117,8 @@ impl Access {
     ///
     /// # Errors
     /// The refusal.
-    pub(super) fn check_site(&self, headers: &HeaderMap) -> Result<(), ApiError> {
-        self.check_host(headers)?;
+    pub(super) fn check_site(&self, uri: &Uri, headers: &HeaderMap) -> Result<(), ApiError> {
+        self.check_host(uri, headers)?;
         check_site(headers)
     }
 
@@ -122,21 +130,44 @@ impl Access {
         token.is(found.as_bytes()).then(|| found.into_owned())
     }
 
+    /// The client that a request of `peer` comes from: behind a proxy that is named, the last
+    /// address in `X-Forwarded-For` that is no such proxy.
+    pub(super) fn client(&self, peer: Peer, headers: &HeaderMap) -> Peer {
+        let is_proxy = |address: &IpAddr| self.proxies.contains(address);
+        let Peer::Address(address) = peer else {
+            return peer;
+        };
+        if !is_proxy(&address) {
+            return peer;
+        }
+        let stated = headers.get_all("x-forwarded-for").iter();
+        let stated = stated.filter_map(|value| value.to_str().ok());
+        let stated = stated.flat_map(|value| value.split(',')).map(str::trim);
+        let known: Vec<Option<IpAddr>> = stated.map(|text| text.parse().ok()).collect();
+        // What stands before something that is no address, anyone may have written.
+        let known = known.into_iter().rev().map_while(|address| address);
+        let mut clients = known.filter(|address| !is_proxy(address));
+        clients.next().map_or(peer, Peer::Address)
+    }
+
     /// A web page elsewhere can make its own name mean this host, but not an address or localhost.
-    pub(super) fn check_host(&self, headers: &HeaderMap) -> Result<(), ApiError> {
+    /// A request may name the host in its first line, too.
+    pub(super) fn check_host(&self, uri: &Uri, headers: &HeaderMap) -> Result<(), ApiError> {
         let mut stated = headers.get_all(header::HOST).iter();
         let host = stated
             .next()
             .and_then(|host| host.to_str().ok())
             .unwrap_or_default();
-        let name = name_of(host).to_ascii_lowercase();
-        let is_known = name.parse::<IpAddr>().is_ok()
-            || name == "localhost"
-            || self
-                .hosts
-                .iter()
-                .any(|known| known.eq_ignore_ascii_case(&name));
-        if is_known && stated.next().is_none() {
+        let is_known = |host: &str| {
+            let name = name_of(host).to_ascii_lowercase();
+            let mut names = self.hosts.iter();
+            name.parse::<IpAddr>().is_ok()
+                || name == "localhost"
+                || names.any(|known| known.eq_ignore_ascii_case(&name))
+        };
+        let asked = uri.authority().map(axum::http::uri::Authority::as_str);
+        let host = asked.filter(|asked| !is_known(asked)).unwrap_or(host);
+        if is_known(host) && stated.next().is_none() {
             return Ok(());
         }
         let found: String = host.chars().take(60).collect();
@@ -171,6 +202,8 @@ fn name_of(host: &str) -> &str {
 /// Requests per second of one address or user, and the size of a burst.
 const RATE: f64 = 200.0;
 const BURST: f64 = 1_000.0;
+/// What one refused request without the right token takes of its address's own allowance.
+const COST_OF_REFUSED: f64 = 10.0;
 /// Maximum number of remembered addresses and users. Those with a full allowance are forgotten
 /// first.
 const MAX_ADDRESSES: usize = 4_096;
@@ -178,15 +211,24 @@ const MAX_ADDRESSES: usize = 4_096;
 /// The remaining allowance of each address and user.
 #[derive(Debug, Default)]
 pub(super) struct Rates {
-    left: HashMap<Peer, (f64, Instant)>,
+    /// By client, and apart for what is refused to it: guesses at the token take nothing from those
+    /// behind the same address who have it.
+    left: HashMap<(Peer, bool), (f64, Instant)>,
 }
 
 impl Rates {
-    /// Takes one request of `peer`.
+    /// Takes one request of `peer`, or one that is refused.
     ///
     /// # Errors
     /// There were too many.
-    pub(super) fn take(&mut self, peer: Peer, now: Instant) -> Result<(), ApiError> {
+    pub(super) fn take(
+        &mut self,
+        peer: Peer,
+        is_refused: bool,
+        now: Instant,
+    ) -> Result<(), ApiError> {
+        let peer = (peer, is_refused);
+        let cost = if is_refused { COST_OF_REFUSED } else { 1.0 };
         let refilled = |left: f64, since: Instant| {
             let seconds = now.saturating_duration_since(since).as_secs_f64();
             (left + seconds * RATE).min(BURST)
@@ -201,10 +243,10 @@ impl Rates {
         let (left, since) = self.left.entry(peer).or_insert((BURST, now));
         *left = refilled(*left, *since);
         *since = now;
-        if *left < 1.0 {
+        if *left < cost {
             return Err(too_many());
         }
-        *left -= 1.0;
+        *left -= cost;
         Ok(())
     }
 }
@@ -238,6 +280,7 @@ mod tests {
             token: token.map(|token| Token(token.into())),
             cookie: cookie_name("1"),
             hosts: vec!["energy.example".to_owned()],
+            proxies: vec![[127, 0, 0, 1].into(), [10, 0, 0, 9].into()],
         }
     }
 
@@ -280,6 +323,39 @@ mod tests {
         assert_eq!(status(&open, "/api/v1/stream", &page), Some(403));
         let link = [page[0], page[1], ("sec-fetch-mode", "navigate")];
         assert_eq!(status(&open, "/", &link), None);
+    }
+
+    #[test]
+    fn a_request_that_names_another_host_in_its_first_line_is_refused() {
+        let (open, host) = (access(None), [("host", "localhost")]);
+        for (line, refused) in [
+            ("http://evil.example/", Some(403)),
+            ("http://localhost/", None),
+            ("http://energy.example:80/", None),
+            ("http://evil.example@localhost/", Some(403)),
+        ] {
+            assert_eq!(status(&open, line, &host), refused, "{line}");
+        }
+    }
+
+    #[test]
+    fn a_named_proxy_is_believed_for_whom_it_asks_and_nobody_else_is() {
+        let access = access(None);
+        let at = |text: &str| Peer::Address(text.parse().expect("an address"));
+        for (peer, stated, client) in [
+            ("127.0.0.1", "10.1.1.1", "10.1.1.1"),
+            ("127.0.0.1", "1.2.3.4, 10.1.1.1", "10.1.1.1"),
+            ("127.0.0.1", "10.1.1.1, 10.0.0.9", "10.1.1.1"),
+            ("127.0.0.1", "10.1.1.1, nobody", "127.0.0.1"),
+            ("127.0.0.1", "", "127.0.0.1"),
+            ("10.1.1.2", "10.1.1.1", "10.1.1.2"),
+        ] {
+            let headers = headers(&[("x-forwarded-for", stated)]);
+            let found = access.client(at(peer), &headers);
+            assert_eq!(found, at(client), "{peer} for {stated:?}");
+        }
+        let (user, headers) = (Peer::User(7), headers(&[("x-forwarded-for", "10.1.1.1")]));
+        assert_eq!(access.client(user, &headers), user);
     }
 
     #[test]
@@ -345,18 +421,21 @@ mod tests {
         let one = Peer::Address([127, 0, 0, 1].into());
         let other = Peer::Address([10, 0, 0, 1].into());
         let taken = (0..5_000)
-            .filter(|_| rates.take(one, begin).is_ok())
+            .filter(|_| rates.take(one, false, begin).is_ok())
             .count();
         assert_eq!(taken, 1_000);
-        assert!(rates.take(other, begin).is_ok());
+        // What is refused for its token is counted apart.
+        let refused = (0..5_000).filter(|_| rates.take(other, true, begin).is_ok());
+        assert_eq!(refused.count(), 100);
+        assert!(rates.take(other, false, begin).is_ok());
         let later = begin + Duration::from_secs(1);
         let taken = (0..5_000)
-            .filter(|_| rates.take(one, later).is_ok())
+            .filter(|_| rates.take(one, false, later).is_ok())
             .count();
         assert_eq!(taken, 200);
         // A user of this host has an allowance apart from all addresses.
         let taken = (0..5_000)
-            .filter(|_| rates.take(Peer::User(0), later).is_ok())
+            .filter(|_| rates.take(Peer::User(0), false, later).is_ok())
             .count();
         assert_eq!(taken, 1_000);
     }
@@ -370,12 +449,12 @@ mod tests {
                 0 => Peer::Address(number.to_be_bytes().into()),
                 _ => Peer::User(number),
             };
-            let _ = rates.take(peer, now);
+            let _ = rates.take(peer, false, now);
             assert!(rates.left.len() <= MAX_ADDRESSES);
         }
         assert!(
             rates
-                .take(Peer::User(7), begin + Duration::from_secs(60))
+                .take(Peer::User(7), false, begin + Duration::from_secs(60))
                 .is_ok()
         );
     }

@@ -22,6 +22,7 @@ use tokio::sync::{Semaphore, oneshot, watch};
 use tokio::time::{Instant, MissedTickBehavior, interval_at, timeout};
 
 use super::acknowledge::Acknowledge;
+use super::connections::{Connection, Receiving};
 use super::entry::Object;
 use super::error::{ApiError, json, typed};
 use super::listen::Peer;
@@ -356,11 +357,11 @@ async fn body<T: DeserializeOwned>(request: Request) -> Result<T, ApiError> {
         let text = "the body is JSON: send Content-Type: application/json";
         return Err(ApiError::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, text));
     }
-    let body = timeout(
-        BODY_LIMIT,
-        axum::body::to_bytes(request.into_body(), MAX_BODY_BYTES),
-    )
-    .await;
+    let connection = request.extensions().get::<Arc<Connection>>();
+    let receiving = connection.map(Receiving::new);
+    let body = axum::body::to_bytes(request.into_body(), MAX_BODY_BYTES);
+    let body = timeout(BODY_LIMIT, body).await;
+    drop(receiving);
     let late = || {
         ApiError::new(
             StatusCode::REQUEST_TIMEOUT,

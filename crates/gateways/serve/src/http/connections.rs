@@ -1,9 +1,10 @@
 //! Connection limits: how many connections, how long a transfer may take, and which connection is
 //! closed for another.
 //!
-//! A connection without a request is idle. If all slots are taken, the connection that has been
-//! idle longest is closed for the new one. Idle connections therefore keep nobody out, and only
-//! streams and requests in progress keep their slots.
+//! A connection without a request is idle, and so is one whose request's body still arrives. If all
+//! slots are taken, the connection that has been idle longest is closed for the new one. Idle
+//! connections therefore keep nobody out, and only streams and requests in progress keep their
+//! slots. Beside these there is a reserve, where only `/healthz` and `/readyz` are answered.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -21,6 +22,8 @@ use tokio::time::{Instant, Sleep, sleep};
 
 /// Maximum number of connections.
 pub(super) const MAX_CONNECTIONS: usize = 256;
+/// Connections beside these, for supervisors of processes.
+const RESERVED: usize = 16;
 /// Within `WRITE_LIMIT` a client must take this many bytes of the queued ones, or all of them.
 /// Otherwise it is disconnected.
 const WRITE_BYTES: u64 = 64 << 10;
@@ -32,6 +35,8 @@ pub(super) struct Connection {
     /// Requests being answered, streams included.
     busy: AtomicUsize,
     close: Notify,
+    /// Whether all slots were busy: only requests for the health are answered.
+    pub(super) is_reserved: bool,
 }
 
 impl Connection {
@@ -44,7 +49,37 @@ impl Connection {
 /// All connections by a growing number.
 #[derive(Debug, Default)]
 pub(super) struct Connections {
-    open: Mutex<(u64, BTreeMap<u64, Arc<Connection>>)>,
+    open: Mutex<Open>,
+}
+
+/// Connections by a growing number, and those in the reserve.
+#[derive(Debug, Default)]
+struct Open {
+    number: u64,
+    usual: BTreeMap<u64, Arc<Connection>>,
+    reserved: BTreeMap<u64, Arc<Connection>>,
+}
+
+/// Closes the oldest of those that may be closed, if all `slots` are taken. Returns whether there
+/// is a slot then.
+fn make_room(
+    connections: &mut BTreeMap<u64, Arc<Connection>>,
+    slots: usize,
+    may_close: impl Fn(&Connection) -> bool,
+) -> bool {
+    if connections.len() < slots {
+        return true;
+    }
+    let mut open = connections.iter();
+    let oldest = open.find(|(_, connection)| may_close(connection));
+    let Some(number) = oldest.map(|(number, _)| *number) else {
+        return false;
+    };
+    // The closed connection's own slot is no longer in the map, so its later release does nothing.
+    if let Some(connection) = connections.remove(&number) {
+        connection.close.notify_one();
+    }
+    true
 }
 
 /// The slot of a connection, released when dropped.
@@ -56,33 +91,33 @@ pub(super) struct Place {
 }
 
 impl Connections {
-    /// Takes a slot for a connection. `None` if requests in progress take all of them.
-    pub(super) fn enter(self: &Arc<Self>) -> Option<Place> {
+    /// Takes a slot for a connection; one of the reserve if requests in progress take all others.
+    pub(super) fn enter(self: &Arc<Self>) -> Place {
         let mut open = self.lock();
-        let (number, connections) = &mut *open;
-        if connections.len() >= MAX_CONNECTIONS {
-            let is_idle = |connection: &Connection| connection.busy.load(Ordering::Relaxed) == 0;
-            let idle = connections
-                .iter()
-                .find(|(_, connection)| is_idle(connection));
-            let idle = *idle?.0;
-            // The closed connection's own slot is no longer in the map, so its later release does
-            // nothing.
-            if let Some(connection) = connections.remove(&idle) {
-                connection.close.notify_one();
-            }
+        let is_idle = |connection: &Connection| connection.busy.load(Ordering::Relaxed) == 0;
+        let is_reserved = !make_room(&mut open.usual, MAX_CONNECTIONS, is_idle);
+        if is_reserved {
+            make_room(&mut open.reserved, RESERVED, |_| true);
         }
-        *number += 1;
-        let connection = Arc::new(Connection::default());
-        connections.insert(*number, Arc::clone(&connection));
-        Some(Place {
+        open.number += 1;
+        let number = open.number;
+        let connection = Arc::new(Connection {
+            is_reserved,
+            ..Connection::default()
+        });
+        let places = match is_reserved {
+            true => &mut open.reserved,
+            false => &mut open.usual,
+        };
+        places.insert(number, Arc::clone(&connection));
+        Place {
             connections: Arc::clone(self),
-            number: *number,
+            number,
             connection,
-        })
+        }
     }
 
-    fn lock(&self) -> MutexGuard<'_, (u64, BTreeMap<u64, Arc<Connection>>)> {
+    fn lock(&self) -> MutexGuard<'_, Open> {
         // Nothing panics while the lock is held.
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -90,7 +125,9 @@ impl Connections {
 
 impl Drop for Place {
     fn drop(&mut self) {
-        self.connections.lock().1.remove(&self.number);
+        let mut open = self.connections.lock();
+        open.usual.remove(&self.number);
+        open.reserved.remove(&self.number);
     }
 }
 
@@ -108,6 +145,23 @@ impl Busy {
 impl Drop for Busy {
     fn drop(&mut self) {
         self.0.busy.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// A connection whose request's body still arrives: it may be closed for another.
+#[derive(Debug)]
+pub(super) struct Receiving(Arc<Connection>);
+
+impl Receiving {
+    pub(super) fn new(connection: &Arc<Connection>) -> Self {
+        connection.busy.fetch_sub(1, Ordering::Relaxed);
+        Self(Arc::clone(connection))
+    }
+}
+
+impl Drop for Receiving {
+    fn drop(&mut self) {
+        self.0.busy.fetch_add(1, Ordering::Relaxed);
     }
 }
 
@@ -244,27 +298,33 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_longest_idle_connection_gives_way_and_busy_ones_do_not() {
+    fn the_longest_idle_connection_gives_way_and_busy_ones_leave_the_reserve() {
         let connections = Arc::new(Connections::default());
-        let places: Vec<Place> = (0..MAX_CONNECTIONS)
-            .filter_map(|_| connections.enter())
-            .collect();
-        assert_eq!(places.len(), MAX_CONNECTIONS);
-        let busy: Vec<Busy> = places
-            .iter()
-            .skip(2)
-            .map(|place| Busy::new(&place.connection))
-            .collect();
-        let first = connections.enter().expect("the first is idle");
-        let second = connections.enter().expect("the second is idle");
-        let numbers: Vec<u64> = connections.lock().1.keys().copied().collect();
-        assert!(!numbers.contains(&places[0].number) && !numbers.contains(&places[1].number));
-        let _all = [&first, &second].map(|place| Busy::new(&place.connection));
-        assert!(connections.enter().is_none());
-        drop(busy);
+        let enter = || connections.enter();
+        let mut places: Vec<Place> = (0..MAX_CONNECTIONS).map(|_| enter()).collect();
+        let busy = places.iter().skip(2);
+        let mut busy: Vec<Busy> = busy.map(|place| Busy::new(&place.connection)).collect();
+        let (first, second) = (enter(), enter());
+        let is_open = |place: &Place| connections.lock().usual.contains_key(&place.number);
+        assert!(!is_open(&places[0]) && !is_open(&places[1]));
+        assert!([&first, &second].map(is_open) == [true; 2]);
+        busy.extend([&first, &second].map(|place| Busy::new(&place.connection)));
+        // All are busy: what comes now is for the health alone, and never keeps the next out.
+        let mut last = enter();
+        for _ in 0..3 * RESERVED {
+            assert!(last.connection.is_reserved);
+            last = enter();
+        }
+        assert_eq!(connections.lock().reserved.len(), 1);
+        // A body that drips keeps nobody out.
+        let dripping = Receiving::new(&places[7].connection);
+        let usual = enter();
+        assert!(!usual.connection.is_reserved && !is_open(&places[7]));
+        drop(dripping);
+        drop((busy, last));
         // Dropping a closed connection releases no other connection's slot.
-        drop(places);
-        assert_eq!(connections.lock().1.len(), 2);
+        places.clear();
+        assert_eq!(connections.lock().usual.len(), 3);
     }
 
     #[test]

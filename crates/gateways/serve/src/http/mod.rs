@@ -29,7 +29,7 @@ mod what_if;
 
 use std::convert::Infallible;
 use std::io;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -55,7 +55,7 @@ use serde::Serialize;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::sync::{Notify, watch};
 
-use access::{Access, Rates, Token, cookie_name};
+use access::{Access, Rates, Token, cookie_name, is_of_health};
 use api::App;
 use connections::{Busy, Connection, Connections, Marked, Place, Watched};
 use error::ApiError;
@@ -87,6 +87,7 @@ pub(crate) struct Options {
     pub(crate) socket: Option<PathBuf>,
     pub(crate) token_file: Option<PathBuf>,
     pub(crate) allow_host: Vec<String>,
+    pub(crate) proxy: Vec<IpAddr>,
     pub(crate) metrics_robots: usize,
 }
 
@@ -161,6 +162,7 @@ impl HttpServer {
                 token,
                 cookie: cookie_name(config.fleet()),
                 hosts: options.allow_host.clone(),
+                proxies: options.proxy.clone(),
             },
             rates: Mutex::default(),
             connections: Arc::default(),
@@ -285,11 +287,10 @@ where
 {
     loop {
         match next().await {
-            Ok((stream, peer)) => match shared.connections.enter() {
-                Some(place) => drop(tokio::spawn(serve(stream, peer, place, Arc::clone(shared)))),
-                // All slots are busy. The client sees its connection closed.
-                None => drop(stream),
-            },
+            Ok((stream, peer)) => {
+                let place = shared.connections.enter();
+                drop(tokio::spawn(serve(stream, peer, place, Arc::clone(shared))));
+            }
             Err(error) => {
                 tracing::warn!(%error, "a connection was not accepted");
                 tokio::time::sleep(RETRY_ACCEPT).await;
@@ -335,7 +336,12 @@ async fn respond(
     let busy = Busy::new(connection);
     shared.requests.fetch_add(1, Ordering::Relaxed);
     let is_page = request.uri().path() == "/";
-    let response = match shared.check(&request, peer) {
+    let peer = shared.access.client(peer, request.headers());
+    let checked = match connection.is_reserved && !is_of_health(request.uri()) {
+        true => Err(ApiError::busy("all connections are taken: try again")),
+        false => shared.check(&request, peer),
+    };
+    let response = match checked {
         Err(refusal) => {
             shared.refused.fetch_add(1, Ordering::Relaxed);
             if is_page && refusal.status == StatusCode::UNAUTHORIZED {
@@ -347,6 +353,7 @@ async fn respond(
         Ok(Some(entered)) => entered,
         Ok(None) => {
             request.extensions_mut().insert(peer);
+            request.extensions_mut().insert(Arc::clone(connection));
             let router = TowerToHyperService::new(shared.router.clone());
             match router.call(request.map(Body::new)).await {
                 Ok(response) => response,
@@ -361,18 +368,25 @@ impl Shared {
     /// Checks a request before it is handled. A token in the URL is answered with a cookie and a
     /// redirect to the page.
     fn check(&self, request: &Request<Incoming>, peer: Peer) -> Result<Option<Response>, ApiError> {
+        let checked = self.admit(request, peer);
+        if is_of_health(request.uri()) {
+            return checked;
+        }
         let mut rates = self.rates.lock().unwrap_or_else(PoisonError::into_inner);
-        rates.take(peer, Instant::now())?;
-        drop(rates);
+        rates.take(peer, checked.is_err(), Instant::now())?;
+        checked
+    }
+
+    fn admit(&self, request: &Request<Incoming>, peer: Peer) -> Result<Option<Response>, ApiError> {
         let (uri, headers) = (request.uri(), request.headers());
         // The socket's directory, group and mode replace the token.
         if matches!(peer, Peer::User(_)) {
-            return self.access.check_site(headers).map(|()| None);
+            return self.access.check_site(uri, headers).map(|()| None);
         }
         let Some(token) = self.access.token_of(uri) else {
             return self.access.check(uri, headers).map(|()| None);
         };
-        self.access.check_host(headers)?;
+        self.access.check_host(uri, headers)?;
         let name = &self.access.cookie;
         let cookie = format!("{name}={token}; HttpOnly; SameSite=Strict; Path=/");
         let headers = [
