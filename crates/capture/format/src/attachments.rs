@@ -8,6 +8,8 @@ use std::path::{Path, PathBuf};
 
 use sha2::{Digest as _, Sha256};
 
+use joulebus_wire::ANSWER_RULES;
+
 use crate::Clock;
 
 /// Name of the metadata record that describes the file.
@@ -52,6 +54,7 @@ impl Attachments {
         };
         attachments.describe("format", FORMAT.to_owned());
         attachments.describe("version", env!("CARGO_PKG_VERSION").to_owned());
+        attachments.describe("answer_rules", ANSWER_RULES.to_string());
         attachments.describe("clock_offset_ns", clock.offset_ns.to_string());
         attachments.describe("boot_id", boot_id);
         attachments
@@ -91,6 +94,14 @@ impl Attachments {
     #[must_use]
     pub fn about(&self, key: &str) -> Option<&str> {
         Some(self.metadata.get(ABOUT)?.get(key)?.as_str())
+    }
+
+    /// Number of the rules by which recorded answers about plans were computed
+    /// ([`ANSWER_RULES`]); 1 where the file does not say.
+    #[must_use]
+    pub fn answer_rules(&self) -> u32 {
+        let stated = self.about("answer_rules");
+        stated.and_then(|number| number.parse().ok()).unwrap_or(1)
     }
 
     /// The fleets whose configs are attached.

@@ -18,7 +18,7 @@ use std::collections::{BTreeMap, VecDeque};
 use joulebus_fleet::{Fleet, FleetState};
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, SettingsError};
-use joulebus_wire::{ForecastHeader, TakenFrame, TickHeader, Ticks, tick_flag};
+use joulebus_wire::{ANSWER_RULES, ForecastHeader, TakenFrame, TickHeader, Ticks, tick_flag};
 
 use assemble::{Assembler, Event, SampleFrame, TickParts};
 use joulebus_capture_format::{Entry, MessageKind, Query};
@@ -85,6 +85,14 @@ impl Verifier {
     pub fn with_output(mut self, output: Output) -> Self {
         self.report.expect(output.kind);
         self.assembler.add_output(output);
+        self
+    }
+
+    /// Of a recording whose answers about plans were computed by the rules of this number
+    /// ([`joulebus_wire::ANSWER_RULES`]): those of other rules are counted, and not compared.
+    #[must_use]
+    pub fn with_answer_rules(mut self, number: u32) -> Self {
+        self.queries.has_other_rules = number != ANSWER_RULES;
         self
     }
 

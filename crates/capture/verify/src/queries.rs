@@ -36,6 +36,8 @@ pub(super) struct Queries {
     waiting_bytes: usize,
     kept: BTreeMap<Place, Tick>,
     kept_bytes: usize,
+    /// Whether the answers were computed by the rules of another version.
+    pub(super) has_other_rules: bool,
     /// The first and the last tick that was computed.
     span: Option<(Place, Place)>,
 }
@@ -61,6 +63,7 @@ impl Queries {
             waiting_bytes: 0,
             kept: BTreeMap::new(),
             kept_bytes: 0,
+            has_other_rules: false,
             span: None,
         }
     }
@@ -68,6 +71,10 @@ impl Queries {
     /// Takes a question that was asked of the fleet of this name.
     pub(super) fn take(&mut self, query: Query, fleet: &str, report: &mut Verification) {
         report.queries += 1;
+        if self.has_other_rules {
+            report.queries_of_other_rules += 1;
+            return;
+        }
         let asked = (query, fnv1a(fleet.bytes()));
         let Err(after) = self.verify(&asked, report) else {
             return;

@@ -58,6 +58,8 @@ pub struct Verification {
     /// Questions refused for reasons of time (a deadline, a client that ended, a worker that
     /// ended), and acknowledgements.
     pub queries_by_time: u64,
+    /// Questions answered by the rules of another version.
+    pub queries_of_other_rules: u64,
     /// Questions about ticks before the first or after the last that was computed.
     pub queries_outside: u64,
     /// Questions about a tick that could not be computed.
@@ -325,6 +327,11 @@ impl fmt::Display for Verification {
             (
                 self.queries_unverified,
                 "answers about plans could not be verified: their ticks could not",
+            ),
+            (
+                self.queries_of_other_rules,
+                "answers about plans follow the rules of another version: only that version (build.json \
+                 of the capture) computes them again",
             ),
             (
                 self.queries_outside,

@@ -151,6 +151,38 @@ fn a_capture_decides_neither_where_directories_are_made_nor_which_files_are_read
     }
 }
 
+/// Files of the program of 22 November 2026 (df6ba14): a capture of one robot with a keyframe and
+/// two answers, and the ledger of 4 s.
+#[test]
+fn files_of_an_earlier_release_are_verified_and_go_on() {
+    let earlier = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/earlier");
+    let capture = text(&earlier.join("run.mcap"));
+    let verified = run(format!("replay --verify {capture} --format json")).exits(0);
+    let verified = json(&verified);
+    assert!(verified["ticks_verified"].as_u64() > Some(30), "{verified}");
+    let counts = ["differences", "queries", "queries_of_other_rules"];
+    assert_eq!(
+        counts.map(|name| verified[name].as_u64()),
+        [Some(0), Some(2), Some(2)]
+    );
+    let said = stdout(&run(format!("replay --verify {capture}")).exits(0));
+    says(&said, ["follow the rules of another version"]);
+    let fleet = Fleet::new();
+    let ledger = fleet.path("ledger");
+    fs::copy(earlier.join("ledger"), &ledger).unwrap();
+    let config = fs::read_to_string(fleet.config()).unwrap();
+    let saved = format!("checkpoint = {ledger:?}");
+    fs::write(fleet.config(), config.replace("checkpoint = \"\"", &saved)).unwrap();
+    let mut worker = Program::start(fleet.joulebus("run"));
+    worker.wait_for_stderr("ready:");
+    fleet.output("publish sim --robots 1 --duration 1").exits(0);
+    let shown = json(&fleet.output("watch --once --format json").exits(0));
+    // 4 s at more than 2.5 W before, and 1 s now.
+    let drawn_j = shown["robots"][0]["drawn_j"].as_f64().unwrap();
+    assert!(drawn_j > 10.0, "{shown}");
+    worker.end(Signal::TERM).exits(0);
+}
+
 #[test]
 fn a_replay_with_no_wait_plays_to_its_end_without_a_worker() {
     let fleet = Fleet::new();

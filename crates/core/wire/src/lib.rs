@@ -47,9 +47,10 @@ pub use journal::{TakenFrame, TickHeader, tick_flag};
 pub use layout::{FieldLayout, FieldRole, FieldType, Payload, Row, StructLayout, declare};
 pub use plan_state::{LISTED_MODELS, PlanState, PlanStateHeader, plan_state_flag};
 pub use query::{
-    ANSWER_WORDS, AnswerHeader, AnswerRow, QUERY_CANDIDATES, QUERY_ROBOTS, QUERY_STEPS,
-    QUERY_VALUES, QueriesHeader, QueryCounts, QueryHeader, QueryKind, QueryRecord, QueryRefusal,
-    RECORD_WORDS, ROW_WORDS, Record, answer_flag, answer_parts, push_record, query_flag, records,
+    ANSWER_RULES, ANSWER_WORDS, AnswerHeader, AnswerRow, QUERY_CANDIDATES, QUERY_ROBOTS,
+    QUERY_STEPS, QUERY_VALUES, QueriesHeader, QueryCounts, QueryHeader, QueryKind, QueryRecord,
+    QueryRefusal, RECORD_WORDS, ROW_WORDS, Record, answer_flag, answer_parts, push_record,
+    query_flag, records,
 };
 pub use reason::{DropCounts, DropReason, InvalidReason, Refusal};
 pub use sample::{Freshness, Sample, SampleHeader, sample_flag};

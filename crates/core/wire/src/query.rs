@@ -15,6 +15,11 @@ use crate::declare::ZeroCopySend;
 use crate::layout::{bits, names};
 use crate::rows;
 
+/// Number of the rules by which answers about plans are computed: increased with each change by
+/// which the same question of the same tick gets another answer. Captures state it; 1 where they do
+/// not.
+pub const ANSWER_RULES: u32 = 2;
+
 /// Maximum number of values of a question.
 pub const QUERY_VALUES: usize = 4_096;
 /// Maximum number of words of an answer.
