@@ -94,7 +94,7 @@ impl Logging {
     /// The feed, opened if there is none. A failure is logged once, until a feed is opened.
     fn feed(&mut self) -> Option<&mut AlarmFeed> {
         if self.feed.is_none() {
-            match AlarmFeed::with_config(&self.config, "alarms") {
+            match AlarmFeed::with_config(&self.config, "alarm-log") {
                 Ok(feed) => {
                     self.feed = Some(feed);
                     self.failed = false;

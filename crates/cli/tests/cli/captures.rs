@@ -172,7 +172,8 @@ fn files_of_an_earlier_release_are_verified_and_go_on() {
     fs::copy(earlier.join("ledger"), &ledger).unwrap();
     let config = fs::read_to_string(fleet.config()).unwrap();
     let saved = format!("checkpoint = {ledger:?}");
-    fs::write(fleet.config(), config.replace("checkpoint = \"\"", &saved)).unwrap();
+    let config = config.replace("checkpoint = \"\"", &saved);
+    fs::write(fleet.config(), config.replace("\"cli\"", "\"lab\"")).unwrap();
     let mut worker = Program::start(fleet.joulebus("run"));
     worker.wait_for_stderr("ready:");
     fleet.output("publish sim --robots 1 --duration 1").exits(0);
@@ -218,8 +219,8 @@ fn a_worker_runs_whatever_becomes_of_its_recording() {
     for (name, parts, wanted) in [("run.mcap", 2, 0), ("none/run.mcap", 0, 3)] {
         let fleet = Fleet::new();
         let run = || {
-            let mut command = fleet.joulebus("run --record");
-            command.arg(fleet.path(name));
+            let mut command = fleet.joulebus("run");
+            command.arg("--record").arg(fleet.path(name));
             let mut program = Program::start(command);
             program.wait_for_stderr("ready:");
             program.end(Signal::TERM).exits(wanted)

@@ -47,6 +47,8 @@ const ANSWERING: usize = 1;
 const OF_WORKER: usize = 2;
 /// Recorders that a fleet can have at once.
 const RECORDERS: usize = 2;
+/// Links that a host can have at once.
+const LINKS: usize = 1;
 /// Maximum number of frames that a journal lists, whatever the limits: 160 KiB.
 const MAX_LISTED: usize = 4_096;
 
@@ -121,14 +123,14 @@ impl Limits {
             Flow::Sources => Shape {
                 publishers: self.max_sources + SPARE,
                 // The worker, and recorders.
-                subscribers: 1 + RECORDERS + SPARE,
+                subscribers: 1 + RECORDERS + LINKS + SPARE,
                 buffer: self.sample_frames,
                 borrowed: 1,
                 history: 0,
             },
             Flow::Planners { kept, history } => Shape {
                 publishers: 1 + SPARE,
-                subscribers: self.max_planners + OF_WORKER + SPARE,
+                subscribers: self.max_planners + OF_WORKER + RECORDERS + LINKS + SPARE,
                 buffer: self.forecast_frames,
                 // The newest is received while the previous one is held.
                 borrowed: 2 + kept,
@@ -136,11 +138,21 @@ impl Limits {
             },
             Flow::Recorders { queued, history } => Shape {
                 publishers: 1 + SPARE,
-                subscribers: RECORDERS + SPARE,
+                subscribers: RECORDERS + LINKS + SPARE,
                 buffer: queued,
                 borrowed: 1,
                 history,
             },
+        }
+    }
+
+    /// Readers of a channel that planners and views may have: the worker, recorders and links find
+    /// their places whatever others do.
+    #[must_use]
+    pub const fn open_places(&self, flow: Flow) -> usize {
+        match flow {
+            Flow::Planners { .. } => self.max_planners + SPARE,
+            Flow::Sources | Flow::Recorders { .. } => SPARE,
         }
     }
 
@@ -194,7 +206,7 @@ impl Limits {
     /// Listeners and notifiers of the worker's event.
     #[must_use]
     pub const fn wake(&self) -> (usize, usize) {
-        (self.max_planners + ANSWERING + SPARE, 1 + SPARE)
+        (self.max_planners + ANSWERING + LINKS + SPARE, 1 + SPARE)
     }
 }
 

@@ -21,6 +21,7 @@ use crate::liveness::presence::Need;
 use crate::membership::{Membership, remove_unused};
 use crate::os::files::effective_uid;
 use crate::os::fork;
+use crate::ports::places::is_own;
 use crate::preflight::{PORT_BYTES, PROCESS_BYTES, check_free, check_left};
 use crate::{Domain, FilesRemoved, Housekeeping, JoinError, SweepReport, WorkerLock};
 
@@ -40,6 +41,8 @@ pub struct Bus {
     pub(crate) node: Kept<Node<Ipc>>,
     pub(crate) member: Rc<Membership>,
     joined: SweepReport,
+    /// Whether it has places that planners and views cannot take.
+    pub(crate) is_own: bool,
 }
 
 impl Bus {
@@ -88,6 +91,7 @@ impl Bus {
             node: Kept::new(node, member.presence.need(monitor)),
             member: Rc::new(member),
             joined,
+            is_own: is_own(name),
         })
     }
 

@@ -130,7 +130,7 @@ pub const KEYS: &[Key] = &[
         "When the system refuses cpus, priority or memory: continue with a warning, or do not start."),
 
     key("readers.max_planners", int(bounds::MAX_PLANNERS), "readers", DefaultValue::Integer(16),
-        "Planners, watchers and recorders that can be connected at the same time."),
+        "Planners and views that can be connected at the same time. Worker, two recorders and a link have places of their own."),
     key("readers.worker_stale_after_s", num(SILENCE_S), "s", DefaultValue::Number(1.0),
         "Silence of the worker of which people hear: page, alarms, webhooks, metrics. Planners hear of two missed ticks."),
 

@@ -1,6 +1,7 @@
 //! Ports: how a member opens a service.
 
 mod degradation;
+pub(crate) mod places;
 mod poll;
 mod query;
 mod reader;
@@ -12,7 +13,7 @@ mod wait;
 mod worn;
 mod writer;
 
-use joulebus_wire::{Channel, Service};
+use joulebus_wire::{Channel, Forecasts, Service};
 
 pub use self::poll::Poller;
 pub use self::query::{OpenQuery, QueryClient, QueryError, QueryServer};
@@ -47,10 +48,11 @@ impl Bus {
 
     /// Reads a channel. Of the worker's channels it reads only frames of the process that holds the
     /// worker's lock. While a reader of plan states, keyframes or records of questions is open, the
-    /// worker sends them.
+    /// worker sends them. The worker's own readers, recorders and links have places that planners
+    /// and views cannot take.
     ///
     /// # Errors
-    /// [`OpenError`].
+    /// [`OpenError`]; [`OpenError::Places`] names who has the places.
     pub fn reader<C: Channel>(&self, limits: &Limits) -> Result<Reader<C>, OpenError> {
         Reader::open(self, limits)
     }
@@ -85,7 +87,7 @@ impl Bus {
     /// # Errors
     /// [`OpenError`].
     pub fn arrivals_waiter(&self, limits: &Limits) -> Result<Waiter, OpenError> {
-        Waiter::open(self, Service::ARRIVALS, limits, limits.arrivals())
+        Waiter::open(self, Service::ARRIVALS, limits, limits.arrivals(), None)
     }
 
     /// Wakes planners: the worker.
@@ -101,7 +103,8 @@ impl Bus {
     /// # Errors
     /// [`OpenError`].
     pub fn planner_waiter(&self, limits: &Limits) -> Result<Waiter, OpenError> {
-        Waiter::open(self, Service::WAKE, limits, limits.wake())
+        let places = limits.open_places(Forecasts::FLOW);
+        Waiter::open(self, Service::WAKE, limits, limits.wake(), Some(places))
     }
 
     /// Waits for times instead: readers that look now and then.

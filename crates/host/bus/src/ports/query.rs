@@ -82,7 +82,7 @@ impl QueryServer {
         check_free(usize::try_from(needed).unwrap_or(usize::MAX))?;
         let events = limits.query_events();
         // The waiter first: a question that arrives in between is found without an event.
-        let asked = Waiter::open(bus, Service::ASKED, limits, (events.1, events.0))?;
+        let asked = Waiter::open(bus, Service::ASKED, limits, (events.1, events.0), None)?;
         let answered = Waker::open(bus, Service::ANSWERED, limits, events)?;
         let factory = service::open_queries(bus, limits)?;
         let failures = Failures::new();
@@ -250,7 +250,7 @@ impl QueryClient {
         let needed = client_bytes();
         check_free(usize::try_from(needed).unwrap_or(usize::MAX))?;
         let events = limits.query_events();
-        let answered = Waiter::open(bus, Service::ANSWERED, limits, events)?;
+        let answered = Waiter::open(bus, Service::ANSWERED, limits, events, None)?;
         let asked = Waker::open(bus, Service::ASKED, limits, (events.1, events.0))?;
         let factory = service::open_queries(bus, limits)?;
         let create = || {

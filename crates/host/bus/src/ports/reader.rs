@@ -11,6 +11,7 @@ use iceoryx2::service::port_factory::PortFactory as _;
 use joulebus_wire::{Channel, Flow};
 
 use super::degradation::Failures;
+use super::places::{is_admitted, taken};
 use super::repair::Repair;
 use super::service::{self, Factory, OpenError};
 use crate::ipc::Ipc;
@@ -48,11 +49,28 @@ impl<C: Channel> Reader<C> {
         let (service, shape) = (C::SERVICE, limits.shape(C::FLOW));
         let factory = service::open::<C>(bus, limits)?;
         let failures = Failures::new();
-        let create = || subscribe::<C>(&factory, shape.buffer, &failures);
         let is_full =
             |error: &_| matches!(error, SubscriberCreateError::ExceedsMaxSupportedSubscribers);
-        let subscriber = service::create(bus, create, is_full)
-            .map_err(|reason| OpenError::port(service, reason))?;
+        let nodes = || {
+            let mut nodes = Vec::new();
+            factory.dynamic_config().list_subscribers(|reader| {
+                nodes.push(reader.node_id);
+                CallbackProgression::Continue
+            });
+            nodes
+        };
+        let create = || {
+            let subscriber = subscribe::<C>(&factory, shape.buffer, &failures)?;
+            match is_admitted(bus, limits.open_places(C::FLOW), &nodes()) {
+                true => Ok(subscriber),
+                false => Err(SubscriberCreateError::ExceedsMaxSupportedSubscribers),
+            }
+        };
+        let subscriber =
+            service::create(bus, create, is_full).map_err(|reason| match is_full(&reason) {
+                true => taken(bus, service, &nodes()),
+                false => OpenError::port(service, reason),
+            })?;
         // A failed connection is only counted, above.
         service::check_shortage()?;
         let need = service::need(bus, &factory, None);

@@ -375,6 +375,19 @@ pub enum OpenError {
     /// Files of this process were removed: iceoryx2 would recreate them for this process only.
     #[error(transparent)]
     Removed(#[from] FilesRemoved),
+    /// All places that planners and views may have are taken.
+    #[error(
+        "service {service:?}: all {allowed} places for planners and views are taken, by {holders}; \
+         end one of them, or raise `readers.max_planners` for all processes of the fleet"
+    )]
+    Places {
+        /// The service.
+        service: &'static str,
+        /// Places that planners and views may have.
+        allowed: usize,
+        /// Who has them: names and pids.
+        holders: String,
+    },
     /// iceoryx2 refused.
     #[error(
         "service {service:?}: {reason}; are all processes of the same version, and are there more \

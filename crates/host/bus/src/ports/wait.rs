@@ -9,10 +9,12 @@ use std::rc::Rc;
 use iceoryx2::port::listener::{Listener, ListenerCreateError};
 use iceoryx2::port::notifier::{Notifier, NotifierCreateError};
 use iceoryx2::prelude::{CallbackProgression, EventId, FileDescriptorBased};
+use iceoryx2::service::port_factory::PortFactory as _;
 use joulebus_wire::{Service, WakeEvent};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
+use super::places::{is_admitted, taken};
 use super::service::{self, OpenError, need, open_event};
 use crate::ipc::Ipc;
 use crate::liveness::kept::Kept;
@@ -128,12 +130,31 @@ impl Waiter {
         service: Service,
         limits: &Limits,
         ports: (usize, usize),
+        places: Option<usize>,
     ) -> Result<Self, OpenError> {
         let factory = open_event(bus, service, limits, ports)?;
         let is_full =
             |error: &_| matches!(error, ListenerCreateError::ExceedsMaxSupportedListeners);
-        let listener = service::create(bus, || factory.listener_builder().create(), is_full)
-            .map_err(|reason| OpenError::port(service, reason))?;
+        let nodes = || {
+            let mut nodes = Vec::new();
+            factory.dynamic_config().list_listeners(|listener| {
+                nodes.push(listener.node_id);
+                CallbackProgression::Continue
+            });
+            nodes
+        };
+        let create = || {
+            let listener = factory.listener_builder().create()?;
+            match places.is_none_or(|places| is_admitted(bus, places, &nodes())) {
+                true => Ok(listener),
+                false => Err(ListenerCreateError::ExceedsMaxSupportedListeners),
+            }
+        };
+        let listener =
+            service::create(bus, create, is_full).map_err(|reason| match is_full(&reason) {
+                true => taken(bus, service, &nodes()),
+                false => OpenError::port(service, reason),
+            })?;
         let need = need(bus, &factory, Some(listener.id().value()));
         Ok(Self {
             listener: Kept::new(listener, need),
