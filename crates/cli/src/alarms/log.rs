@@ -1,4 +1,5 @@
-//! The alarms of the robots in the worker's log: a line for each raise and each end.
+//! The alarms of the robots in the worker's log: a line for each raise and each end, and one for many
+//! robots of which the same is true at once, as when their source or link is gone.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -121,8 +122,9 @@ impl Steps for Logging {
         let Some(feed) = self.feed() else {
             return (!last).then_some(OPEN_EVERY);
         };
+        let mut changes = Vec::new();
         let read = feed.changes(|change| {
-            log(&change);
+            changes.push(change);
             match change.change {
                 Change::Raised => report.raised += 1,
                 Change::Cleared | Change::Left => report.ended += 1,
@@ -132,6 +134,7 @@ impl Steps for Logging {
         let (missed, pause) = (feed.history().ticks_missed(), feed.look_every());
         report.ticks_missed = self.before.ticks_missed.saturating_add(missed);
         *self.report.lock().unwrap_or_else(PoisonError::into_inner) = report;
+        log_all(&mut changes);
         if last {
             return None;
         }
@@ -143,6 +146,74 @@ impl Steps for Logging {
             return Some(OPEN_EVERY);
         }
         Some(pause)
+    }
+}
+
+/// More robots than these share one line.
+const MAX_LINES: usize = 8;
+/// Ranges of robots that a line names.
+const MAX_RANGES: usize = 16;
+
+/// The changes of one look: of few robots a line each, of many one line.
+fn log_all(changes: &mut [AlarmChange]) {
+    let key = |change: &AlarmChange| (change.alarm.name(), change.change.name());
+    changes.sort_by_key(|change| (key(change), change.robot));
+    for alike in changes.chunk_by(|a, b| key(a) == key(b)) {
+        match alike {
+            [first, ..] if alike.len() > MAX_LINES => {
+                let ids: Vec<u32> = alike.iter().map(|change| change.robot).collect();
+                log_many(first, alike.len(), &ranges(&ids));
+            }
+            _ => alike.iter().for_each(log),
+        }
+    }
+}
+
+fn log_many(first: &AlarmChange, robots: usize, ids: &str) {
+    let (alarm, level) = (first.alarm.name(), first.alarm.level());
+    let (level_name, what) = (level.name(), first.change.name());
+    match (first.change, level) {
+        (Change::Raised, Level::Error) => {
+            tracing::error!(target: ALARMS, robots, ids, alarm, level = level_name, change = what, "alarm raised of {robots} robots");
+        }
+        (Change::Raised, _) => {
+            tracing::warn!(target: ALARMS, robots, ids, alarm, level = level_name, change = what, "alarm raised of {robots} robots");
+        }
+        _ => {
+            tracing::info!(target: ALARMS, robots, ids, alarm, level = level_name, change = what, "alarm {what} of {robots} robots");
+        }
+    }
+}
+
+/// Ids in ascending order as ranges, `0-9, 12`; those that are too many are left out.
+fn ranges(ids: &[u32]) -> String {
+    let mut ranges = ids.chunk_by(|a, b| a.checked_add(1) == Some(*b));
+    let shown = ranges.by_ref().take(MAX_RANGES).map(|range| match range {
+        [one] => one.to_string(),
+        _ => format!("{}-{}", range[0], range[range.len() - 1]),
+    });
+    let mut text = shown.collect::<Vec<_>>().join(", ");
+    let more = ranges.map(<[u32]>::len).sum::<usize>();
+    if more > 0 {
+        text += &format!(" and {more} more");
+    }
+    text
+}
+
+#[cfg(test)]
+#[test]
+fn ids_are_shown_as_ranges_and_not_without_end() {
+    let odd: Vec<u32> = (0..100).map(|id| 2 * id).collect();
+    for (ids, shown) in [
+        (&[7][..], "7".to_owned()),
+        (&[0, 1, 2, 5, 7, 8], "0-2, 5, 7-8".to_owned()),
+        (&[u32::MAX - 1, u32::MAX], "4294967294-4294967295".to_owned()),
+        (&odd, {
+            let first: Vec<String> = odd[..16].iter().map(u32::to_string).collect();
+            format!("{} and 84 more", first.join(", "))
+        }),
+    ] {
+        assert_eq!(ranges(ids), shown);
     }
 }
 
