@@ -70,8 +70,14 @@ impl Checkpoint {
     }
 
     /// Takes the accounts of a frame of budgets. Keeps at most `most`: the frame's robots first,
-    /// then those with the newest last sample. Returns the number of dropped accounts.
-    pub(crate) fn take(&mut self, header: &BudgetHeader, budgets: &[Budget], most: usize) -> usize {
+    /// then those that the config names, then those with the newest last sample. Returns the number
+    /// of dropped accounts.
+    pub(crate) fn take(
+        &mut self,
+        header: &BudgetHeader,
+        budgets: &[Budget],
+        (most, is_configured): (usize, impl Fn(u32) -> bool),
+    ) -> usize {
         (self.written_ns, self.written_unix_ns) = (header.sent_ns, header.sent_unix_ns);
         let of_frame = || {
             let rows = budgets.iter();
@@ -99,12 +105,13 @@ impl Checkpoint {
         let too_many = self.robots.len().saturating_sub(most);
         if too_many > 0 {
             let present: BTreeSet<u32> = of_frame().map(|budget| budget.robot).collect();
-            let mut oldest_first: Vec<(bool, Age, u32)> = self
-                .by_age()
-                .map(|(age, robot)| (present.contains(&robot), age, robot))
-                .collect();
+            let rank = |(age, robot)| {
+                let is_present = present.contains(&robot);
+                (is_present, is_configured(robot), age, robot)
+            };
+            let mut oldest_first: Vec<(bool, bool, Age, u32)> = self.by_age().map(rank).collect();
             oldest_first.sort_unstable();
-            for (_, _, robot) in oldest_first.iter().take(too_many) {
+            for (.., robot) in oldest_first.iter().take(too_many) {
                 self.robots.remove(robot);
             }
         }
@@ -220,7 +227,10 @@ pub(crate) mod tests {
             ..Budget::default()
         };
         let mut checkpoint = Checkpoint::new("lab", "boot-a");
-        assert_eq!(checkpoint.take(&sent(1_000), &[budget, unheard], 9), 0);
+        assert_eq!(
+            checkpoint.take(&sent(1_000), &[budget, unheard], (9, |_| true)),
+            0
+        );
         checkpoint
     }
 
@@ -237,7 +247,7 @@ pub(crate) mod tests {
         for name in 0..100_000 {
             let stamp_ns = u64::from(name) + 1;
             let frame = [of(u32::MAX, stamp_ns), of(name, stamp_ns)];
-            gone += ledger.take(&sent(stamp_ns), &frame, 50);
+            gone += ledger.take(&sent(stamp_ns), &frame, (50, |_| true));
             assert!(ledger.robots.len() <= 50, "robot {name}");
         }
         assert_eq!(gone, 100_001 - 50);
@@ -245,6 +255,25 @@ pub(crate) mod tests {
         assert_eq!(ledger.robots.keys().copied().collect::<Vec<_>>(), newest);
         let oldest_first = ledger.ledgers();
         assert!(oldest_first.is_sorted_by_key(|restored| restored.ledger.stamp_ns()));
+    }
+
+    #[test]
+    fn accounts_of_robots_that_the_config_no_longer_names_are_given_up_first() {
+        let mut ledger = Checkpoint::new("lab", "boot-a");
+        let of = |robot, stamp_ns| Budget {
+            robot,
+            flags: budget_flag::LEDGER,
+            stamp_ns,
+            ..Budget::default()
+        };
+        let renumbered = |robot: u32| robot < 20;
+        for robot in (0..20).chain(100..120) {
+            let stamp_ns = 1_000 + u64::from(robot);
+            ledger.take(&sent(stamp_ns), &[of(robot, stamp_ns)], (30, renumbered));
+        }
+        let kept: Vec<u32> = ledger.robots.keys().copied().collect();
+        let wanted: Vec<u32> = (0..20).chain(110..120).collect();
+        assert_eq!(kept, wanted);
     }
 
     #[test]
@@ -269,7 +298,7 @@ pub(crate) mod tests {
             ..Budget::default()
         };
         let mut ledger = Checkpoint::new("lab", "boot-a");
-        assert_eq!(ledger.take(&sent(1_000), &[budget], 9), 0);
+        assert_eq!(ledger.take(&sent(1_000), &[budget], (9, |_| true)), 0);
         let whole = ledger.robots[&3].battery;
         let carried = |now_unix_ns| ledger.clone().carried_over("boot-b", 500, now_unix_ns);
         assert_eq!(carried(50_500).robots[&3].battery, whole);
@@ -291,7 +320,7 @@ pub(crate) mod tests {
             ..Budget::default()
         };
         let frame = [(7, 300), (1, 900), (5, 100), (9, 300)].map(of);
-        assert_eq!(ledger.take(&sent(1_000), &frame, 9), 0);
+        assert_eq!(ledger.take(&sent(1_000), &frame, (9, |_| true)), 0);
         let carried = ledger.carried_over("boot-b", 5_000, 0);
         let order: Vec<u32> = carried
             .ledgers()
@@ -330,20 +359,20 @@ pub(crate) mod tests {
                 (2, now_ns + MAX_AHEAD_NS / 9),
                 (900 + liar, stamp_ns),
             ];
-            gone += ledger.take(&sent(now_ns), &frame.map(of), 16);
+            gone += ledger.take(&sent(now_ns), &frame.map(of), (16, |_| true));
             assert!(ledger.robots.contains_key(&(900 + liar)), "it is there");
         }
         assert_eq!((ledger.robots.len(), gone), (16, 16));
         // As many as there are slots, the two among them. Then only the two.
         now_ns += MAX_AHEAD_NS;
         let all = [1, 2, 10, 11, 12, 13, 14, 15].map(|robot| of((robot, now_ns)));
-        assert_eq!(ledger.take(&sent(now_ns), &all, 16), 6);
+        assert_eq!(ledger.take(&sent(now_ns), &all, (16, |_| true)), 6);
         assert_eq!(restored(&ledger), [1, 2, 10, 11, 12, 13, 14, 15]);
         let rebooted = ledger.clone().carried_over("boot-b", 5_000, 0);
         assert_eq!(restored(&rebooted), [1, 2, 10, 11, 12, 13, 14, 15]);
         now_ns += MAX_AHEAD_NS;
         let two = [1, 2].map(|robot| of((robot, now_ns)));
-        assert_eq!(ledger.take(&sent(now_ns), &two, 2), 14);
+        assert_eq!(ledger.take(&sent(now_ns), &two, (2, |_| true)), 14);
         assert_eq!(restored(&ledger), [1, 2]);
     }
 }

@@ -1,6 +1,7 @@
 //! The checkpointer: a thread that reads the worker's own frames, like a planner, and does the work
 //! that the tick must not do: it writes the ledger's checkpoints and logs refusals.
 
+use std::ops::RangeInclusive;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
@@ -79,6 +80,8 @@ struct Checkpointer {
     /// None if the ledger is not saved.
     files: Option<LedgerFiles>,
     max_accounts: usize,
+    /// Ids of the robots that the config names.
+    robots: Vec<RangeInclusive<u32>>,
     schedule: SaveSchedule,
     changed: bool,
     drops: DropCounts,
@@ -103,6 +106,7 @@ impl Checkpointer {
         let limits = config.limits();
         let every_ns = files.as_ref().map(|_| config.checkpoint_every_ns());
         let now_ns = clock::monotonic_ns();
+        let saved = checkpoint.robots.len();
         Ok(Self {
             budgets: bus.reader(&limits)?,
             diagnostics: bus.reader(&limits)?,
@@ -117,7 +121,14 @@ impl Checkpointer {
             failures,
             checkpoint,
             files,
-            max_accounts: limits.capacity.saturating_mul(ACCOUNTS_PER_ROBOT),
+            // A capacity that is lowered takes no account.
+            max_accounts: (limits.capacity.saturating_mul(ACCOUNTS_PER_ROBOT)).max(saved),
+            robots: config
+                .settings()
+                .platforms
+                .iter()
+                .flat_map(|platform| platform.robots.clone())
+                .collect(),
             schedule: SaveSchedule::new(every_ns.unwrap_or(u64::MAX), now_ns),
             changed: false,
             drops: DropCounts::default(),
@@ -131,6 +142,8 @@ impl Checkpointer {
 
     fn read_budgets(&mut self) {
         let (checkpoint, most) = (&mut self.checkpoint, self.max_accounts);
+        let robots = &self.robots;
+        let is_configured = |robot| robots.iter().any(|ids| ids.contains(&robot));
         let (mut gone, mut changed) = (0, false);
         // Not the newest alone: of a worker that was stopped for long, robots that have left are in
         // the one before.
@@ -138,7 +151,7 @@ impl Checkpointer {
             for robot in checkpoint.exchanged(budgets) {
                 tracing::info!(robot, "the robot has another battery");
             }
-            gone += checkpoint.take(header, budgets, most);
+            gone += checkpoint.take(header, budgets, (most, is_configured));
             changed = true;
         });
         self.changed |= changed;

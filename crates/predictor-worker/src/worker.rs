@@ -169,7 +169,9 @@ impl Worker {
         let limits = config.limits();
         let lock = WorkerLock::acquire(&domain)?;
         let before = read_ledger(config)?;
-        let saved = before.checkpoint.ledgers();
+        // Accounts of robots that the config no longer names stay in the file: those may return.
+        let saved = before.checkpoint.ledgers().into_iter();
+        let saved: Vec<_> = saved.filter(|it| fleet.is_configured(it.robot)).collect();
         let written = saved.len();
         let kept = saved
             .into_iter()

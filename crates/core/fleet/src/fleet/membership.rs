@@ -40,6 +40,12 @@ impl Fleet {
         })
     }
 
+    /// Whether a platform of the config has this robot.
+    #[must_use]
+    pub fn is_configured(&self, robot: u32) -> bool {
+        self.platform_of(robot).is_some()
+    }
+
     /// The slot of a robot in the fleet.
     pub(super) fn find(&self, robot: u32) -> Option<usize> {
         let found = self
