@@ -19,7 +19,7 @@ cp "$deb" "$root/tmp/joulebus.deb"
 # The version before: the same files under a lower number.
 dpkg-deb -R "$deb" "$work/previous"
 sed -i 's/^Version: .*/Version: 0.0.1-1/' "$work/previous/DEBIAN/control"
-dpkg-deb --root-owner-group --build "$work/previous" "$root/tmp/previous.deb" > /dev/null
+dpkg-deb --root-owner-group -Znone --build "$work/previous" "$root/tmp/previous.deb" > /dev/null
 in_root() { chroot "$root" "$@"; }
 as_joulebus() { in_root setpriv --reuid joulebus --regid joulebus --clear-groups -- "$@"; }
 fail() { echo "tools/deb/installed.sh: $1" >&2; exit 1; }

@@ -18,7 +18,7 @@ fail() { echo "tools/release/dev_installed.sh: $1" >&2; exit 1; }
 # The previous version: the same files under a lower number.
 dpkg-deb -R "$deb" "$work/previous"
 sed -i 's/^Version: .*/Version: 0.0.1-1/' "$work/previous/DEBIAN/control"
-dpkg-deb --root-owner-group --build "$work/previous" "$root/tmp/previous.deb" >/dev/null
+dpkg-deb --root-owner-group -Znone --build "$work/previous" "$root/tmp/previous.deb" >/dev/null
 in_root dpkg --install /tmp/previous.deb
 in_root dpkg --install /tmp/new.deb
 [ -z "$(in_root dpkg --verify libjoulebus-dev)" ] || fail 'dpkg --verify finds differences'

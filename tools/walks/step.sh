@@ -100,7 +100,12 @@ unpack_programs() {
 
 # A fleet of its own, beside others of this user.
 own_domain() { # config
-    sed -i "s|^\[\[platform\]\]|[domain]\nroot = \"$shm\"\nprefix = \"w$(($$ % 1000000))_\"\n&|" "$1"
+    local root="root = \"$shm\"" prefix="prefix = \"w$(($$ % 1000000))_\""
+    if grep -q '^\[domain\]' "$1"; then
+        sed -i "s|^root = .*|$root|; s|^prefix = .*|$prefix|" "$1"
+    else
+        sed -i "s|^\[\[platform\]\]|[domain]\n$root\n$prefix\n&|" "$1"
+    fi
 }
 
 walk_says() { # the result worth staying for
