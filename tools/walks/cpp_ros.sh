@@ -47,7 +47,8 @@ if command -v ros2 >/dev/null; then
 elif [ -n "$cyclonedds" ]; then
     mkfifo orders
     exec 3<>orders
-    background echo "$cyclonedds" "$repository/crates/gateways/bridge/tests/all/ros2/peer.py" "$ROS_DOMAIN_ID" <orders
+    # Of a process in the background the standard input is empty, unless it is said there.
+    background echo bash -c 'exec "$@" <orders' - "$cyclonedds" "$repository/crates/gateways/bridge/tests/all/ros2/peer.py" "$ROS_DOMAIN_ID"
     cat >&3 <<'ORDERS'
 {"say": "/robot3/battery_state", "type": "BatteryState", "fields": {"voltage": 4.0, "current": -0.9, "present": true}}
 {"say": "/robot3/cmd_vel", "type": "Twist", "fields": {"linear": {"x": 0.1}}}
@@ -57,6 +58,6 @@ ORDERS
 else
     skip 'neither ros2 nor Cyclone DDS is here: no echo'
 fi
-grep -m 1 'data' .echo.log || true
-[ -z "${pid_planner:-}" ] || { step 'the planner in C++ prints forecasts of the same robots' seen planner '^tick' && grep -m 1 '^tick' .planner.log; }
+grep -m 1 'data"*: [0-9]' .echo.log || true
+[ -z "${pid_planner:-}" ] || { step 'the planner in C++ prints forecasts of the same robots' seen planner '^tick.* [1-9][0-9]* robots, [1-9]' && grep -m 1 '^tick.* [1-9][0-9]* robots, [1-9]' .planner.log; }
 walk_says 'find_package, and forecasts of ROS 2 robots without a file'
