@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Builds the Debian package that crates/cli/Cargo.toml describes ([package.metadata.deb]), and checks it: contents, lintian, and,
-# for root, its installation, use, upgrade and removal in a copy-on-write view of this machine, which stays as it is.
+# for root, its installation, use, upgrade and removal in a copy-on-write view of a clean Debian (tools/deb/root.sh).
 #
 #     tools/deb.sh                         # profile dist, as it is released; the package is in target/debian
 #     tools/deb.sh --profile release       # quicker to build
@@ -67,30 +67,25 @@ build() { # profile
 check_contents() {
     dpkg-deb --info "$deb"
     dpkg-deb --contents "$deb"
-    if command -v lintian > /dev/null; then
-        lintian --allow-root --fail-on error,warning "$deb" || fail "lintian finds errors"
-        echo "lintian: no errors, no warnings"
-    else
-        skip "lintian is not installed (apt-get install lintian)"
-    fi
+    tools/deb/lint.sh "$deb" || fail "lintian finds errors"
 }
 
-# In a mount namespace of its own: this machine, with changes that go into a folder in memory.
+# In a mount namespace of its own: a clean Debian where debootstrap makes one, else this machine, with changes that go into a
+# folder in memory.
 check_installed() {
     if [ "$(id -u)" != 0 ]; then
         skip "the package is installed by root only"
         return
     fi
-    local work
-    work=$(mktemp -d)
-    if ! unshare --mount bash -c "mount -t tmpfs tmpfs '$work' && mkdir '$work'/{upper,work,root} \
-        && mount -t overlay overlay -o lowerdir=/,upperdir='$work/upper',workdir='$work/work' '$work/root'" 2> /dev/null; then
-        rmdir "$work"
-        skip "this machine cannot mount an overlay: the package is not installed"
+    local work clean=/
+    if ! unshare --mount true 2> /dev/null; then
+        skip "this machine has no mount namespaces: the package is not installed"
         return
     fi
+    clean=$(tools/deb/root.sh) || { skip "no clean root: the package is installed in a view of this machine"; clean=/; }
+    work=$(mktemp -d)
     local result=0
-    unshare --mount --pid --fork bash "$PWD/tools/deb/installed.sh" "$work" "$deb" || result=$?
+    unshare --mount --pid --fork bash "$PWD/tools/deb/installed.sh" "$work" "$deb" "$clean" || result=$?
     rmdir "$work"
     [ "$result" = 0 ] || fail "the installed package does not work"
 }

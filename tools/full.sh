@@ -37,7 +37,8 @@ step containers - 'cargo build --quiet --locked --workspace --lib --bins --examp
 step c - 'tools/c_api.sh; python3 tools/c_speed.py --rounds 11'
 step wheel - 'tools/python_package.sh'
 step package - 'cargo package --workspace --exclude "joulebus-test*" --exclude joulebus-examples --exclude "joulebus-simulat*" --exclude joulebus-python --locked'
-step deb - 'tools/deb.sh'
+# What a release consists of, each artefact installed and tried; then users who start with an empty home and that.
+step release - 'tools/release.sh; for user in rust python cpp_ros operator; do tools/walks/$user.sh; done'
 step install - 'tools/install.sh target/installed; target/installed/bin/joulebus demo --duration 5; target/installed/bin/joulebus mission --help'
 step shared-builds - 'python3 tools/shared_builds.py'
 step msrv rust-1.89 'cargo +1.89 check --workspace --all-targets --locked'

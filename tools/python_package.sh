@@ -28,11 +28,13 @@ if [ "${1:-}" = --workspace ]; then
 else
     wheels=$target/wheels
     rm -rf "$wheels"
-    "$python" -m maturin build --quiet --locked --profile dev --manifest-path crates/languages/python/Cargo.toml \
-        --interpreter "$python" --out "$wheels"
+    # Both distributions: without the lab most tests have nothing to compare.
+    for project in crates/languages/python crates/languages/python/lab; do
+        (cd "$project" && "$python" -m maturin build --quiet --locked --profile dev --interpreter "$python" --out "$wheels")
+    done
     [ -n "${JOULEBUS_PROGRAM:-}" ] || cargo build --quiet --locked --package joulebus --package joulebus-lab
     # The wheel, not the sources: a file that it lacks is found missing.
-    "$python" -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall "$wheels"/joulebus-*.whl
+    "$python" -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall "$wheels"/*.whl
 fi
 # Nothing of the repository's folder is on the path of imports.
 JOULEBUS_PROGRAM=${JOULEBUS_PROGRAM:-$target/debug/joulebus} \

@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use joulebus_model_files::ExportError;
 use joulebus_predictor::{LAGS, Network, features};
 use pyo3::IntoPyObjectExt as _;
 use pyo3::exceptions::PyValueError;
@@ -112,7 +111,10 @@ impl EnergyPredictor {
         }
         let network = model::open(&path)?;
         if network.feature_set().needs_freshness() {
-            return Err(ModelError::new_err(ExportError::ReadingAge.to_string()));
+            return Err(ModelError::new_err(
+                "the network reads the age of readings, which `step(v_cmd, w_cmd)` does not tell: use `Predictor`, or \
+                 train one without: `joulebus train … --features full`",
+            ));
         }
         let mut predictor = Self {
             network,

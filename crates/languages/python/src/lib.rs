@@ -1,5 +1,6 @@
 //! The native half of the Python package `joulebus`: `joulebus._native`. The other half, in
 //! `python/joulebus`, documents what users call and adds what needs no speed.
+//! With the feature `lab` it is `joulebus_lab._native`, which has everything that the other has.
 //!
 //! Array arguments are copied before the interpreter is released, so another Python thread that
 //! writes into them changes no computation. No `unsafe` is written here: NumPy itself makes arrays
@@ -12,9 +13,11 @@
 
 mod array;
 mod batteries;
+mod demo;
 mod dtype;
 mod energy_predictor;
 mod error;
+#[cfg(feature = "lab")]
 mod lab;
 mod model;
 mod planner;
@@ -22,7 +25,9 @@ mod port_thread;
 mod predictor;
 mod publisher;
 mod questions;
+#[cfg(feature = "lab")]
 mod recordings;
+#[cfg(feature = "lab")]
 mod training;
 
 use pyo3::prelude::pymodule;
@@ -32,9 +37,12 @@ mod _native {
     #[pymodule_export]
     use crate::batteries::Batteries;
     #[pymodule_export]
+    use crate::demo::{DemoRobots, DemoWorker, demo_config, sweep_demo};
+    #[pymodule_export]
     use crate::energy_predictor::EnergyPredictor;
     #[pymodule_export]
     use crate::error::{ConnectError, Error, ModelError, PublishError, ReadError, RecordingError};
+    #[cfg(feature = "lab")]
     #[pymodule_export]
     use crate::lab::{
         Report, analyze, evaluate, report_recorded, report_simulated, simulate, train_recordings,
@@ -48,8 +56,10 @@ mod _native {
     use crate::publisher::PublisherPort;
     #[pymodule_export]
     use crate::questions::{QuestionPorts, acknowledge};
+    #[cfg(feature = "lab")]
     #[pymodule_export]
     use crate::recordings::{read_capture, read_trials, trial_rows, write_trial};
+    #[cfg(feature = "lab")]
     #[pymodule_export]
     use crate::training::train_rows;
     use pyo3::prelude::{Bound, PyModule, PyModuleMethods as _, PyResult};

@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use joulebus_config::{builtin_model, builtin_models};
-use joulebus_model_files::{Checkpoint, MAX_FILE_BYTES};
 use joulebus_predictor::Network;
 use pyo3::PyResult;
 
@@ -11,22 +10,38 @@ use crate::error::{ModelError, of_file};
 
 /// Prefix of the names of built-in models, as in the config.
 const BUILTIN: &str = "builtin:";
+/// Size of the largest model file, as of `joulebus_model_files`.
+const MAX_BYTES: u64 = 16 << 20;
 
 /// The network of a file, or of `builtin:NAME`.
 pub(crate) fn open(model: &Path) -> PyResult<Network> {
     if let Some(name) = model.to_str().and_then(|name| name.strip_prefix(BUILTIN)) {
         return builtin(name);
     }
-    let bytes = joulebus_files::read(model, MAX_FILE_BYTES as u64)
-        .map_err(|error| of_file(model, &error))?;
+    let bytes = joulebus_files::read(model, MAX_BYTES).map_err(|error| of_file(model, &error))?;
+    read(model, &bytes)
+}
+
+#[cfg(feature = "lab")]
+fn read(model: &Path, bytes: &[u8]) -> PyResult<Network> {
     let name = model.display();
-    let checkpoint = Checkpoint::read(&bytes)
+    let checkpoint = joulebus_model_files::Checkpoint::read(bytes)
         .map_err(|error| ModelError::new_err(format!("{name}: {error}")))?;
     checkpoint.network.ok_or_else(|| {
         ModelError::new_err(format!(
             "{name} ({}) is another program's model, which does not state how its features were computed; convert \
              it once: joulebus model import {name} --data RECORDINGS --out my.safetensors",
             checkpoint.container
+        ))
+    })
+}
+
+#[cfg(not(feature = "lab"))]
+fn read(model: &Path, bytes: &[u8]) -> PyResult<Network> {
+    Network::from_safetensors(bytes).map_err(|error| {
+        let name = model.display();
+        ModelError::new_err(format!(
+            "{name}: {error}; other formats than .safetensors are read by the lab: pip install 'joulebus[lab]'"
         ))
     })
 }

@@ -4,7 +4,6 @@ use std::path::PathBuf;
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Instant;
 
-use joulebus_model_files::to_arrays;
 use joulebus_predictor::{
     FEATURES, Features, INPUTS, LAGS, Model, ReadingAge, RolloutStart, Rollouts,
 };
@@ -125,12 +124,14 @@ impl Predictor {
     }
 
     /// The arrays that `joulebus model export --to npy` writes: names, and the bytes of each file.
+    #[cfg(feature = "lab")]
     fn _arrays<'py>(&self, py: Python<'py>) -> PyResult<Vec<(String, Bound<'py, PyBytes>)>> {
         let model = self.model();
         let Model::Network(network) = model.as_ref() else {
             return Err(ModelError::new_err("the model has no arrays"));
         };
-        let arrays = to_arrays(network).map_err(|error| ModelError::new_err(error.to_string()))?;
+        let arrays = joulebus_model_files::to_arrays(network)
+            .map_err(|error| ModelError::new_err(error.to_string()))?;
         let named = |(name, bytes): (String, Vec<u8>)| (name, PyBytes::new(py, &bytes));
         Ok(arrays.into_iter().map(named).collect())
     }

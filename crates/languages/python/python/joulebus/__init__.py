@@ -8,6 +8,9 @@
     model = joulebus.Predictor()                             # any number of robots at once, SI units
     energy_j, power_w = model.rollout(v, omega)              # v[robot, step] in m/s, omega in rad/s
 
+    with joulebus.demo() as demo:                            # a simulated fleet with its worker
+        print(demo.planner.ask(7, [(0.0, 0.0), (1.0, 0.0)], back_to=(0.0, 0.0))[0].verdict)
+
     with joulebus.Planner("configs/fleet.toml") as planner:  # a fleet live
         for event in planner.events(timeout=5.0):
             ...
@@ -19,9 +22,21 @@
     made = joulebus.train("recordings/", out="my.safetensors")   # and evaluate, analyze, report, simulate
     params, forecast = joulebus.arrays(made.predictor), joulebus.forward(made.predictor)   # for NumPy, JAX, PyTorch
 
+Captures, trials, training and what follows from it need the lab: ``pip install 'joulebus[lab]'``.
+
 Numbers are the bits that joulebus itself computes. Everything that is refused is an exception whose message
 says what was found, what is allowed and what to do.
 """
+import sys as _sys
+
+try:
+    # It has all that the package's own native half has, and the lab.
+    from joulebus_lab import _native
+except ModuleNotFoundError:
+    from . import _native
+else:
+    _sys.modules["joulebus._native"] = _native
+
 from ._native import (
     FEATURE_NAMES,
     ConnectError,
@@ -33,6 +48,7 @@ from ._native import (
     RecordingError,
     __version__,
 )
+from .demonstration import Demo, demo
 from .figures import Figure
 from .lab import Analysis, Evaluation, Report, Simulation, Training, analyze, evaluate, report, simulate, train
 from .live import BUDGET, DIAGNOSTIC, FORECAST, Forecast, Frame, Gone, Planner, Publisher, Stale, Table
@@ -51,6 +67,7 @@ __all__ = [
     "FORECAST",
     "SAMPLE",
     "ConnectError",
+    "Demo",
     "EnergyPredictor",
     "Error",
     "Evaluation",
@@ -75,6 +92,7 @@ __all__ = [
     "__version__",
     "analyze",
     "arrays",
+    "demo",
     "evaluate",
     "forward",
     "read",

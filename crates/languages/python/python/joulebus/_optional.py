@@ -4,6 +4,8 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
+from . import _native
+
 
 def needed(package: str, what: str) -> Any:
     """The package; an ImportError that names the remedy where it is missing."""
@@ -12,6 +14,16 @@ def needed(package: str, what: str) -> Any:
     except ImportError as error:
         top = package.partition(".")[0]
         raise ImportError(f"{what} need {top}, which cannot be imported ({error}): pip install {top}") from error
+
+
+def lab(what: str) -> Any:
+    """The native half with the lab; an ImportError that names the remedy where it is missing."""
+    if not hasattr(_native, "evaluate"):
+        raise ImportError(
+            f"{what} need the lab, which is not installed: pip install 'joulebus[lab]'"
+            " (in a clone of the repository: pip install ./crates/languages/python/lab)"
+        )
+    return _native
 
 
 def axes(ax: Any) -> Any:

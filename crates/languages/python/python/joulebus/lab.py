@@ -16,7 +16,7 @@ from typing import Any, Callable, Iterable, Sequence, Union
 import numpy as np
 
 from . import _native
-from ._optional import Progress, axes, needed
+from ._optional import Progress, axes, lab, needed
 from .figures import Figure
 from .predictor import Predictor, _restored
 from .recordings import Trial
@@ -53,8 +53,9 @@ def simulate(seed: int = 1, *, steps: int = 8000, progress: bool = True) -> Simu
     """
     if not 2 <= steps <= 1 << 22:
         raise ValueError(f"steps is {steps}, allowed are 2 to {1 << 22}")
+    native = lab("simulations")
     with Progress(progress, "simulating", "trial") as bar:
-        made = _native.simulate(seed, steps, bar.reach)
+        made = native.simulate(seed, steps, bar.reach)
     alone, together = ([Trial(columns, robot, name) for name, robot, columns in trials] for trials in made)
     return Simulation(seed, alone, together)
 
@@ -163,7 +164,7 @@ def train(
             "threads": threads,
         }
     )
-    file = None if out is None else os.fspath(out)
+    file, native = None if out is None else os.fspath(out), lab("trainings")
     with Progress(progress is True, "training", "epoch") as bar:
 
         def told(number: int, training_loss: float, validation_loss: float, best: bool) -> None:
@@ -172,10 +173,10 @@ def train(
                 progress(number, training_loss, validation_loss, best)
 
         if simulated:
-            made = _native.train_simulated(asked, file, _warn, told)
+            made = native.train_simulated(asked, file, _warn, told)
         else:
             parts = (_inputs(validate), _inputs(hold_out))
-            made = _native.train_recordings(_inputs(recordings), parts, _mapped(columns), asked, file, _warn, told)
+            made = native.train_recordings(_inputs(recordings), parts, _mapped(columns), asked, file, _warn, told)
     trained = Training(*made)
     if out is not None:
         trained.save(out)
@@ -307,8 +308,9 @@ def evaluate(
             "block_rows": block_rows,
         }
     )
+    native = lab("evaluations")
     with Progress(progress, "evaluating", "recording") as bar:
-        found = _native.evaluate(
+        found = native.evaluate(
             _inputs(recordings), _inputs(fit), _mapped(columns), _models(model), asked, _warn, bar.reach
         )
     result = Evaluation(*found)
@@ -395,7 +397,7 @@ def analyze(
             "leave_out": list(leave_out),
         }
     )
-    return Analysis(_native.analyze(_inputs(recordings), _mapped(columns), asked, _models(model), _warn))
+    return Analysis(lab("analyses").analyze(_inputs(recordings), _mapped(columns), asked, _models(model), _warn))
 
 
 class Report(_Result):
@@ -473,6 +475,7 @@ def report(
     """
     if simulated != (recordings is None):
         raise ValueError("give recordings, or simulated=True without them")
+    native = lab("reports")
     if simulated:
         first = 1 if seed is None else seed
         with Progress(progress, "simulating", "epoch", draws * max_epochs) as bar:
@@ -480,10 +483,10 @@ def report(
             def told(seed: int, number: int) -> None:
                 bar.reach((seed - first) * max_epochs + number, note=f"seed {seed}")
 
-            return Report(_native.report_simulated(first, draws, samples, max_epochs, told))
+            return Report(native.report_simulated(first, draws, samples, max_epochs, told))
     choice = _choice(split, held_out, leave_out, seed or 0)
     asked = json.dumps({"choice": choice, "published": published})
-    found = _native.report_recorded(
+    found = native.report_recorded(
         _inputs(recordings), _inputs(fit), _mapped(columns), _models(model), asked, _warn
     )
     return Report(found)

@@ -10,6 +10,7 @@ from typing import Any, Callable
 import numpy as np
 
 from ._native import Predictor
+from ._optional import lab
 
 _LAYERS = 4
 #: The first feature that a network of so many inputs reads.
@@ -55,6 +56,7 @@ def forward(model: Any = "builtin:gternal-sim", xp: Any = np) -> Callable[[dict[
 
 def _contents(model: Any) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     predictor = model if isinstance(model, Predictor) else Predictor(model)
+    lab("arrays of a network")
     found = {name: np.load(io.BytesIO(contents), allow_pickle=False) for name, contents in predictor._arrays()}
     metadata = found.pop("metadata")
     return found, json.loads(metadata.item().decode())

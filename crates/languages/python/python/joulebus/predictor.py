@@ -6,6 +6,7 @@ from typing import Any, Callable
 import numpy as np
 
 from . import _native
+from ._optional import lab
 
 #: Shares of the rows given to `fit`, in their order: the rest trains.
 VALIDATION = 0.1
@@ -15,7 +16,7 @@ HELD_OUT = 0.1
 class Predictor(_native.Predictor):
     """Forecasts the power of any number of robots at once, in SI units.
 
-    model:       a joulebus model file (.safetensors, or an exported .npz or .onnx), or ``builtin:NAME``
+    model:       a joulebus model file (.safetensors; with the lab also an exported .npz or .onnx), or ``builtin:NAME``
     feature_set: what `fit` trains on: ``full`` (the paper's 11 features), ``power_only``, and both with the age of
                  the newest reading, ``freshness`` and ``power_freshness`` (13)
     seed, max_epochs, patience: of `fit`, by the paper's recipe; the same seed gives the same bytes
@@ -57,7 +58,7 @@ class Predictor(_native.Predictor):
         """
         rows = len(X)
         validation, held_out = int(rows * VALIDATION), int(rows * HELD_OUT)
-        trained, epochs = _native.train_rows(
+        trained, epochs = lab("trainings").train_rows(
             X,
             y,
             (rows - validation - held_out, validation),

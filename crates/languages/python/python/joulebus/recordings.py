@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from . import _native
-from ._optional import needed
+from ._optional import lab, needed
 from .live import BUDGET, DIAGNOSTIC, FORECAST, _dtype
 
 #: NumPy's type of a sample: names and units as in `joulebus-wire`.
@@ -32,7 +32,7 @@ def read_arrays(
     ``log_ns`` (received by the recorder, Unix ns) and ``sent_ns``. `robots` selects by id; `fleet` is needed where the
     capture has several. Of a damaged file, what is before the damage is returned with a warning `RecordingDamaged`.
     """
-    told = _native.read_capture(path, topic, fleet, robots)
+    told = lab("captures").read_capture(path, topic, fleet, robots)
     if told["damage"] is not None:
         warnings.warn(f"{os.fspath(path)}: {told['damage']}", RecordingDamaged, stacklevel=2)
     rows = told["bytes"].view(_ROWS[topic])
@@ -61,7 +61,7 @@ class Trial:
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Writes .csv, .csv.gz or .npy, as all of joulebus reads them (mV, mA, mW)."""
-        _native.write_trial(path, self.robot or "", self.columns)
+        lab("trials").write_trial(path, self.robot or "", self.columns)
 
     def rows(self) -> tuple[np.ndarray, np.ndarray]:
         """Features ``(rows, 13)`` and the readings that followed, W: what `Predictor.fit`, `predict` and `score` take.
@@ -69,7 +69,7 @@ class Trial:
         One row for each reading with five gapless readings before it; the features are those that the worker would have
         computed, to the bit.
         """
-        return _native.trial_rows(self.columns)
+        return lab("trials").trial_rows(self.columns)
 
     def to_pandas(self) -> Any:
         """A copy as a DataFrame. Needs pandas."""
@@ -84,6 +84,6 @@ class Trial:
 
 def read_trials(path: str | os.PathLike[str]) -> list[Trial]:
     """The trials of a file (.npy, .csv, .csv.gz, or a capture): one for each robot."""
-    found, name = _native.read_trials(path), os.fspath(path)
+    found, name = lab("trials").read_trials(path), os.fspath(path)
     several = len(found) > 1
     return [Trial(columns, robot, f"{name} {robot}" if several else name) for robot, columns in found]

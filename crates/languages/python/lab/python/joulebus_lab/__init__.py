@@ -1,0 +1,1 @@
+"""The native half of `joulebus` with the lab: `import joulebus` takes it from here."""

@@ -1,0 +1,64 @@
+#!/usr/bin/env bash
+# Reads an OCI image by programs of others (skopeo, umoci), and runs what it holds in a root of nothing else: its five minutes.
+#
+#     tools/release/check_image.sh FILE.oci.tar FOLDER     # a folder for what is unpacked
+set -euo pipefail
+image=$(realpath "$1") folder=$(realpath "$2")
+here=$(dirname "$(realpath "$0")")
+skip() {
+    echo "SKIPPED: tools/release/check_image.sh: $1" >&2
+    if [ "${CI:-}" = true ]; then exit 1; fi
+}
+if [ "$(id -u)" = 0 ] && ! { command -v skopeo && command -v umoci; } >/dev/null; then
+    { apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends skopeo umoci; } >/dev/null 2>&1 || true
+fi
+rm -rf "$folder/layout" "$folder/bundle" "$folder/root"
+if { command -v skopeo && command -v umoci; } >/dev/null; then
+    skopeo inspect "oci-archive:$image" >"$folder/inspected.json"
+    skopeo copy --quiet "oci-archive:$image" "oci:$folder/layout:checked"
+    options=()
+    [ "$(id -u)" = 0 ] || options=(--rootless)
+    umoci unpack "${options[@]}" --image "$folder/layout:checked" "$folder/bundle" >/dev/null
+    mv "$folder/bundle/rootfs" "$folder/root"
+    echo "skopeo and umoci read $(basename "$image")"
+else
+    # Every digest and size, by what the layout states.
+    mkdir -p "$folder/layout" "$folder/root"
+    tar -xf "$image" -C "$folder/layout"
+    python3 - "$folder/layout" "$folder/root" <<'PYTHON'
+import gzip, hashlib, io, json, sys, tarfile
+from pathlib import Path
+
+layout, root = map(Path, sys.argv[1:])
+
+
+def blob(told):
+    contents = (layout / "blobs" / told["digest"].replace(":", "/")).read_bytes()
+    assert len(contents) == told["size"] and hashlib.sha256(contents).hexdigest() == told["digest"][7:], told
+    return contents
+
+
+assert json.loads((layout / "oci-layout").read_text())["imageLayoutVersion"] == "1.0.0"
+(listed,) = json.loads((layout / "index.json").read_text())["manifests"]
+manifest = json.loads(blob(listed))
+config = json.loads(blob(manifest["config"]))
+assert len(config["rootfs"]["diff_ids"]) == len(manifest["layers"]) == len(config["history"])
+for told, digest in zip(manifest["layers"], config["rootfs"]["diff_ids"]):
+    plain = gzip.decompress(blob(told))
+    assert hashlib.sha256(plain).hexdigest() == digest[7:]
+    tarfile.open(fileobj=io.BytesIO(plain)).extractall(root)
+PYTHON
+    skip 'skopeo and umoci cannot be installed: the image was read by a reader of its own'
+fi
+if [ "$(id -u)" != 0 ]; then
+    skip 'only root enters the root of the image: it did not run'
+    exit 0
+fi
+# In a mount namespace: shared memory and processes are this machine's, files are the image's.
+FIVE_MINUTES_ROOT=$folder/root unshare --mount bash -euo pipefail -c '
+    mount --bind /dev/shm "$FIVE_MINUTES_ROOT/dev/shm"
+    mount -t proc proc "$FIVE_MINUTES_ROOT/proc"
+    exec "$1/five_minutes.sh" chroot "$FIVE_MINUTES_ROOT" /usr/local/bin/joulebus' - "$here"
+for program in "$folder"/root/usr/local/bin/*; do
+    chroot "$folder/root" "/usr/local/bin/${program##*/}" --help >/dev/null
+done
