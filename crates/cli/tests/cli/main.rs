@@ -15,6 +15,7 @@ mod from_recordings;
 mod live;
 mod model;
 mod new;
+mod next_commands;
 mod plausible;
 mod printable;
 mod service;
