@@ -7,6 +7,7 @@ mod calibrate;
 mod captures;
 mod data;
 mod demo;
+mod doors;
 mod evaluate;
 mod exits;
 mod external;
