@@ -202,6 +202,16 @@ fn recording(folder: &Path, planted: &str, format: &str) -> Option<PathBuf> {
     }
 }
 
+/// What the note of an import says of what it mends by itself.
+fn said_of(kind: &str) -> Option<&'static str> {
+    match kind {
+        "unit" => Some("percentage"),
+        "clock" => Some("the time of recording is used"),
+        "hold" => Some("after the last command: it is unknown (command_holds_s)"),
+        _ => None,
+    }
+}
+
 /// What a door does with a recording.
 fn cell(door: &str, kind: &str, said: &Output) -> &'static str {
     let (out, errors) = (stdout(said), stderr(said));
@@ -215,7 +225,7 @@ fn cell(door: &str, kind: &str, said: &Output) -> &'static str {
         1 if refused && errors.contains(&format!("--accept {kind}")) => "refused",
         3 if door == "data check" && !kind.is_empty() && out.contains("fault: ") => "fault",
         _ if is_read && warns(kind) => "warned",
-        _ if is_read && !kind.is_empty() && out.contains("note ") => "read, said",
+        _ if is_read && said_of(kind).is_some_and(|note| out.contains(note)) => "read, said",
         found => panic!("{door}: {kind:?}: exit code {found}\n{out}{errors}"),
     }
 }
