@@ -7,14 +7,16 @@ use joulebus_config::Config;
 use joulebus_connect::ConnectError;
 use joulebus_wire::{Acknowledgement, AlarmCard, Level};
 
-use crate::{AlarmChange, AlarmFeed, AlarmHistory, Change, Event, ReadError, Subscriber};
+use crate::{
+    AlarmChange, AlarmFeed, AlarmHistory, Change, Event, ReadError, SourceAlarms, Subscriber,
+};
 
 /// A raise or an end of an alarm, of a robot or of the worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FleetAlarm {
     /// The robot; `None` for the worker.
     pub robot: Option<u32>,
-    /// Name of the [`joulebus_wire::Alarm`]; for the worker `WorkerGone` or `WorkerStale`.
+    /// Name of the [`joulebus_wire::Alarm`]; of sources `Implausible`; for the worker `WorkerGone` or `WorkerStale`.
     /// [`AlarmCard::named`] has its meaning.
     pub alarm: &'static str,
     /// Its level.
@@ -59,6 +61,7 @@ type OfWorker = (AlarmCard, u64);
 pub struct FleetAlarms {
     subscriber: Subscriber,
     feed: AlarmFeed,
+    sources: SourceAlarms,
     worker: Option<OfWorker>,
 }
 
@@ -72,6 +75,7 @@ impl FleetAlarms {
         Ok(Self {
             subscriber: Subscriber::polling(config, name, feed.look_every())?,
             feed,
+            sources: SourceAlarms::new(config),
             worker: None,
         })
     }
@@ -92,6 +96,7 @@ impl FleetAlarms {
         if let Some(now) = now {
             self.set_worker(now, &mut each);
         }
+        self.sources.changes(&mut each);
         self.feed.changes(|change| each(change.into()))
     }
 

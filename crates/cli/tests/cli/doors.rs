@@ -14,16 +14,31 @@ const DOORS: [(&str, &str); 10] = [
     ("data check", "data check RECORDING"),
     ("import", "import RECORDING -o OUT.csv"),
     ("config init", "config init --from RECORDING -o OUT"),
-    ("train", "train trials RECORDING --split time --recipe RECIPE --out OUT.safetensors"),
-    ("eval", "eval RECORDING --config FLEET --first-robot 0 --resamples 0 --horizons none"),
+    (
+        "train",
+        "train trials RECORDING --split time --recipe RECIPE --out OUT.safetensors",
+    ),
+    (
+        "eval",
+        "eval RECORDING --config FLEET --first-robot 0 --resamples 0 --horizons none",
+    ),
     ("analyze", "analyze RECORDING --native --split time"),
-    ("report", "report RECORDING --model builtin:gternal-sim -o OUT"),
-    ("publish trial", "publish trial RECORDING --config FLEET --no-wait --first-robot 0 --rate max"),
+    (
+        "report",
+        "report RECORDING --model builtin:gternal-sim -o OUT",
+    ),
+    (
+        "publish trial",
+        "publish trial RECORDING --config FLEET --no-wait --first-robot 0 --rate max",
+    ),
     (
         "model compare",
         "model compare builtin:gternal-sim builtin:gternal-sim RECORDING --resamples 0 --horizons none",
     ),
-    ("calibrate", "calibrate RECORDING --config FLEET --platform gternal --false-alarms 100000/hour"),
+    (
+        "calibrate",
+        "calibrate RECORDING --config FLEET --platform gternal --false-alarms 100000/hour",
+    ),
 ];
 
 /// What is planted: the finding, and how it came about.
@@ -77,7 +92,9 @@ fn table(planted: &str, is_array: bool) -> String {
     let header = match (unstated, is_array) {
         (true, _) => "timestamp_s,voltage,current,v_cmd_mps,omega_cmd_radps",
         (_, true) => "timestamp_s,voltage_mV,current_mA,power_mW,v_cmd_mps,omega_cmd_radps",
-        _ => "timestamp_s,voltage_mV,current_mA,power_mW,v_cmd_mps,omega_cmd_radps,v_meas_mps,omega_meas_radps,soc",
+        _ => {
+            "timestamp_s,voltage_mV,current_mA,power_mW,v_cmd_mps,omega_cmd_radps,v_meas_mps,omega_meas_radps,soc"
+        }
     };
     let mut text = header.to_owned() + if empty { ",charge\n" } else { "\n" };
     for number in 0..ROWS {
@@ -102,7 +119,9 @@ fn bag(planted: &str) -> Option<Vec<u8>> {
         .unwrap();
     let mut channel = |topic: &str, kind: &str| {
         let schema = writer.add_schema(kind, "ros2msg", b"").unwrap();
-        writer.add_channel(schema, topic, "cdr", &BTreeMap::new()).unwrap()
+        writer
+            .add_channel(schema, topic, "cdr", &BTreeMap::new())
+            .unwrap()
     };
     let battery = channel("/battery_state", "sensor_msgs/msg/BatteryState");
     let command = channel("/cmd_vel", "geometry_msgs/msg/Twist");
@@ -135,11 +154,21 @@ fn bag(planted: &str) -> Option<Vec<u8>> {
             "V, A and W in columns of mV, mA and mW" => (u * 1e6, -i * 1e3),
             _ => (u, -i),
         };
-        for value in [volt * 1e-3, f64::NAN, ampere * 1e-3, f64::NAN, f64::NAN, f64::NAN, soc] {
+        for value in [
+            volt * 1e-3,
+            f64::NAN,
+            ampere * 1e-3,
+            f64::NAN,
+            f64::NAN,
+            f64::NAN,
+            soc,
+        ] {
             write(&mut data, value as f32);
         }
         // Discharging, health and technology unknown, present; no cells, no names.
-        data.extend([2, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0]);
+        data.extend([
+            2, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0,
+        ]);
         message(battery, at_ns, &data);
         if planted != "a command that never ends" || number < 100 {
             let mut data = vec![0, 1, 0, 0];
@@ -173,7 +202,10 @@ fn bag(planted: &str) -> Option<Vec<u8>> {
 
 /// The recording in a format; `None` where the format cannot have what is planted.
 fn recording(folder: &Path, planted: &str, format: &str) -> Option<PathBuf> {
-    let is_of_text = ["voltage and current without a unit", "a column that is named and empty"];
+    let is_of_text = [
+        "voltage and current without a unit",
+        "a column that is named and empty",
+    ];
     let csv = folder.join("recording.csv");
     fs::write(&csv, table(planted, format == ".npy")).unwrap();
     let made = |name: &str, words: &str| {
@@ -191,8 +223,13 @@ fn recording(folder: &Path, planted: &str, format: &str) -> Option<PathBuf> {
         ".npy" if ["a charge of 0 to 100", "a command that never ends"].contains(&planted) => None,
         ".npy" => made("recording.npy", "data convert CSV --out TO"),
         // Its messages have no measured speed, and times that advance.
-        "capture" if ["times of whole seconds", "a command that never ends"].contains(&planted) => None,
-        "capture" => made("recording.mcap", &format!("import CSV -o TO --accept {accepted}")),
+        "capture" if ["times of whole seconds", "a command that never ends"].contains(&planted) => {
+            None
+        }
+        "capture" => made(
+            "recording.mcap",
+            &format!("import CSV -o TO --accept {accepted}"),
+        ),
         "Parquet" => made("archive", "export CSV --to parquet TO"),
         _ => {
             let path = folder.join("bag.mcap");
@@ -217,9 +254,12 @@ fn cell(door: &str, kind: &str, said: &Output) -> &'static str {
     let (out, errors) = (stdout(said), stderr(said));
     let refused = errors.contains("implausible") && errors.contains(&format!("  {kind}: "));
     // Too few recordings, which is asked after what is in them.
-    let is_read = matches!(code(said), 0 | 3) || door == "calibrate" && errors.contains("at least 2 are needed");
+    let is_read = matches!(code(said), 0 | 3)
+        || door == "calibrate" && errors.contains("at least 2 are needed");
     let warns = |kind: &str| errors.contains(&format!("warning: {kind}: "));
-    let warns_of_any = PLANTED.iter().any(|(kind, _)| !kind.is_empty() && warns(kind));
+    let warns_of_any = PLANTED
+        .iter()
+        .any(|(kind, _)| !kind.is_empty() && warns(kind));
     match code(said) {
         _ if kind.is_empty() && is_read && !warns_of_any && !out.contains("fault: ") => "read",
         1 if refused && errors.contains(&format!("--accept {kind}")) => "refused",
@@ -230,7 +270,11 @@ fn cell(door: &str, kind: &str, said: &Output) -> &'static str {
     }
 }
 
-fn cells(number: usize, (kind, planted): (&str, &str), fleet: &Fleet) -> Vec<(&'static str, String)> {
+fn cells(
+    number: usize,
+    (kind, planted): (&str, &str),
+    fleet: &Fleet,
+) -> Vec<(&'static str, String)> {
     let mut lines = Vec::new();
     let recipe = fleet.path("recipe.toml").display().to_string();
     for format in FORMATS {
@@ -274,8 +318,13 @@ fn no_door_is_silent_about_any_kind_in_any_format() {
         let all = PLANTED.iter().enumerate();
         let fleet = &fleet;
         let start = |(number, planted)| scope.spawn(move || cells(number, planted, fleet));
-        let threads: Vec<_> = all.map(|(number, planted)| start((number, *planted))).collect();
-        threads.into_iter().map(|thread| thread.join().unwrap()).collect()
+        let threads: Vec<_> = all
+            .map(|(number, planted)| start((number, *planted)))
+            .collect();
+        threads
+            .into_iter()
+            .map(|thread| thread.join().unwrap())
+            .collect()
     });
     let doors: Vec<&str> = DOORS.iter().map(|(door, _)| *door).collect();
     let mut text = format!(
@@ -294,7 +343,11 @@ fn no_door_is_silent_about_any_kind_in_any_format() {
             }
         }
         for (formats, line) in same {
-            text += &format!("| `{kind}` | {planted} | {} | {line} |\n", formats.join(", ")).replace("``", "");
+            text += &format!(
+                "| `{kind}` | {planted} | {} | {line} |\n",
+                formats.join(", ")
+            )
+            .replace("``", "");
         }
     }
     text.push('\n');
@@ -306,6 +359,9 @@ fn no_door_is_silent_about_any_kind_in_any_format() {
     if std::env::var_os("JOULEBUS_WRITE").is_some() {
         fs::write(&path, new).unwrap();
     } else {
-        assert!(old == new, "docs/datasets.md has another table: run this test with JOULEBUS_WRITE=1\n{text}");
+        assert!(
+            old == new,
+            "docs/datasets.md has another table: run this test with JOULEBUS_WRITE=1\n{text}"
+        );
     }
 }

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use joulebus_bus::{Running, clock};
 use joulebus_config::Config;
+use joulebus_connect::findings::FindingsFile;
 use joulebus_program::output::say;
 use joulebus_publisher::{Grid, PublishError, Publisher};
 use serde::Serialize;
@@ -62,6 +63,7 @@ pub(crate) fn run(
     let mut news_ns = clock::monotonic_ns();
     let mut never_came_ns = Some(news_ns + NEVER_CAME_NS);
     let mut refused = BTreeSet::new();
+    let mut findings = FindingsFile::new(config, name);
     while !shared.is_stopped() {
         let now_ns = clock::monotonic_ns();
         let due_ns = groups.iter().map(|group| group.grid.due_ns()).min();
@@ -91,6 +93,14 @@ pub(crate) fn run(
                 never_came(robots, shared);
             }
             shared.log_news();
+            let found = shared.intake().judgement().records().into_iter();
+            // A monitor that never changes may be of a robot that stands.
+            let found = found.filter(|found| found.finding.is_error());
+            let found =
+                found.map(|found| (found.robot, format!("{}: {}", found.finding, found.remedy)));
+            if let Err(error) = findings.say(found) {
+                tracing::warn!(%error, "what is implausible was not written");
+            }
         }
         if !states.is_empty() {
             count(
@@ -108,7 +118,11 @@ fn never_came(robots: &Robots, shared: &Shared) {
     let silent: Vec<u32> = shared.intake().silent().collect();
     let mut account = shared.account();
     for name in silent.iter().filter_map(|robot| robots.name(*robot)) {
-        account.count("[robots]", Reason::NeverCame, &format!("anything of {name}"));
+        account.count(
+            "[robots]",
+            Reason::NeverCame,
+            &format!("anything of {name}"),
+        );
     }
 }
 

@@ -4,7 +4,6 @@
 pub(crate) mod account;
 pub(crate) mod fields;
 pub(crate) mod intake;
-pub(crate) mod judgement;
 pub(crate) mod observation;
 pub(crate) mod outgoing;
 pub(crate) mod robots;

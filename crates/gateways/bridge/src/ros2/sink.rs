@@ -12,7 +12,8 @@ use crate::config::RosWrite;
 use crate::mapping::outgoing::values;
 use crate::mapping::robots::Robots;
 use crate::mapping::ros::outgoing::{
-    RosWhat, add_implausible, budget, diagnostics, forecast, robot_status, unknown_status, value, worker_status,
+    RosWhat, add_implausible, budget, diagnostics, forecast, robot_status, unknown_status, value,
+    worker_status,
 };
 use crate::outbound::{Sink, Times, next_due_ns};
 use crate::ros2::raw::Raw;

@@ -4,13 +4,13 @@
 //! and NaN means unknown. It has no fields for powers. These are published as `std_msgs/Float64`
 //! and among the diagnostics, with their unit in the key.
 
+use joulebus_publisher::Implausible;
 use joulebus_ros_messages::{
     BatteryState, DiagnosticArray, DiagnosticStatus, Float64, Header, KeyValue, RosError, Time,
     encode,
 };
 use serde_json::Value;
 
-use crate::mapping::judgement::Implausible;
 use crate::mapping::outgoing::{Object, OutgoingValue, value_names};
 use crate::mapping::ros::incoming::{CHARGING, DISCHARGING};
 
@@ -250,12 +250,12 @@ fn number(values: &Object, value: &str) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use joulebus_publisher::RobotState;
+    use joulebus_plausibility::Source;
+    use joulebus_publisher::{Judgement, RobotState};
     use joulebus_ros_messages::{Message, RosType};
     use serde_json::json;
 
     use super::*;
-    use crate::mapping::judgement::Judgement;
 
     fn values() -> Object {
         let values = json!({
@@ -338,7 +338,7 @@ mod tests {
         );
         assert_eq!(robot_status("r1", &Object::new()).level, STALE);
         assert_eq!(unknown_status("r1", "gone").message, "worker gone");
-        let mut judgement = Judgement::default();
+        let mut judgement = Judgement::new(Source::Bridge, Vec::new());
         for step in 0..200 {
             let mut state = RobotState::new(1);
             state.power_w = Some(-40.0 - (step % 7) as f32);
@@ -348,7 +348,10 @@ mod tests {
         let mut status = robot_status("r1", &Object::new());
         status.level = 0;
         add_implausible(&mut status, &judgement.records()[0]);
-        assert_eq!((status.level, status.message.as_str()), (1, "implausible sign"));
+        assert_eq!(
+            (status.level, status.message.as_str()),
+            (1, "implausible sign")
+        );
         let last = &status.values.last().unwrap().value;
         assert!(last.contains("negate = true"), "{last}");
         for (robots, arrays) in [(0, 0), (1, 1), (32, 1), (33, 2), (100, 4)] {

@@ -1,0 +1,75 @@
+//! Alarms of sources: robots whose readings are implausible, as who publishes them finds.
+
+use std::collections::BTreeMap;
+
+use joulebus_bus::clock;
+use joulebus_config::Config;
+use joulebus_connect::findings::implausible_robots;
+use joulebus_wire::AlarmCard;
+
+use crate::{Change, FleetAlarm};
+
+/// Interval at which findings are looked for, ns.
+const LOOK_EVERY_NS: u64 = 1_000_000_000;
+
+/// The robots with the alarm [`AlarmCard::IMPLAUSIBLE`], from one look to the next.
+#[derive(Debug, Clone)]
+pub struct SourceAlarms {
+    config: Config,
+    /// Since when, monotonic ns.
+    raised: BTreeMap<u32, u64>,
+    look_at_ns: u64,
+}
+
+impl SourceAlarms {
+    /// Of the sources of a fleet.
+    #[must_use]
+    pub fn new(config: &Config) -> Self {
+        Self {
+            config: config.clone(),
+            raised: BTreeMap::new(),
+            look_at_ns: 0,
+        }
+    }
+
+    /// Looks once a second, and calls `each` for every raise and end. Does not wait.
+    pub fn changes(&mut self, mut each: impl FnMut(FleetAlarm)) {
+        let now_ns = clock::monotonic_ns();
+        if now_ns < self.look_at_ns {
+            return;
+        }
+        self.look_at_ns = now_ns + LOOK_EVERY_NS;
+        let found = implausible_robots(&self.config);
+        let mut pass_on = |robot, change, raised_ns| {
+            each(FleetAlarm {
+                robot: Some(robot),
+                alarm: AlarmCard::IMPLAUSIBLE.name,
+                level: AlarmCard::IMPLAUSIBLE.level,
+                change,
+                at_ns: now_ns,
+                raised_ns,
+                acknowledged: None,
+            });
+        };
+        self.raised.retain(|robot, raised_ns| {
+            let stays = found.contains(robot);
+            if !stays {
+                pass_on(*robot, Change::Cleared, *raised_ns);
+            }
+            stays
+        });
+        for robot in found {
+            self.raised.entry(robot).or_insert_with(|| {
+                pass_on(robot, Change::Raised, now_ns);
+                now_ns
+            });
+        }
+    }
+
+    /// The robots that have it, and since when, monotonic ns.
+    pub fn raised(&self) -> impl Iterator<Item = (u32, u64)> {
+        self.raised
+            .iter()
+            .map(|(robot, since_ns)| (*robot, *since_ns))
+    }
+}
