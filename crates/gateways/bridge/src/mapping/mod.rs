@@ -2,6 +2,8 @@
 //! file or thread. The time of a message is an argument.
 
 pub(crate) mod account;
+#[cfg(test)]
+mod doors;
 pub(crate) mod fields;
 pub(crate) mod intake;
 pub(crate) mod observation;
