@@ -33,6 +33,7 @@ step gelu - 'python3 tools/fit_gelu.py'
 step gate - 'JOULEBUS_AGAIN=1 .ci/run'
 step readme - 'python3 tools/readme_projects.py'
 step page - 'tools/browser.sh; tools/prometheus.sh; tools/grafana.sh'
+step walk-csv - 'tools/walks/csv.sh'
 step containers - 'cargo build --quiet --locked --workspace --lib --bins --examples; tools/containers.sh'
 step c - 'tools/c_api.sh; python3 tools/c_speed.py --rounds 11'
 step wheel - 'tools/python_package.sh'
@@ -92,7 +93,7 @@ export -f tested
 
 check() {
     local text name file left=() missing=() reached=(.ci/run tools/full.sh)
-    mapfile -t left < <(git ls-files --cached --others --exclude-standard tools | sed -E 's,^(tools/(peers/)?[^/]+)/.*,\1,' | sort -u)
+    mapfile -t left < <(git ls-files --cached --others --exclude-standard tools | sed -E 's,^(tools/(peers/|walks/)?[^/]+)/.*,\1,' | sort -u)
     # What tests run, and then what is named or imported by what is run. Comments do not count.
     text=$(git grep -hE 'tools/|\.(sh|py)"' -- '*.rs' | grep -v '^ *//')
     while [ ${#reached[@]} -gt 0 ]; do

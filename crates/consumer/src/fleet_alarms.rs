@@ -7,15 +7,18 @@ use joulebus_config::Config;
 use joulebus_connect::ConnectError;
 use joulebus_wire::{Acknowledgement, AlarmCard, Level};
 
-use crate::{AlarmChange, AlarmFeed, AlarmHistory, Change, ReadError, Subscriber, WorkerState};
+use crate::{
+    AlarmChange, AlarmFeed, AlarmHistory, Change, ReadError, SourceAlarms, SourceChange,
+    Subscriber, WorkerState,
+};
 
 /// A raise or an end of an alarm, of a robot or of the worker.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FleetAlarm {
     /// The robot; `None` for the worker.
     pub robot: Option<u32>,
-    /// Name of the [`joulebus_wire::Alarm`]; for the worker `WorkerGone` or `WorkerStale`.
-    /// [`AlarmCard::named`] has its meaning.
+    /// Name of the [`joulebus_wire::Alarm`]; of sources `Implausible`; for the worker `WorkerGone`
+    /// or `WorkerStale`. [`AlarmCard::named`] has its meaning.
     pub alarm: &'static str,
     /// Its level.
     pub level: Level,
@@ -52,6 +55,20 @@ impl From<AlarmChange> for FleetAlarm {
     }
 }
 
+impl From<SourceChange> for FleetAlarm {
+    fn from(change: SourceChange) -> Self {
+        Self {
+            robot: Some(change.robot),
+            alarm: AlarmCard::IMPLAUSIBLE.name,
+            level: AlarmCard::IMPLAUSIBLE.level,
+            change: change.change,
+            at_ns: change.at_ns,
+            raised_ns: change.raised_ns,
+            acknowledged: None,
+        }
+    }
+}
+
 /// An alarm of the worker itself, and since when, monotonic ns.
 type OfWorker = (AlarmCard, u64);
 
@@ -59,6 +76,7 @@ type OfWorker = (AlarmCard, u64);
 pub struct FleetAlarms {
     subscriber: Subscriber,
     feed: AlarmFeed,
+    sources: SourceAlarms,
     worker: Option<OfWorker>,
 }
 
@@ -72,6 +90,7 @@ impl FleetAlarms {
         Ok(Self {
             subscriber: Subscriber::polling(config, name, feed.look_every())?,
             feed,
+            sources: SourceAlarms::new(config),
             worker: None,
         })
     }
@@ -94,6 +113,7 @@ impl FleetAlarms {
         if let Some(now) = now {
             self.set_worker(now, &mut each);
         }
+        self.sources.changes(|change| each(change.into()));
         self.feed.changes(|change| each(change.into()))
     }
 

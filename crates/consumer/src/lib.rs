@@ -62,6 +62,7 @@ mod fleet_alarms;
 mod frame;
 mod index;
 mod newest;
+mod source_alarms;
 mod subscriber;
 mod tracker;
 
@@ -74,5 +75,6 @@ pub use joulebus_config::Config;
 pub use joulebus_connect::{ConnectError, error};
 pub use joulebus_wire::{self as wire, Budgets, Diagnostics, Forecasts, PlanStates, Queries};
 pub use newest::ReadError;
+pub use source_alarms::{SourceAlarms, SourceChange};
 pub use subscriber::{Event, Subscriber};
 pub use tracker::{Arrival, Counts, End, WorkerState};

@@ -37,6 +37,9 @@
 //! and reported to operators, without effect on other robots. [`Sent::refused`] says so at once, by
 //! the worker's own rule.
 //!
+//! **Implausible values** that no limit refuses, such as a power of the wrong sign or in mW, are
+//! found by a [`Judgement`], to which a program gives the states that it publishes.
+//!
 //! **Errors** state the remedy: [`ConnectError`] at the start, [`PublishError`] for a frame; after
 //! the latter the publisher remains usable. [`error`] has the errors that they contain.
 //!
@@ -47,6 +50,7 @@
 //! configuration and its logger are left alone.
 #![forbid(unsafe_code)]
 
+mod judgement;
 mod pace;
 mod publisher;
 mod state;
@@ -55,7 +59,9 @@ pub use joulebus_bus::{SendError, WaitError, clock};
 pub use joulebus_config::Config;
 pub use joulebus_config::settings::RefusedSample;
 pub use joulebus_connect::{ConnectError, error};
+pub use joulebus_plausibility as plausibility;
 pub use joulebus_wire as wire;
+pub use judgement::{Implausible, Judgement};
 pub use pace::{Grid, Pace, Slot};
 pub use publisher::{PublishError, Publisher, Sent};
 pub use state::{Charger, RobotState};

@@ -124,4 +124,14 @@ fn too_little_evidence_fails_with_what_would_be_needed() {
     )
     .exits(2);
     says(&stderr(&several), ["--platform"]);
+    // The built-in config is of another robot than whoever recorded these.
+    let mut unknown = joulebus(["calibrate", "--false-alarms", "1/day"]);
+    unknown
+        .arg(&recordings[0])
+        .current_dir(fleet.root().parent().unwrap());
+    let refused = unknown.output().unwrap().exits(2);
+    says(
+        &stderr(&refused),
+        ["which platform", "joulebus config init"],
+    );
 }

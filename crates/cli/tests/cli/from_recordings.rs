@@ -195,6 +195,35 @@ fn config_init_writes_a_fleet_that_passes_config_check_and_says_what_is_next() {
 }
 
 #[test]
+fn one_stuck_robot_sets_no_limit_for_the_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let runs = folder.path().join("runs");
+    fs::create_dir(&runs).unwrap();
+    for seed in 0..3 {
+        let path = runs.join(format!("run_{seed}.csv"));
+        recording(&path, LAYOUT.0, LAYOUT.1, 400, seed);
+    }
+    let stuck = runs.join("stuck.csv");
+    let rows = (0..400).map(|row| format!("{},40000,0.1,0.1\n", f64::from(row) / 20.0));
+    fs::write(
+        &stuck,
+        format!("{}\n{}", LAYOUT.0, rows.collect::<String>()),
+    )
+    .unwrap();
+    let out = folder.path().join("lab");
+    let made = done(["config", "init", "--from", text(&runs), "--out", text(&out)]);
+    says(
+        &stderr(&made),
+        ["stuck.csv", "far longer than those of the others"],
+    );
+    let platform = fs::read_to_string(out.join("platforms/runs.toml")).unwrap();
+    says(
+        &platform,
+        ["\nhold_max_s = 0.5\n", "\nstuck_after_s = 10.0\n"],
+    );
+}
+
+#[test]
 fn config_init_with_wrong_options_writes_nothing_and_works_once_they_are_right() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("run.csv");

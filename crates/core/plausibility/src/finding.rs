@@ -167,6 +167,14 @@ impl Finding {
                 format!("state the unit in a mapping file, such as {quantity}_unit = 0.001")
             }
             (Remedy::State(unit), Source::Bridge) => {
+                // The units of a bridge's file.
+                let unit = match unit {
+                    "percent" => "%",
+                    "mmps" => "mm/s",
+                    "degps" => "deg/s",
+                    "" => "share",
+                    other => other,
+                };
                 format!("state the unit in the field: {quantity} = {{ at = …, unit = \"{unit}\" }}")
             }
             (Remedy::State(unit), Source::Program) => {

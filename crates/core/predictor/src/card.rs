@@ -118,6 +118,11 @@ pub struct Scores {
     pub persistence_mae_w: f32,
 }
 
+/// [`ModelCard::source`] of models that were trained on simulated robots.
+pub const SIMULATED: &str = "simulation";
+/// Time between two steps of the Robotarium, s, whose robots are simulated.
+const ROBOTARIUM_STEP_S: f32 = 0.033;
+
 /// Identifies the rows that a network was trained on: hashes of blocks of consecutive readings,
 /// computed and compared by `joulebus_dataset::trained_rows`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -152,6 +157,9 @@ pub struct ModelCard {
     pub trained_rows: Option<TrainedRows>,
     /// Seed of initial weights, batches and dropout.
     pub seed: u64,
+    /// Time between two readings of the training data, s; `None` if unknown: imported models,
+    /// simulated ones, and older files.
+    pub step_s: Option<f32>,
     /// Training range of the features.
     pub training_range: TrainingRange,
     /// Residuals on held-out data.
@@ -176,11 +184,19 @@ impl ModelCard {
             training_data_sha256: String::new(),
             trained_rows: None,
             seed: 0,
+            step_s: None,
             training_range,
             residual: ResidualStats::default(),
             scores: Scores::default(),
             linear: None,
             energy: None,
         }
+    }
+    /// Time between two steps at which the network forecasts, s: as stated, or that of the
+    /// Robotarium for its simulated robots.
+    #[must_use]
+    pub fn period_s(&self) -> Option<f32> {
+        let simulated = (self.source == SIMULATED).then_some(ROBOTARIUM_STEP_S);
+        self.step_s.or(simulated)
     }
 }

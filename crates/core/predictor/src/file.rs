@@ -147,6 +147,7 @@ fn read_card(metadata: &Metadata<'_>, feature_set: FeatureSet) -> Result<ModelCa
         training_data_sha256: metadata.text("training_data_sha256")?.to_owned(),
         trained_rows: read_trained_rows(metadata)?,
         seed: metadata.number("seed")?,
+        step_s: read_step(metadata)?,
         training_range: TrainingRange {
             feature_set,
             min: metadata.per_feature("feature_min", feature_set)?,
@@ -167,6 +168,18 @@ fn read_card(metadata: &Metadata<'_>, feature_set: FeatureSet) -> Result<ModelCa
         linear: read_linear(metadata, feature_set)?,
         energy: read_energy(metadata)?,
     })
+}
+
+/// Older files and some imported models do not state it.
+fn read_step(metadata: &Metadata<'_>) -> Result<Option<f32>, ModelError> {
+    if !metadata.0.contains_key("step_s") {
+        return Ok(None);
+    }
+    let step_s: f32 = metadata.number("step_s")?;
+    match step_s > 0.0 && step_s.is_finite() {
+        true => Ok(Some(step_s)),
+        false => Err(ModelError::field("step_s", &step_s, "a time above 0 s")),
+    }
 }
 
 /// Older files and imported models do not state them.
@@ -284,6 +297,9 @@ fn fields(parameters: &Parameters, card: &ModelCard) -> Fields {
             card.scores.persistence_mae_w.to_string(),
         ),
     ]);
+    if let Some(step_s) = card.step_s {
+        fields.insert("step_s", step_s.to_string());
+    }
     if let Some(TrainedRows { rows, blocks }) = &card.trained_rows {
         fields.insert("trained_rows", rows.to_string());
         fields.insert("trained_blocks", trained_blocks(blocks));

@@ -38,7 +38,9 @@ mod reading_age;
 mod rollout;
 pub mod simd;
 
-pub use card::{ModelCard, ResidualStats, Scores, TrainedBlocks, TrainedRows, TrainingRange};
+pub use card::{
+    ModelCard, ResidualStats, SIMULATED, Scores, TrainedBlocks, TrainedRows, TrainingRange,
+};
 pub use error::{LengthError, ModelError, RolloutError};
 pub use features::{FEATURE_NAMES, FEATURES, FeatureSet, Features, INPUTS, LAGS, features};
 pub use file::MAX_MODEL_BYTES;

@@ -26,7 +26,7 @@ impl AlarmCard {
     pub fn all() -> impl Iterator<Item = &'static Self> {
         OF_ROBOTS
             .iter()
-            .chain(&[Self::WORKER_GONE, Self::WORKER_STALE])
+            .chain(&[Self::IMPLAUSIBLE, Self::WORKER_GONE, Self::WORKER_STALE])
     }
 
     /// Of the alarm of this name, in any case.
@@ -34,6 +34,19 @@ impl AlarmCard {
     pub fn named(name: &str) -> Option<&'static Self> {
         Self::all().find(|card| card.name.eq_ignore_ascii_case(name))
     }
+
+    /// A source finds what it reports implausible. Readers raise it, and the worker knows nothing
+    /// of it.
+    pub const IMPLAUSIBLE: Self = Self {
+        name: "Implausible",
+        level: Level::Warn,
+        meaning: "The source of the readings finds them implausible: sign, unit, clock, range or a \
+            monitor that does not work. They are used as they are.",
+        check: "The source's log and status (of a bridge `implausible`) have what was found and the \
+            key that mends it. What is right is accepted there.",
+        keys: &[],
+        found_within: "64 readings",
+    };
 
     /// No worker runs.
     pub const WORKER_GONE: Self = Self {

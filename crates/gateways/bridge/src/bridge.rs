@@ -13,13 +13,13 @@ use joulebus_config::Config;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, say};
 use joulebus_program::stop::Stop;
+use joulebus_publisher::Implausible;
 use joulebus_settings::NO_BATTERY;
 use serde::Serialize;
 use serde_json::json;
 
 use crate::config::{MqttSettings, Ros2Settings, RosWrite, Settings};
 use crate::mapping::account::UnmappedRecord;
-use crate::mapping::judgement::Implausible;
 use crate::mapping::outgoing::What;
 use crate::mapping::ros::incoming::RosRoute;
 use crate::mapping::ros::names::ros_type;

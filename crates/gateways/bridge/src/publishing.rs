@@ -7,10 +7,12 @@ use std::time::Duration;
 
 use joulebus_bus::{Running, clock};
 use joulebus_config::Config;
+use joulebus_connect::findings::FindingsFile;
 use joulebus_program::output::say;
 use joulebus_publisher::{Grid, PublishError, Publisher};
 use serde::Serialize;
 
+use crate::mapping::account::Reason;
 use crate::mapping::robots::Robots;
 use crate::shared::Shared;
 
@@ -19,6 +21,9 @@ const POLL_INTERVAL_NS: u64 = 50_000_000;
 
 /// Interval of logging what is implausible.
 const LOG_EVERY_NS: u64 = 1_000_000_000;
+
+/// Time after which a robot that nothing has come from is named.
+const NEVER_CAME_NS: u64 = 30_000_000_000;
 
 /// Totals of the published frames.
 #[derive(Debug, Clone, Copy, Default, Serialize)]
@@ -56,7 +61,9 @@ pub(crate) fn run(
     let mut groups = groups(config, robots, clock::monotonic_ns());
     let (mut record, mut states) = (PublishedRecord::default(), Vec::new());
     let mut news_ns = clock::monotonic_ns();
+    let mut never_came_ns = Some(news_ns + NEVER_CAME_NS);
     let mut refused = BTreeSet::new();
+    let mut findings = FindingsFile::new(config, name);
     while !shared.is_stopped() {
         let now_ns = clock::monotonic_ns();
         let due_ns = groups.iter().map(|group| group.grid.due_ns()).min();
@@ -81,7 +88,19 @@ pub(crate) fn run(
         }
         if now_ns >= news_ns {
             news_ns = now_ns + LOG_EVERY_NS;
+            if never_came_ns.is_some_and(|at_ns| now_ns >= at_ns) {
+                never_came_ns = None;
+                never_came(robots, shared);
+            }
             shared.log_news();
+            let found = shared.intake().judgement().records().into_iter();
+            // A monitor that never changes may be of a robot that stands.
+            let found = found.filter(|found| found.finding.is_error());
+            let found =
+                found.map(|found| (found.robot, format!("{}: {}", found.finding, found.remedy)));
+            if let Err(error) = findings.say(found) {
+                tracing::warn!(%error, "what is implausible was not written");
+            }
         }
         if !states.is_empty() {
             count(
@@ -92,6 +111,19 @@ pub(crate) fn run(
         }
     }
     Ok(record)
+}
+
+/// Names the robots that nothing has come from: a topic is probably misspelt, or they are off.
+fn never_came(robots: &Robots, shared: &Shared) {
+    let silent: Vec<u32> = shared.intake().silent().collect();
+    let mut account = shared.account();
+    for name in silent.iter().filter_map(|robot| robots.name(*robot)) {
+        account.count(
+            "[robots]",
+            Reason::NeverCame,
+            &format!("anything of {name}"),
+        );
+    }
 }
 
 /// The robots, grouped by the rate of their platforms.

@@ -41,7 +41,8 @@ function showAcknowledged(alarm, robot, board) {
   const by = raised?.acknowledged;
   part("by").textContent = by ? `Acknowledged by ${by.by} at ${format.timeOfDay(format.unixMs(by.at_unix_ns))}.` : "";
   part("answer").textContent = "";
-  form.hidden = !raised || Boolean(by);
+  // No worker raised it.
+  form.hidden = !raised || Boolean(by) || alarm === "Implausible";
   form.elements.by.value = localStorage.getItem(NAME) ?? "";
   Object.assign(form.dataset, { alarm, robot });
 }

@@ -9,7 +9,7 @@ use joulebus_settings::{
 };
 
 use crate::consistency;
-use crate::document::{FleetFile, Source};
+use crate::document::{FleetFile, Listed, Source};
 use crate::key::{ValueKind, voltages};
 use crate::model_source::ModelSource;
 use crate::problem::{ConfigError, Problem};
@@ -56,6 +56,17 @@ impl Threads {
     }
 }
 
+/// How recordings of a platform are read, as text of the options.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct RecordingOptions {
+    /// Names of columns, as `--map` takes them.
+    pub map: Option<String>,
+    /// The sign of the current, as `--current` takes it.
+    pub current: Option<String>,
+    /// Kinds of findings that are let through, as `--accept` takes them.
+    pub accept: Option<String>,
+}
+
 /// A config that was read completely and found consistent.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Config {
@@ -76,6 +87,7 @@ pub struct Config {
     queries: Queries,
     shown: String,
     platform_keys: Vec<Vec<Assignment>>,
+    recordings: Vec<RecordingOptions>,
     warnings: Vec<Problem>,
 }
 
@@ -224,6 +236,13 @@ impl Config {
         self.platform_keys.get(platform).map_or(&[], Vec::as_slice)
     }
 
+    /// How recordings of a platform of [`Config::settings`] are read. Empty if it does not say, or
+    /// if there is no such platform.
+    #[must_use]
+    pub fn recordings(&self, platform: usize) -> RecordingOptions {
+        self.recordings.get(platform).cloned().unwrap_or_default()
+    }
+
     /// Frames of each source buffered in shared memory.
     #[must_use]
     pub const fn buffer_frames(&self) -> usize {
@@ -314,6 +333,7 @@ impl Builder<'_> {
             prefix: fleet.0.text("domain.prefix")?,
             settings: fleet.settings(platforms?)?,
             platform_keys: read.platforms.iter().map(show::platform).collect(),
+            recordings: read.platforms.iter().map(recordings).collect(),
             policy: fleet.policy()?,
             tick_period_ns: ns(1.0 / fleet.0.number("tick.rate_hz")?),
             models: models?,
@@ -500,5 +520,14 @@ impl Builder<'_> {
         let text = self.0.text("platform.battery.open_circuit_v")?;
         let volts = voltages(&text).unwrap_or_default();
         Some(OpenCircuit::new(&volts, resistance_ohm, sd))
+    }
+}
+
+fn recordings(listed: &Listed) -> RecordingOptions {
+    let text = |name: &str| listed.values.text(&format!("platform.recordings.{name}"));
+    RecordingOptions {
+        map: text("map"),
+        current: text("current"),
+        accept: text("accept"),
     }
 }

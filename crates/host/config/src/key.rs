@@ -84,6 +84,10 @@ pub enum TextRule {
     Model,
     /// CPUs and ranges of them, each once, or empty.
     Cpus,
+    /// Pairs of a quantity and its column, separated by commas.
+    Columns,
+    /// Kinds of findings, separated by commas.
+    Findings,
 }
 
 /// Default of a key.
@@ -184,6 +188,8 @@ impl TextRule {
             Self::Voltages => "2 to 21 rising voltages like \"3.0, 3.6, 4.2\", or empty",
             Self::PlatformFile => "path, relative to this file, or \"builtin:<name>\"",
             Self::Cpus => "CPUs like \"1\" or \"2-3,6\", each once, or empty",
+            Self::Columns => "pairs like \"time=t,voltage_V=u\"",
+            Self::Findings => "kinds of findings like \"sign,unit\"",
             Self::Model => "\"persistence\", \"builtin:<name>\", or a path relative to this file",
         }
     }
@@ -216,6 +222,13 @@ impl TextRule {
             Self::StateFile => !text.contains('\0'),
             Self::Voltages => text.is_empty() || voltages(text).is_some(),
             Self::Cpus => cpus::parse(text).is_some(),
+            Self::Columns => text.split(',').all(|pair| {
+                let names = pair.split_once('=');
+                names.is_some_and(|(quantity, column)| !quantity.is_empty() && !column.is_empty())
+            }),
+            Self::Findings => text
+                .chars()
+                .all(|letter| letter.is_ascii_lowercase() || "-,".contains(letter)),
             Self::PlatformFile | Self::Model => !text.is_empty() && !text.contains('\0'),
         }
     }

@@ -180,6 +180,13 @@ pub const KEYS: &[Key] = &[
     of_platform(key("platform.alarms.mismatch_limit", num(bounds::MISMATCH_LIMIT), "ratio", DefaultValue::Unset,
         "Replaces the fleet's alarms.mismatch_limit for this platform; joulebus calibrate writes it.")),
 
+    of_platform(key("platform.recordings.map", ValueKind::Text(TextRule::Columns), "", DefaultValue::Unset,
+        "Columns of this platform's recordings, as --map names them; verbs that read the config use it where --map is not given.")),
+    of_platform(key("platform.recordings.current", ValueKind::Choice(&["discharge-positive", "discharge-negative"]), "", DefaultValue::Unset,
+        "Sign of the current in this platform's recordings, as --current states it.")),
+    of_platform(key("platform.recordings.accept", ValueKind::Text(TextRule::Findings), "", DefaultValue::Unset,
+        "Findings that are let through in this platform's recordings, as by --accept.")),
+
     of_platform(key("platform.battery.capacity_wh", num(bounds::BATTERY_CAPACITY_WH), "Wh", DefaultValue::Required,
         "Energy of the battery from full to empty. Omit [battery] if it is unknown.")),
     of_platform(key("platform.battery.reserve", num(bounds::SHARE), "share", DefaultValue::Number(0.1),

@@ -46,7 +46,7 @@ mod values;
 
 pub use builtin::{Demo, builtin_model, builtin_models, builtin_platform, builtin_platforms};
 pub use bundle::{Bundle, BundleError};
-pub use config::{Checkpoint, Config, Queries, Threads};
+pub use config::{Checkpoint, Config, Queries, RecordingOptions, Threads};
 pub use explain::{Explanation, UnknownKey, explain, explanations};
 pub use files::is_below;
 pub use joulebus_domain::{Domain, Limits, Scheduling};

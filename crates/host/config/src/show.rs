@@ -42,11 +42,16 @@ pub(crate) fn toml(read: &FleetFile) -> String {
 /// The keys of a platform, without those of sections that it does not have.
 fn keys_of(values: &Values) -> impl Iterator<Item = &'static Key> {
     let given = |section: &str| values.names_any(section);
-    let (battery, alarms) = (given("platform.battery."), given("platform.alarms."));
-    KEYS.iter().filter(move |key| match key.path {
-        path if path.starts_with("platform.battery.") => battery,
-        path if path.starts_with("platform.alarms.") => alarms,
-        path => path.starts_with("platform."),
+    let sections = [
+        "platform.battery.",
+        "platform.alarms.",
+        "platform.recordings.",
+    ];
+    let sections = sections.map(|section| (section, given(section)));
+    KEYS.iter().filter(move |key| {
+        let mut own = sections.iter();
+        let own = own.find(|(section, _)| key.path.starts_with(section));
+        own.map_or(key.path.starts_with("platform."), |(_, given)| *given)
     })
 }
 

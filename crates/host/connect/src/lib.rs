@@ -1,6 +1,8 @@
 //! Joining the fleet of a config. The config itself is plain values, and knows no shared memory.
 #![forbid(unsafe_code)]
 
+pub mod findings;
+
 use joulebus_bus::{Bus, JoinError, OpenError};
 use joulebus_config::{Config, ConfigError};
 use joulebus_domain::DomainError;

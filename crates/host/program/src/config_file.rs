@@ -53,6 +53,11 @@ impl ConfigFile {
         Config::parse(&shipped.toml(), Path::new("."))
     }
 
+    /// Whether it is the built-in one, because no file is named and the usual one does not exist.
+    pub fn is_builtin(&self) -> bool {
+        self.config.is_none() && !Path::new(USUAL).exists()
+    }
+
     /// Name of the config in messages.
     pub fn name(&self) -> String {
         match &self.config {

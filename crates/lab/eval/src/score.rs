@@ -53,6 +53,7 @@ pub use open::{ROWS_IN_MEMORY, open_recordings, read_recordings};
 pub use options::{MAX_HORIZON, Options, ScoreError};
 pub(crate) use portion::Misfit;
 pub use portion::{Portion, score_portion};
+pub(crate) use recording::sources;
 pub use recording::{Contents, Recording, check_apart, recorded_platform};
 pub use report::{ModelReport, ScoreReport};
 pub use run::{Reported, Scored, score, score_reported, score_watched};

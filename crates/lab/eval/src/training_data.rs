@@ -5,12 +5,12 @@ use std::num::NonZeroUsize;
 
 use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_dataset::split::{
-    Assignment, STRETCH_ROWS, SourceInfo, Split, SplitError, SplitSummary, Thinned, assign_given,
+    Assignment, STRETCH_ROWS, Split, SplitError, SplitSummary, Thinned, assign_given,
     assign_unread, describe, median_period_s, resume,
 };
 use joulebus_dataset::trial::TrialError;
 
-use crate::score::Recording;
+use crate::score::{Recording, sources};
 
 /// Default maximum number of rows: 19 hours of a robot at 30 Hz. Training holds some 400 bytes of
 /// each.
@@ -69,7 +69,7 @@ pub fn training_data(
         validation,
         held_out,
         description: described,
-        period_s: median_period_s(&infos(period_of)),
+        period_s: median_period_s(&sources(period_of)),
     };
     let summary = SplitSummary {
         rows: thinned.rows,
@@ -85,7 +85,7 @@ type Assigned<'a> = (Vec<&'a Recording>, Assignment, String);
 fn assigned(parts: Parts<'_>) -> Result<Assigned<'_>, TrainingDataError> {
     match parts {
         Parts::Split(recordings, split) => {
-            let infos = infos(recordings);
+            let infos = sources(recordings);
             let resume_at = |at: usize, cuts| -> Result<[usize; 2], TrainingDataError> {
                 Ok(resume(&recordings[at].contents()?.rows, cuts))
             };
@@ -94,21 +94,12 @@ fn assigned(parts: Parts<'_>) -> Result<Assigned<'_>, TrainingDataError> {
             Ok((recordings.iter().collect(), assignment, described))
         }
         Parts::Given(parts) => {
-            let infos = parts.map(infos);
+            let infos = parts.map(sources);
             let assignment = assign_given(infos.each_ref().map(Vec::as_slice))?;
             let described = format!("{}; parts given individually", describe(&infos[0]));
             Ok((parts.into_iter().flatten().collect(), assignment, described))
         }
     }
-}
-
-/// Trials by the names of their files: robots that share a file stay in one part.
-fn infos(recordings: &[Recording]) -> Vec<SourceInfo> {
-    let each = recordings.iter().map(|recording| SourceInfo {
-        trial: recording.file().to_owned(),
-        ..recording.info()
-    });
-    each.collect()
 }
 
 fn rows(recordings: &[&Recording], thinned: &Thinned) -> Result<[Vec<Row>; 3], TrialError> {

@@ -16,6 +16,7 @@ import math
 
 import numpy as np
 
+# Time between two readings of the training data, s; None if the model does not state it.
 PERIOD_S = @PERIOD_S@
 ACTIVATION = "@ACTIVATION@"
 LAGS = 5
@@ -50,7 +51,9 @@ class EnergyPredictor:
 
     def __init__(self, path=None, period_s=PERIOD_S):
         """`path`: an .npz file of another model of the same shape, by `joulebus model export`;
-        the one inside by default. `period_s`: time between two steps, s."""
+        the one inside by default. `period_s`: time between two steps, s, by default that of the training data."""
+        if period_s is None:
+            raise ValueError("the model does not state its period: give period_s, the time between two steps in s (0.033 in the Robotarium)")
         if not 0.0 < period_s < math.inf:
             raise ValueError(f"period_s is {period_s}, allowed is a finite time above 0 s")
         self.period_s = period_s

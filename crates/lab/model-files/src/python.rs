@@ -10,13 +10,12 @@ use crate::{Entry, EntryValue};
 
 /// The module, with placeholders for the parts that differ between models.
 const FILE: &str = include_str!("predictor.py");
-/// Time between two steps of the Robotarium, s.
-const PERIOD_S: &str = "0.033";
 /// Bytes of the model in a line of the file.
 const LINE_BYTES: usize = 48;
 
 /// The model as a Python module with the class `EnergyPredictor(path, period_s)`.
 ///
+/// The period is that of the model's training data; one whose file does not state it demands it.
 /// `reset`, `step` and `step_with_correction` work in mW and have the names of the paper's module
 /// (arXiv 2603.13908). `predict` takes rows in SI units. It computes in double precision, so
 /// forecasts differ by rounding.
@@ -61,10 +60,12 @@ pub fn to_python(network: &Network) -> Result<String, ExportError> {
         .chars()
         .filter(|c| c.is_ascii_graphic() && !"\\\"@".contains(*c))
         .collect();
+    let period_s = network.card().period_s();
+    let period_s = period_s.map_or("None".to_owned(), |period_s| period_s.to_string());
     let filled = [
         ("@NAME@", name),
         ("@HASH@", format!("{:016x}", network.hash())),
-        ("@PERIOD_S@", PERIOD_S.to_owned()),
+        ("@PERIOD_S@", period_s),
         (
             "@ACTIVATION@",
             network.parameters().activation.name().to_owned(),

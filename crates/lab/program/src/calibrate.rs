@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use joulebus_bus::clock;
 use joulebus_config::{Assignment, Config, platform_file};
-use joulebus_dataset::trial::{Trial, is_capture};
+use joulebus_dataset::trial::{ColumnMap, Trial, is_capture};
 use joulebus_eval::calibrate::{CalibrateError, Calibration, Request, calibrate};
 use joulebus_models::load_models;
 use joulebus_predictor::Model;
@@ -29,7 +29,7 @@ use joulebus_program::utc::Utc;
 #[command(after_help = "Examples:\n  \
     joulebus calibrate fleet.mcap --false-alarms 1/day --robots 20 -o lab/platforms/robot-alarms.toml\n  \
     joulebus calibrate recordings/ --config configs/mixed.toml --platform husky --false-alarms 2/hour\n  \
-    joulebus calibrate trials/ --model my.safetensors --false-alarms 1/day --extrapolate --format json\n\n\
+    joulebus calibrate trials/ --config lab/fleet.toml --false-alarms 1/day --extrapolate --format json\n\n\
     The recordings are taken for healthy: leave out those with faults. They are played through the code of the \
     tick at a grid of limits. Half of them decides how the three limits stand to each other, the other half how \
     high they are, and states the rate with an exact Poisson bound, widened where alarms come in groups. What the \
@@ -84,14 +84,19 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         return Err(UsageError(format!("{what}; name another file with --out")).into());
     }
     let config = args.config.load()?;
+    args.check_config()?;
     let place = args.place(&config)?;
     let own = &config.settings().platforms[place];
     let model = match &args.model {
         Some(file) => load(file)?,
         None => load_models(&config)?.swap_remove(place),
     };
-    let (trials, recorded) = args.trials(own)?;
-    let implausible = args.accept.judge(&trials)?;
+    let map = args.recordings.map_of(&config, place)?;
+    let (trials, recorded) = args.trials(own, &map)?;
+    let implausible = args
+        .accept
+        .or_configured(&config, [place])?
+        .judge(&trials)?;
     let robots = args.robots.unwrap_or(recorded);
     say(&format!(
         "platform {}, model {}: {} recordings, a fleet of {robots} robots",
@@ -124,6 +129,20 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 }
 
 impl Args {
+    /// Recordings that are no captures are of nobody's platform but the one that a config names:
+    /// the built-in one has the limits of another robot.
+    fn check_config(&self) -> anyhow::Result<()> {
+        let files = self.recordings.find()?;
+        match files.iter().find(|file| !is_capture(file)) {
+            Some(file) if self.config.is_builtin() => {
+                let what = format!("which platform recorded {}?", file.display());
+                let remedy = "name its fleet's config with --config; `joulebus config init` makes one from recordings";
+                Err(UsageError(format!("{what} {remedy}")).into())
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// The platform's number in the config.
     fn place(&self, config: &Config) -> Result<usize, UsageError> {
         let settings = config.settings();
@@ -144,7 +163,7 @@ impl Args {
 
     /// The recordings of the platform's robots, and the robots of the capture that has most. In
     /// other recordings, names of robots are no ids: all are of the platform.
-    fn trials(&self, own: &Platform) -> anyhow::Result<(Vec<Trial>, u32)> {
+    fn trials(&self, own: &Platform, map: &ColumnMap) -> anyhow::Result<(Vec<Trial>, u32)> {
         let is_own = |trial: &Trial| {
             // `fleet/7` in a capture of several fleets.
             let id = trial.robot_name().and_then(|name| name.rsplit('/').next());
@@ -153,7 +172,7 @@ impl Args {
         };
         let (mut trials, mut robots) = (Vec::new(), 1);
         for file in self.recordings.find()? {
-            let mut read = Trial::read_mapped(&file, &self.recordings.map())?;
+            let mut read = Trial::read_mapped(&file, map)?;
             if is_capture(&file) {
                 let all = read.len();
                 read.retain(is_own);

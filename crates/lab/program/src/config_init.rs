@@ -7,18 +7,22 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use joulebus_config::{Assignment, Config, fleet_file, platform_file};
 use joulebus_dataset::inspect::{Profile, profile};
-use joulebus_dataset::trial::Trial;
+use joulebus_dataset::split::Split;
+use joulebus_dataset::trial::{ColumnMap, Trial};
+use joulebus_eval::score::{Design, Options, Role, ScoreError, Subject, score_reported};
 use joulebus_models::load_models;
+use joulebus_predictor::Model;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::file::write;
 use joulebus_program::output::{Output, say};
 use joulebus_program::shell::word;
 use joulebus_settings::bounds;
+use joulebus_statistics::bootstrap::Estimate;
 use serde::Serialize;
 
 use crate::judgement::{AcceptArguments, report};
 use crate::next_command::recordings;
-use crate::recordings::{ColumnArguments, find_recordings};
+use crate::recordings::{ColumnArguments, find_recordings, open_with_ids};
 use crate::train::train_recordings;
 use joulebus_program::model_range;
 
@@ -73,9 +77,89 @@ struct InitReport {
     fleet: PathBuf,
     platform: PathBuf,
     model: Option<PathBuf>,
+    held_out: Option<HeldOut>,
     recorded: Profile,
     warnings: Vec<String>,
     next: Vec<String>,
+}
+
+/// Scores of the trained model on rows that it has not seen.
+#[derive(Debug, Serialize)]
+struct HeldOut {
+    rows: u64,
+    trials: usize,
+    design: String,
+    /// Against the last reading.
+    skill: Estimate,
+    confidence: f64,
+}
+
+impl HeldOut {
+    /// None where too few rows are held out for a score, which is said.
+    fn score(
+        config: &Config,
+        models: &[Model],
+        (files, map): (Vec<PathBuf>, &ColumnMap),
+        split: Split,
+    ) -> anyhow::Result<Option<Self>> {
+        let settings = config.settings();
+        let platform = settings.platforms.first();
+        let robot = platform.and_then(|one| Some(*one.robots.first()?.start()));
+        let of_robot = |file| (robot.unwrap_or_default(), file);
+        let files: Vec<(u32, PathBuf)> = files.into_iter().map(of_robot).collect();
+        let recordings = open_with_ids(&files, map)?;
+        let design = Design::held_out(&recordings, split)?;
+        let subject = Subject {
+            settings,
+            platform,
+            models,
+            recordings: &recordings,
+            design: &design,
+        };
+        let options = Options {
+            horizons: Vec::new(),
+            ..Options::default()
+        };
+        let report = match score_reported(subject, &options) {
+            Ok(scored) => scored.report,
+            Err(error @ ScoreError::NoRows { .. }) => {
+                say(&format!("warning: no score of the model: {error}"));
+                return Ok(None);
+            }
+            Err(error) => return Err(error.into()),
+        };
+        let all = &report.all;
+        let mut published = all.forecasters.iter();
+        let published = published.find(|one| one.role == Role::Published);
+        let skill = published.and_then(|one| one.skill.first());
+        Ok(skill.map(|skill| Self {
+            rows: all.rows,
+            trials: all.trials,
+            design: design.description.clone(),
+            skill: skill.skill,
+            confidence: options.bootstrap.confidence,
+        }))
+    }
+}
+
+impl fmt::Display for HeldOut {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Estimate { value, lo, hi } = self.skill;
+        let (rows, trials, design) = (self.rows, self.trials, &self.design);
+        write!(
+            out,
+            "held out, {rows} rows of {trials} recordings ({design}): skill {value:.3}"
+        )?;
+        match lo.is_finite() && hi.is_finite() {
+            true => write!(
+                out,
+                " [{lo:.3}, {hi:.3}] at {:.0} %",
+                100.0 * self.confidence
+            )?,
+            false => out.write_str(" (too few for an interval)")?,
+        }
+        out.write_str(" against the last reading")
+    }
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
@@ -93,6 +177,10 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let name = args.name()?;
     let places = Places::new(&args.out, &name);
     places.check(args.train)?;
+    for stuck in &recorded.stuck {
+        let held = "its readings are held far longer than those of the others";
+        say(&format!("warning: {stuck}: {held}; they set no hold_max_s"));
+    }
     let fleet = fleet(&name, &recorded, &robots(args, &trials)?, &files);
     let given = args.given_model()?;
     check(
@@ -100,11 +188,13 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         &platform(&name, &recorded, given.as_deref(), args),
         &fleet,
     )?;
+    let mut split = None;
     if args.train {
         places.make(&places.models)?;
         let full = recorded.v_mps.is_some() && recorded.omega_radps.is_some();
-        let units = files.len();
-        if !train_recordings(&args.from, &args.columns, &places.model, full, units)? {
+        let count = trials.len();
+        split = train_recordings(&args.from, &args.columns, &places.model, full, count)?;
+        if split.is_none() {
             return Ok(Outcome::Failed);
         }
     }
@@ -114,8 +204,16 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     };
     let platform = platform(&name, &recorded, model.as_deref(), args);
     places.write(&platform, &fleet)?;
+    if model.is_none() {
+        // For the model of the next command.
+        places.make(&places.models)?;
+    }
     let config = Config::load(&places.fleet)?;
     let models = load_models(&config)?;
+    let held_out = match split {
+        Some(split) => HeldOut::score(&config, &models, (files, &map), split)?,
+        None => None,
+    };
     let mut warnings: Vec<String> = config.warnings().iter().map(ToString::to_string).collect();
     warnings.extend(
         model_range::warnings(&config, &models)
@@ -125,7 +223,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     for warning in &warnings {
         say(&format!("warning: {warning}"));
     }
-    let (file, from) = (word(&places.fleet), recordings(&args.from));
+    let (file, from) = (word(&places.fleet), recordings(&args.from)?);
     let reading = args.columns.options() + &args.accept.option();
     let mut next = Vec::new();
     if model.is_none() {
@@ -136,13 +234,13 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
     next.push(format!("joulebus config check {file}"));
     next.push(format!("joulebus run --config {file}"));
-    next.push(format!(
-        "joulebus publish trial {from} --config {file}{reading}"
-    ));
+    // The config states how its recordings are read.
+    next.push(format!("joulebus publish trial {from} --config {file}"));
     let written = InitReport {
         fleet: places.fleet,
         platform: places.platform,
-        model: model.map(PathBuf::from),
+        model: args.train.then_some(places.model).or(args.model.clone()),
+        held_out,
         recorded,
         warnings,
         next,
@@ -380,6 +478,8 @@ fn platform(name: &str, recorded: &Profile, model: Option<&str>, args: &Args) ->
             "Measured: root mean square of the differences.",
         ));
     }
+    assignments.extend(args.columns.assignments());
+    assignments.extend(args.accept.assignment());
     if let Some(capacity_wh) = args.battery_wh {
         assignments.push(number("battery.capacity_wh", capacity_wh, "As given."));
         assignments.push(number(
@@ -483,8 +583,12 @@ impl fmt::Display for InitReport {
         if let Some(step_w) = self.recorded.resolution_w {
             writeln!(out, "resolution {step_w:.4} W")?;
         }
-        for path in [&self.platform, &self.fleet] {
+        let trained = self.model.as_ref().filter(|_| self.held_out.is_some());
+        for path in [&self.platform, &self.fleet].into_iter().chain(trained) {
             writeln!(out, "written: {}", path.display())?;
+        }
+        if let Some(held_out) = &self.held_out {
+            writeln!(out, "{held_out}")?;
         }
         writeln!(out, "next:")?;
         for command in &self.next {

@@ -60,7 +60,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         None => load_models(&config)?,
         Some(model) => vec![model.clone(); config.settings().platforms.len()],
     };
-    let sections = args.asked.sections(config.settings(), named.is_some())?;
+    let sections = args.asked.sections(&config, named.is_some())?;
     let implausible = args.asked.judge(&sections)?;
     if let Some(asked) = args.parts.asked() {
         return part::run(args, &asked, (&sections, &models), output);

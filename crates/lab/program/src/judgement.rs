@@ -4,14 +4,18 @@ use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
 
 use anyhow::bail;
+use joulebus_config::{Assignment, Config};
 use joulebus_dataset::inspect::{Implausible, Limits, Range, judge, judge_from};
 use joulebus_dataset::trial::Trial;
 use joulebus_eval::score::Recording;
 pub(crate) use joulebus_plausibility::Source;
 use joulebus_plausibility::{Kind, Quantity, Severity};
+use joulebus_program::exit::UsageError;
 use joulebus_program::output::{Output, say};
 use joulebus_settings::Platform;
 use serde::Serialize;
+
+use crate::recordings::GIVEN;
 
 /// Findings that the user lets through.
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -61,13 +65,45 @@ impl AcceptArguments {
         }
     }
 
+    /// The same with what the config accepts in recordings of some platforms.
+    ///
+    /// # Errors
+    /// The config names what is no finding.
+    pub(crate) fn or_configured(
+        &self,
+        config: &Config,
+        platforms: impl IntoIterator<Item = usize>,
+    ) -> anyhow::Result<Self> {
+        let mut own = self.clone();
+        for platform in platforms {
+            let stated = config.recordings(platform).accept.unwrap_or_default();
+            for kind in stated.split(',').filter(|kind| !kind.is_empty()) {
+                own.accept.push(kind.parse().map_err(|error| {
+                    let name = &config.settings().platforms[platform].name;
+                    UsageError(format!("platform {name}: `recordings.accept`: {error}"))
+                })?);
+            }
+        }
+        Ok(own)
+    }
+
+    /// What a platform's config says of its recordings, for the same option.
+    pub(crate) fn assignment(&self) -> Option<Assignment> {
+        let kinds = self.kinds();
+        (!kinds.is_empty()).then(|| Assignment::text("recordings.accept", &kinds, GIVEN))
+    }
+
+    fn kinds(&self) -> String {
+        let kinds: Vec<&str> = self.accept.iter().map(|kind| kind.name()).collect();
+        kinds.join(",")
+    }
+
     /// The option again, for a command that uses the same recordings: empty, or with a space in
     /// front.
     pub(crate) fn option(&self) -> String {
-        let kinds: Vec<&str> = self.accept.iter().map(|kind| kind.name()).collect();
-        match kinds.is_empty() {
-            true => String::new(),
-            false => format!(" --accept {}", kinds.join(",")),
+        match self.kinds() {
+            kinds if kinds.is_empty() => kinds,
+            kinds => format!(" --accept {kinds}"),
         }
     }
 

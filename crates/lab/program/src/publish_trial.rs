@@ -1,6 +1,6 @@
 //! `joulebus publish trial`: plays recorded trials as a fleet.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::time::Duration;
 
 use joulebus_bus::{clock, set_timer_slack};
@@ -18,7 +18,7 @@ use joulebus_source::window::Window;
 use joulebus_wire::Sample;
 
 use crate::judgement::{self, AcceptArguments, limits};
-use crate::trials::TrialFiles;
+use crate::trials::{TrialFiles, place_of};
 
 /// Default number of frames in flight when the source could send faster than the worker ticks.
 const USUAL_WINDOW: usize = 4;
@@ -72,15 +72,16 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let stop = Stop::on_signals()?;
     let config = args.config.load()?;
-    let trials = args.trials.read(config.settings())?;
-    let limits = |robot: u32| {
-        let is_its = |ids: &std::ops::RangeInclusive<u32>| ids.contains(&robot);
-        let mut platforms = config.settings().platforms.iter();
-        let own = platforms.find(|platform| platform.robots.iter().any(is_its));
-        own.map(limits).unwrap_or_default()
-    };
-    let judged = trials.iter().map(|(robot, trial)| (limits(*robot), trial));
-    let implausible = args.accept.judge_within(judged)?;
+    let settings = config.settings();
+    let trials = args.trials.read(&config)?;
+    let place = |(robot, _): &(u32, Trial)| place_of(settings, *robot);
+    let judged = trials.iter().map(|one| {
+        let platform = place(one).map(|place| &settings.platforms[place]);
+        (platform.map(limits).unwrap_or_default(), &one.1)
+    });
+    let places: BTreeSet<usize> = trials.iter().filter_map(place).collect();
+    let accept = args.accept.or_configured(&config, places)?;
+    let implausible = accept.judge_within(judged)?;
     for (robot, trial) in trials.iter().filter(|(_, trial)| !trial.notes().is_clean()) {
         tracing::info!(robot, "{}: {}", trial.path().display(), trial.notes());
     }

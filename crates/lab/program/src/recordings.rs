@@ -3,8 +3,9 @@
 use std::path::PathBuf;
 
 use clap::ValueEnum;
+use joulebus_config::{Assignment, Config};
 use joulebus_dataset::inspect::find;
-use joulebus_dataset::trial::{ColumnMap, MappedColumn, Method, TrialError};
+use joulebus_dataset::trial::{ColumnMap, MapError, MappedColumn, Method, TrialError};
 use joulebus_eval::score::{ROWS_IN_MEMORY, Recording, open_recordings};
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::say;
@@ -35,6 +36,9 @@ pub(crate) struct ColumnArguments {
     pub(crate) current: Option<Sign>,
 }
 
+/// Note of an option that a config keeps.
+pub(crate) const GIVEN: &str = "As given.";
+
 /// Sign of the current.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Sign {
@@ -50,13 +54,59 @@ impl ColumnArguments {
     pub(crate) fn options(&self) -> String {
         let mut options = String::new();
         if !self.map.is_empty() {
-            let columns: Vec<String> = self.map.iter().map(ToString::to_string).collect();
-            options += &format!(" --map {}", quoted(&columns.join(",")));
+            options += &format!(" --map {}", quoted(&self.mapped()));
         }
         if let Some(sign) = self.current.and_then(|sign| sign.to_possible_value()) {
             options += &format!(" --current {}", sign.get_name());
         }
         options
+    }
+
+    /// The same for a platform's recordings: what is not given is as in the config.
+    ///
+    /// # Errors
+    /// The config states what no option allows.
+    pub(crate) fn or_configured(&self, config: &Config, platform: usize) -> anyhow::Result<Self> {
+        let stated = config.recordings(platform);
+        let refused = |key, error| {
+            let name = &config.settings().platforms[platform].name;
+            anyhow::Error::from(UsageError(format!(
+                "platform {name}: `recordings.{key}`: {error}"
+            )))
+        };
+        let mut own = self.clone();
+        if let Some(map) = stated.map.filter(|_| own.map.is_empty()) {
+            let columns = map.split(',').map(str::parse);
+            let columns = columns.collect::<Result<_, _>>();
+            own.map = columns.map_err(|error: MapError| refused("map", error.to_string()))?;
+        }
+        if let Some(sign) = stated.current.filter(|_| own.current.is_none()) {
+            let sign = Sign::from_str(&sign, false).map_err(|error| refused("current", error))?;
+            own.current = Some(sign);
+        }
+        Ok(own)
+    }
+
+    /// What a platform's config says of its recordings, for the same options.
+    pub(crate) fn assignments(&self) -> Vec<Assignment> {
+        let mut stated = Vec::new();
+        if !self.map.is_empty() {
+            let map = Assignment::text("recordings.map", &self.mapped(), GIVEN);
+            stated.push(map);
+        }
+        if let Some(sign) = self.current.and_then(|sign| sign.to_possible_value()) {
+            stated.push(Assignment::text(
+                "recordings.current",
+                sign.get_name(),
+                GIVEN,
+            ));
+        }
+        stated
+    }
+
+    fn mapped(&self) -> String {
+        let columns: Vec<String> = self.map.iter().map(ToString::to_string).collect();
+        columns.join(",")
     }
 
     /// How recordings are read: the names and the sign given.
@@ -75,6 +125,14 @@ impl Recordings {
     /// The names of their columns.
     pub(crate) fn map(&self) -> ColumnMap {
         self.columns.map()
+    }
+
+    /// The same for recordings of a platform of the config.
+    ///
+    /// # Errors
+    /// As [`ColumnArguments::or_configured`].
+    pub(crate) fn map_of(&self, config: &Config, platform: usize) -> anyhow::Result<ColumnMap> {
+        Ok(self.columns.or_configured(config, platform)?.map())
     }
 }
 

@@ -4,8 +4,8 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use joulebus_config::Config;
 use joulebus_dataset::archive::{is_archive, listings};
-use joulebus_dataset::inspect::is_recording;
 use joulebus_dataset::trial::{ColumnMap, Table, Trial};
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::say;
@@ -46,13 +46,28 @@ impl TrialFiles {
     /// # Errors
     /// A file cannot be read, the config has no such platform, or a platform has fewer ids than
     /// there are files.
-    pub(crate) fn read(&self, settings: &FleetSettings) -> anyhow::Result<Vec<(u32, Trial)>> {
+    pub(crate) fn read(&self, config: &Config) -> anyhow::Result<Vec<(u32, Trial)>> {
+        let settings = config.settings();
         let mut ids = Ids::new(self.first_robot);
         let mut trials = Vec::new();
         for path in &self.paths {
             let (path, source) = self.id_source(path, settings)?;
             for (robot, file) in assign(&path, source.as_ref(), settings, &mut ids)? {
-                trials.push((robot, read_one(&file, &self.columns.map())?));
+                let map = match place_of(settings, robot) {
+                    Some(platform) => self.map_of(config, platform)?,
+                    None => self.map(),
+                };
+                let mut read = Trial::read_mapped(&file, &map)?;
+                match read.len() {
+                    1 => trials.push((robot, read.remove(0))),
+                    _ => trials.extend(apart(
+                        &file,
+                        (robot, read),
+                        source.as_ref(),
+                        settings,
+                        &mut ids,
+                    )?),
+                }
             }
         }
         Ok(trials)
@@ -66,6 +81,14 @@ impl TrialFiles {
     /// The names of the recordings' columns.
     pub(crate) fn map(&self) -> ColumnMap {
         self.columns.map()
+    }
+
+    /// The same for recordings of a platform of the config.
+    ///
+    /// # Errors
+    /// As [`ColumnArguments::or_configured`].
+    pub(crate) fn map_of(&self, config: &Config, platform: usize) -> anyhow::Result<ColumnMap> {
+        Ok(self.columns.or_configured(config, platform)?.map())
     }
 
     /// True if an id or a platform is given.
@@ -142,6 +165,49 @@ impl TrialFiles {
     }
 }
 
+/// The robots of one file: with their own ids where the platform has them, else with the next.
+fn apart(
+    file: &Path,
+    (first, trials): (u32, Vec<Trial>),
+    source: Option<&IdSource>,
+    settings: &FleetSettings,
+    ids: &mut Ids,
+) -> anyhow::Result<Vec<(u32, Trial)>> {
+    let found = trials.len();
+    let mut assigned = Vec::with_capacity(found);
+    // With --first-robot the ids are consecutive, whatever the robots' names are.
+    let named = source.is_some();
+    ids.taken.retain(|id| !named || *id != first);
+    let mut first = (!named).then_some(first);
+    for trial in trials {
+        let own = trial.robot_name().and_then(|name| name.parse().ok());
+        let is_free = |id: &u32| place_of(settings, *id).is_some() && !ids.taken.contains(id);
+        let id = match (own.filter(|id| named && is_free(id)), first.take()) {
+            (Some(id), _) => {
+                ids.taken.push(id);
+                Some(id)
+            }
+            (None, Some(first)) => Some(first),
+            (None, None) => ids.next(source, settings)?,
+        };
+        let Some(id) = id else {
+            let (name, taken) = (file.display(), assigned.len());
+            say(&format!(
+                "{name}: {taken} of {found} robots are played: no more robot ids are left"
+            ));
+            break;
+        };
+        assigned.push((id, trial));
+    }
+    Ok(assigned)
+}
+
+/// The index of a robot's platform.
+pub(crate) fn place_of(settings: &FleetSettings, robot: u32) -> Option<usize> {
+    let mut platforms = settings.platforms.iter();
+    platforms.position(|platform| platform.robots.iter().any(|ids| ids.contains(&robot)))
+}
+
 /// The files of a path with the ids of their robots.
 fn assign(
     path: &Path,
@@ -200,8 +266,8 @@ pub(crate) fn read_one(file: &Path, map: &ColumnMap) -> anyhow::Result<Trial> {
     Ok(Table::only_of(file, map)?.into_trial()?)
 }
 
-/// The recordings in a directory, sorted by name. Those of an archive are in the order of their
-/// export.
+/// The recordings in a directory and those below it, sorted by name. Those of an archive are in the
+/// order of their export.
 pub(crate) fn recordings(directory: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let failed = || format!("cannot read the directory {}", directory.display());
     if is_archive(directory) {
@@ -210,19 +276,7 @@ pub(crate) fn recordings(directory: &Path) -> anyhow::Result<Vec<PathBuf>> {
             return Ok(files);
         }
     }
-    let mut files = Vec::new();
-    for entry in std::fs::read_dir(directory).with_context(failed)? {
-        let path = entry.with_context(failed)?.path();
-        if is_recording(&path) {
-            files.push(path);
-        }
-    }
-    files.sort();
-    if files.is_empty() {
-        let what = "contains no recordings (.npy, .csv, .csv.gz, .mcap of joulebus)";
-        return Err(UsageError(format!("{} {what}", directory.display())).into());
-    }
-    Ok(files)
+    find_recordings(&[directory.to_owned()])
 }
 
 /// Unassigned ids.

@@ -2,7 +2,7 @@
 
 use joulebus_predictor::{
     Activation, FeatureSet, Features, INPUTS, Linear, ModelCard, Network, Normalisation,
-    Parameters, ResidualStats, Scores, TrainedRows, TrainingRange,
+    Parameters, ResidualStats, SIMULATED, Scores, TrainedRows, TrainingRange,
 };
 
 use super::prepare::mean_and_std;
@@ -35,6 +35,9 @@ pub(super) fn finished(
         training_data_sha256: dataset.sha256(feature_set),
         trained_rows,
         seed: settings.seed,
+        // Files of simulated robots have the bytes that they had: their source states the step.
+        step_s: (settings.source != SIMULATED && dataset.period_s > 0.0)
+            .then_some(dataset.period_s),
         linear: linear(dataset),
         energy: energy_model(dataset, feature_set),
         ..ModelCard::new(TrainingRange::of(feature_set, rows))

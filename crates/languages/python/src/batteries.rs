@@ -61,7 +61,7 @@ impl Batteries {
             )));
         }
         Ok(Self {
-            predictor: EnergyPredictor::open(model, period_s, robots)?,
+            predictor: EnergyPredictor::open(model, Some(period_s), robots)?,
             arenas,
             period_s,
             capacity_j,

@@ -47,8 +47,8 @@ impl Robot {
 #[pymethods]
 impl EnergyPredictor {
     #[new]
-    #[pyo3(signature = (path = PathBuf::from("builtin:gternal-sim"), period_s = 0.033))]
-    fn new(path: PathBuf, period_s: f64) -> PyResult<Self> {
+    #[pyo3(signature = (path = PathBuf::from("builtin:gternal-sim"), period_s = None))]
+    fn new(path: PathBuf, period_s: Option<f64>) -> PyResult<Self> {
         let mut predictor = Self::open(path, period_s, 1)?;
         predictor.begin(&[INITIAL_MW], Vec::new());
         Ok(predictor)
@@ -103,13 +103,17 @@ impl EnergyPredictor {
 
 impl EnergyPredictor {
     /// A predictor of several robots at rest.
-    pub(crate) fn open(path: PathBuf, period_s: f64, robots: usize) -> PyResult<Self> {
+    pub(crate) fn open(path: PathBuf, period_s: Option<f64>, robots: usize) -> PyResult<Self> {
+        let network = model::open(&path)?;
+        let period_s = match period_s {
+            Some(period_s) => period_s as f32,
+            None => model::period_s(&network, "period_s")?,
+        };
         if !(period_s > 0.0 && period_s.is_finite()) {
             return Err(PyValueError::new_err(format!(
                 "period_s is {period_s}, allowed is a finite time above 0 s"
             )));
         }
-        let network = model::open(&path)?;
         if network.feature_set().needs_freshness() {
             return Err(ModelError::new_err(
                 "the network reads the age of readings, which `step(v_cmd, w_cmd)` does not tell: use `Predictor`, or \
@@ -118,7 +122,7 @@ impl EnergyPredictor {
         }
         let mut predictor = Self {
             network,
-            period_s: period_s as f32,
+            period_s,
             robots: Vec::new(),
             shape: Vec::new(),
         };

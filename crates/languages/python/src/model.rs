@@ -4,7 +4,8 @@ use std::path::Path;
 
 use joulebus_config::{builtin_model, builtin_models};
 use joulebus_predictor::Network;
-use pyo3::PyResult;
+use pyo3::exceptions::PyValueError;
+use pyo3::{PyErr, PyResult};
 
 use crate::error::{ModelError, of_file};
 
@@ -60,4 +61,20 @@ fn builtin(name: &str) -> PyResult<Network> {
 /// The network in the bytes of a model file.
 pub(crate) fn of_bytes(bytes: &[u8]) -> PyResult<Network> {
     Network::from_safetensors(bytes).map_err(|error| ModelError::new_err(error.to_string()))
+}
+
+/// The time between two steps at which a network forecasts, s; `argument` is what can state it.
+pub(crate) fn period_s(network: &Network, argument: &str) -> PyResult<f32> {
+    network
+        .card()
+        .period_s()
+        .ok_or_else(|| without_period(argument))
+}
+
+/// Refuses a model that does not state its period.
+pub(crate) fn without_period(argument: &str) -> PyErr {
+    PyValueError::new_err(format!(
+        "the model does not state its period: give {argument}, the time between two steps in s \
+         (0.033 in the Robotarium)"
+    ))
 }

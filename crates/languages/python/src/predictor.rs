@@ -64,7 +64,7 @@ impl Predictor {
     }
 
     /// Energy and power of command sequences, in open loop.
-    #[pyo3(signature = (v, omega, *, readings_w = None, before = None, step_s = 0.033))]
+    #[pyo3(signature = (v, omega, *, readings_w = None, before = None, step_s = None))]
     fn rollout<'py>(
         &self,
         py: Python<'py>,
@@ -72,9 +72,16 @@ impl Predictor {
         omega: &Bound<'py, PyAny>,
         readings_w: Option<&Bound<'py, PyAny>>,
         before: Option<(Bound<'py, PyAny>, Bound<'py, PyAny>)>,
-        step_s: f32,
+        step_s: Option<f32>,
     ) -> PyResult<Rolled<'py>> {
         let model = self.model();
+        let step_s = match (step_s, model.as_ref()) {
+            (Some(step_s), _) => step_s,
+            (None, Model::Network(network)) => model::period_s(network, "step_s")?,
+            (None, Model::Persistence(_)) => {
+                return Err(model::without_period("step_s"));
+            }
+        };
         if model.needs_freshness() {
             return Err(ModelError::new_err(
                 "the network reads the age of readings, which a rollout is not told; train one without: \

@@ -5,7 +5,8 @@ use std::ffi::CString;
 use std::path::PathBuf;
 use std::sync::Mutex;
 
-use joulebus_publisher::{Charger, Config, Publisher as Port, RobotState, clock};
+use joulebus_publisher::plausibility::{Kind, Source};
+use joulebus_publisher::{Charger, Config, Judgement, Publisher as Port, RobotState, clock};
 use pyo3::exceptions::{PyRuntimeWarning, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyFloat};
@@ -24,6 +25,7 @@ pub(crate) struct PublisherPort {
     thread: PortThread<Option<Port>>,
     /// What it has warned of: once each.
     warned: Mutex<BTreeSet<(u32, &'static str)>>,
+    judgement: Mutex<Judgement>,
 }
 
 #[pymethods]
@@ -39,6 +41,7 @@ impl PublisherPort {
         Ok(Self {
             thread,
             warned: Mutex::default(),
+            judgement: Mutex::new(Judgement::new(Source::Program, vec![Kind::Constant])),
         })
     }
 
@@ -53,6 +56,7 @@ impl PublisherPort {
     ) -> PyResult<(usize, usize, u64)> {
         self.thread.check_process()?;
         let robots = robots(ids, columns)?;
+        let implausible = self.judge(&robots);
         let send = move |port: &mut Option<Port>| {
             let port = port.as_mut().ok_or_else(closed)?;
             let intended_ns = intended_ns.unwrap_or_else(clock::monotonic_ns);
@@ -62,6 +66,10 @@ impl PublisherPort {
         let sent = py.detach(|| self.thread.ask(send))??;
         if let Some(error) = &sent.not_woken {
             let message = CString::new(format!("the worker was not woken: {error}"))?;
+            PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &message, 2)?;
+        }
+        for news in implausible {
+            let message = CString::new(format!("implausible: {news}"))?;
             PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &message, 2)?;
         }
         if let Some(first) = &sent.first_refused {
@@ -94,6 +102,21 @@ impl PublisherPort {
     /// Leaves the fleet.
     fn close(&self, py: Python<'_>) -> PyResult<()> {
         py.detach(|| self.thread.ask(|port| *port = None))
+    }
+}
+
+impl PublisherPort {
+    /// What is implausible in these states for the first time.
+    fn judge(&self, robots: &[RobotState]) -> Vec<String> {
+        let now_ns = clock::monotonic_ns();
+        let Ok(mut judgement) = self.judgement.lock() else {
+            return Vec::new();
+        };
+        let new = robots
+            .iter()
+            .filter(|state| state.power_w.is_some() && !state.held);
+        new.for_each(|state| judgement.take(state, state.soc, now_ns));
+        judgement.take_news()
     }
 }
 

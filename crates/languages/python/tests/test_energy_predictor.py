@@ -99,3 +99,15 @@ def test_nan_measured_continues_with_the_forecast():
     corrected, open_loop = joulebus.EnergyPredictor(), joulebus.EnergyPredictor()
     for _ in range(10):
         assert corrected.step_with_correction(0.1, 0.5, float("nan")) == open_loop.step(0.1, 0.5)
+
+
+def test_the_period_is_the_models(run, tmp_path):
+    time_s = np.arange(600) / 6.5
+    power_w = 40.0 + 5.0 * np.sin(0.3 * np.arange(600)) + np.cos(2.9 * np.arange(600))
+    table = np.column_stack([time_s, power_w, 0.2 + 0.1 * np.sin(time_s), 0.1 * np.cos(time_s)])
+    recording, model = tmp_path / "slow.csv", tmp_path / "slow.safetensors"
+    np.savetxt(recording, table, delimiter=",", header="time,power_W,v_cmd,omega_cmd", comments="")
+    run("train", "trials", recording, "--split", "time", "--out", model)
+    assert np.isclose(joulebus.EnergyPredictor(model).period_s, 1 / 6.5, rtol=1e-3)
+    assert joulebus.EnergyPredictor(model, 0.033).period_s == np.float32(0.033)
+    assert joulebus.EnergyPredictor().period_s == np.float32(0.033)

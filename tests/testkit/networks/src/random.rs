@@ -90,6 +90,7 @@ pub fn card(feature_set: FeatureSet) -> ModelCard {
             ],
         }),
         seed: u64::MAX,
+        step_s: None,
         training_range: TrainingRange {
             feature_set,
             min,

@@ -12,13 +12,13 @@ use std::time::Duration;
 
 use joulebus_config::Config;
 use joulebus_config::ConfigError;
-use joulebus_plausibility::Kind;
+use joulebus_plausibility::{Kind, Source};
+use joulebus_publisher::Judgement;
 use toml::Value;
 
 use crate::config::check::Check;
 use crate::config::file::BridgeFile;
 use crate::mapping::intake::{Holds, Intake};
-use crate::mapping::judgement::Judgement;
 use crate::mapping::outgoing::What;
 use crate::mapping::robots::Robots;
 use crate::mapping::ros::outgoing::RosWhat;
@@ -113,7 +113,7 @@ impl Settings {
                 reading.unwrap_or(joulebus_settings::ChargeReading::Load),
             ))
         });
-        let judgement = Judgement::accepting(self.accepted.clone());
+        let judgement = Judgement::new(Source::Bridge, self.accepted.clone());
         Intake::new(self.holds, self.reports_charging(), robots).judged_by(judgement)
     }
 

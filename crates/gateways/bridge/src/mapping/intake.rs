@@ -18,15 +18,12 @@
 
 use std::collections::BTreeMap;
 
-use joulebus_plausibility::Expired;
-use joulebus_publisher::{Charger, RobotState};
+use joulebus_plausibility::{Expired, Source};
+use joulebus_publisher::{Charger, Judgement, RobotState};
 use joulebus_settings::ChargeReading;
 
-use crate::mapping::judgement::Judgement;
+use crate::mapping::fields::SOC;
 use crate::mapping::observation::{Observation, PowerOf, PowerReading};
-
-/// States of charge that the worker takes.
-const SOC: std::ops::RangeInclusive<f32> = -0.05..=1.05;
 
 /// How long an observed value holds, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,6 +60,8 @@ struct Robot {
     voltage_v: Option<Timed<f32>>,
     current_a: Option<Timed<f32>>,
     soc: Option<Timed<f32>>,
+    /// A share above what any battery reports: all of them are percentages, 1 is no full battery.
+    percent: bool,
     /// `None` if messages report it and none has come yet.
     charging: Option<bool>,
     full: bool,
@@ -96,6 +95,7 @@ impl Intake {
                 voltage_v: None,
                 current_a: None,
                 soc: None,
+                percent: false,
                 charging: (!reports_charging).then_some(false),
                 full: false,
             };
@@ -105,7 +105,7 @@ impl Intake {
             holds,
             robots: robots.into_iter().map(robot).collect(),
             observations: 0,
-            judgement: Judgement::default(),
+            judgement: Judgement::new(Source::Bridge, Vec::new()),
         }
     }
 
@@ -137,6 +137,7 @@ impl Intake {
         ] {
             set(place, value, at_ns);
         }
+        known.percent |= seen.soc.is_some_and(|soc| soc > *SOC.end());
         let is_of_battery = |timed: Timed<PowerReading>| timed.value.of == PowerOf::Battery;
         let charging = seen.charging.or(known.charging);
         if charging != known.charging {
@@ -172,7 +173,7 @@ impl Intake {
         state.current_a = number(known.current_a);
         let soc = number(known.soc);
         // The worker would refuse the whole sample.
-        state.soc = soc.filter(|soc| SOC.contains(soc));
+        state.soc = soc.filter(|soc| SOC.contains(soc) && !known.percent);
         if let Some(timed) = &mut known.power {
             // The message may have come after `now_ns` was read. A held reading keeps the time that
             // its sample had.
@@ -196,6 +197,15 @@ impl Intake {
     pub(crate) fn voltage_v(&self, robot: u32, now_ns: u64) -> Option<f32> {
         let timed = self.robots.get(&robot)?.voltage_v?;
         timed.within(self.holds.reading_ns, now_ns)
+    }
+
+    /// Robots that nothing has come from.
+    pub(crate) fn silent(&self) -> impl Iterator<Item = u32> {
+        let silent = self
+            .robots
+            .iter()
+            .filter(|(_, known)| known.any_ns.is_none());
+        silent.map(|(id, _)| *id)
     }
 
     /// Number of observations taken.
@@ -306,6 +316,20 @@ mod tests {
             let state = intake.sample(7, 61).unwrap();
             assert_eq!((state.v_mps, state.omega_radps), (after, after));
             assert_eq!(state.power_w, Some(3.0), "its reading is not affected");
+        }
+    }
+
+    /// A percentage where a share is expected: 1 % is no full battery.
+    #[test]
+    fn a_robot_has_one_unit_of_its_charge() {
+        let mut intake = intake(HOLDS, ChargeReading::Load);
+        let charge = |soc| Observation {
+            soc: Some(soc),
+            ..Observation::default()
+        };
+        for (soc, taken) in [(0.5, Some(0.5)), (96.0, None), (1.0, None), (0.4, None)] {
+            intake.take(7, &charge(soc), 10);
+            assert_eq!(intake.sample(7, 20).unwrap().soc, taken, "{soc}");
         }
     }
 
@@ -470,7 +494,9 @@ mod tests {
                 prop_assert_eq!(state.v_mps, command.and_then(|(_, seen)| seen.v_mps));
                 let soc = newest(|seen| seen.soc.is_some()).filter(|(at_ns, _)| now_ns - at_ns <= 100);
                 let soc = soc.and_then(|(_, seen)| seen.soc).filter(|soc| SOC.contains(soc));
-                prop_assert_eq!(state.soc, soc);
+                // One that was above a share makes all of them percentages.
+                let percent = all.iter().any(|(_, seen)| seen.soc.is_some_and(|soc| soc > 1.05));
+                prop_assert_eq!(state.soc, soc.filter(|_| !percent));
             }
         }
     }

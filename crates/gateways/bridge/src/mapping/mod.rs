@@ -2,9 +2,10 @@
 //! file or thread. The time of a message is an argument.
 
 pub(crate) mod account;
+#[cfg(test)]
+mod doors;
 pub(crate) mod fields;
 pub(crate) mod intake;
-pub(crate) mod judgement;
 pub(crate) mod observation;
 pub(crate) mod outgoing;
 pub(crate) mod robots;

@@ -12,7 +12,8 @@ use crate::config::RosWrite;
 use crate::mapping::outgoing::values;
 use crate::mapping::robots::Robots;
 use crate::mapping::ros::outgoing::{
-    RosWhat, budget, diagnostics, forecast, robot_status, unknown_status, value, worker_status,
+    RosWhat, add_implausible, budget, diagnostics, forecast, robot_status, unknown_status, value,
+    worker_status,
 };
 use crate::outbound::{Sink, Times, next_due_ns};
 use crate::ros2::raw::Raw;
@@ -127,15 +128,20 @@ impl RosSink {
         ];
         let worker = (level, board.link.name());
         let mut statuses = vec![worker_status((&self.fleet, &self.name), worker, counts)];
+        let implausible = self.shared.intake().judgement().records();
         statuses.extend(self.robots.iter().map(|(robot, name)| {
             let row = board.rows.get(&robot).filter(|_| board.is_reliable);
-            row.map_or_else(
+            let mut status = row.map_or_else(
                 || unknown_status(name, board.link.name()),
                 |row| {
                     let unix_ns = |at_ns| times.unix_ns(at_ns);
                     robot_status(name, &values(robot, name, &row.newest(), unix_ns))
                 },
-            )
+            );
+            for found in implausible.iter().filter(|found| found.robot == robot) {
+                add_implausible(&mut status, found);
+            }
+            status
         }));
         for array in diagnostics(times.now_unix_ns, &statuses) {
             self.counts.write(writer, array);

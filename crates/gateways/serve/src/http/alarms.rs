@@ -4,8 +4,8 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 use joulebus_board::AcknowledgedRecord;
-use joulebus_consumer::{AlarmChange, AlarmHistory};
-use joulebus_wire::Acknowledgement;
+use joulebus_consumer::{AlarmHistory, FleetAlarm, SourceAlarms};
+use joulebus_wire::{Acknowledgement, AlarmCard};
 use serde::Serialize;
 
 /// Maximum number of changes kept.
@@ -34,6 +34,12 @@ pub(super) struct ChangeRecord {
     acknowledged: Option<AcknowledgedRecord>,
 }
 
+impl RaisedRecord {
+    pub(super) fn is(&self, card: &AlarmCard) -> bool {
+        self.alarm == card.name
+    }
+}
+
 /// Alarms as clients get them.
 #[derive(Debug, Clone, Default, Serialize)]
 pub(super) struct Alarms {
@@ -49,27 +55,33 @@ pub(super) struct Alarms {
 #[derive(Debug, Default)]
 pub(super) struct AlarmLog {
     newest: Arc<Alarms>,
-    untold: Vec<AlarmChange>,
+    untold: Vec<FleetAlarm>,
 }
 
 impl AlarmLog {
     /// Adds a change. [`AlarmLog::update`] then publishes it.
-    pub(super) fn add(&mut self, change: AlarmChange) {
+    pub(super) fn add(&mut self, change: FleetAlarm) {
         self.untold.push(change);
     }
 
     /// Publishes the added changes. `unix_of` converts monotonic times to Unix time, ns.
-    pub(super) fn update(&mut self, history: &AlarmHistory, unix_of: impl Fn(u64) -> u64) {
+    pub(super) fn update(
+        &mut self,
+        (history, sources): (&AlarmHistory, &SourceAlarms),
+        unix_of: impl Fn(u64) -> u64,
+    ) {
         if self.untold.is_empty() {
             return;
         }
         let mut alarms = Alarms::clone(&self.newest);
         let acknowledged = |row: &Acknowledgement| AcknowledgedRecord::new(row, &unix_of);
         for change in self.untold.drain(..) {
+            // Those of the worker have no robot, and are shown as its state.
+            let Some(robot) = change.robot else { continue };
             alarms.number += 1;
             alarms.changes.push_front(ChangeRecord {
-                robot: change.robot,
-                alarm: change.alarm.name(),
+                robot,
+                alarm: change.alarm,
                 change: change.change.name(),
                 at_unix_ns: unix_of(change.at_ns),
                 raised_unix_ns: unix_of(change.raised_ns),
@@ -85,7 +97,13 @@ impl AlarmLog {
                 since_unix_ns: unix_of(since_ns),
                 acknowledged: history.acknowledged(robot, alarm).map(acknowledged),
             });
-        alarms.raised = raised.collect();
+        let of_sources = sources.raised().map(|(robot, since_ns)| RaisedRecord {
+            robot,
+            alarm: AlarmCard::IMPLAUSIBLE.name,
+            since_unix_ns: unix_of(since_ns),
+            acknowledged: None,
+        });
+        alarms.raised = raised.chain(of_sources).collect();
         self.newest = Arc::new(alarms);
     }
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use joulebus_board::{Counted, UPPER_S};
 use joulebus_wire::{
-    Alarm, Budget, Diagnostic, Forecast, budget_flag, diagnostic_flag, forecast_flag,
+    Alarm, AlarmCard, Budget, Diagnostic, Forecast, budget_flag, diagnostic_flag, forecast_flag,
 };
 use prometheus_client::collector::Collector;
 use prometheus_client::encoding::{DescriptorEncoder, EncodeLabelSet, NoLabelSet};
@@ -240,6 +240,11 @@ impl Metrics {
         let alarms = Alarm::ALL.iter().zip(raised);
         let alarms =
             alarms.map(|(alarm, count)| (vec![("alarm", alarm.name().to_owned())], count.into()));
+        let card = AlarmCard::IMPLAUSIBLE;
+        let implausible = self.snapshot.alarms.raised.iter();
+        let implausible = implausible.filter(|raised| raised.is(&card)).count() as u32;
+        let of_sources = (vec![("alarm", card.name.to_owned())], implausible.into());
+        let alarms = alarms.chain([of_sources]);
         gauges(
             encoder,
             "joulebus_alarms",

@@ -13,7 +13,7 @@ use joulebus_board::{Board, Platforms, Reading};
 use joulebus_bus::{Background, clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_connect::ConnectError;
-use joulebus_consumer::{AlarmFeed, ReadError};
+use joulebus_consumer::{AlarmFeed, ReadError, SourceAlarms};
 use joulebus_plan::RobotRows;
 use tokio::sync::{oneshot, watch};
 
@@ -105,6 +105,7 @@ struct Work {
     board: RefCell<Board>,
     reading: Reading,
     alarm_feed: AlarmFeed,
+    source_alarms: SourceAlarms,
     alarms: AlarmLog,
     history: History,
     accumulator: Accumulator,
@@ -151,6 +152,7 @@ impl Work {
         let work = Self {
             reading: Reading::polling(config, "page", SHOW_EVERY)?,
             alarm_feed: AlarmFeed::with_config(config, "page")?,
+            source_alarms: SourceAlarms::new(config),
             config: config.clone(),
             board: RefCell::new(board),
             alarms,
@@ -179,14 +181,17 @@ impl Work {
         };
         reading.turn_within(longest, || board.borrow_mut())?;
         let alarms = &mut self.alarms;
-        match self.alarm_feed.changes(|change| alarms.add(change)) {
+        self.source_alarms
+            .changes(|change| alarms.add(change.into()));
+        match self.alarm_feed.changes(|change| alarms.add(change.into())) {
             // The next call may succeed, as with forecasts.
             Ok(()) | Err(ReadError::Receive(_)) => {}
             Err(error) => return Err(error.into()),
         }
         let (now_ns, now_unix_ns) = (clock::monotonic_ns(), clock::unix_ns());
         let unix_of = |at_ns: u64| now_unix_ns.saturating_sub(now_ns.saturating_sub(at_ns));
-        self.alarms.update(self.alarm_feed.history(), unix_of);
+        let histories = (self.alarm_feed.history(), &self.source_alarms);
+        self.alarms.update(histories, unix_of);
         if now_ns >= self.history_at_ns {
             self.history.add(&self.board.borrow(), now_unix_ns);
             // After a long pause points are not made up.

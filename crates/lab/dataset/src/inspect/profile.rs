@@ -10,6 +10,10 @@ use crate::trial::{Column, Trial};
 /// A step longer than this many median steps is a gap.
 const MAX_STEP: f64 = 1.5;
 
+/// A trial whose readings are held for longer than this many times the median of all trials has a
+/// stuck sensor, s.
+const STUCK: f64 = 8.0;
+
 /// A platform as its recordings show it. SI units.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Profile {
@@ -29,6 +33,8 @@ pub struct Profile {
     pub usual_hold_s: f64,
     /// Longest time with equal readings, s.
     pub longest_hold_s: f64,
+    /// Trials whose readings are held far longer than those of the others. They count in neither.
+    pub stuck: Vec<String>,
     /// Largest |v|, m/s, if it is recorded.
     pub v_mps: Option<f64>,
     /// Largest |ω|, rad/s, if it is recorded.
@@ -49,16 +55,20 @@ pub fn profile(trials: &[Trial]) -> Option<Profile> {
     let mut periods: Vec<u64> = trials.iter().map(Trial::period_ns).collect();
     periods.sort_unstable();
     let period_ns = periods[periods.len() / 2];
-    let (mut usual_hold_s, mut longest_hold_s) = (0.0_f64, 0.0_f64);
-    for trial in trials {
-        let period_s = trial.period_ns() as f64 * 1e-9;
-        let runs = runs(trial);
-        let rows: usize = runs.iter().map(|run| run.rows).sum();
-        let mean = rows as f64 / runs.len().max(1) as f64;
-        let longest = runs.iter().map(|run| run.rows).max().unwrap_or(1);
-        usual_hold_s = usual_hold_s.max(mean * period_s);
-        longest_hold_s = longest_hold_s.max(longest as f64 * period_s);
-    }
+    let holds: Vec<[f64; 2]> = trials.iter().map(holds_s).collect();
+    let mut usual: Vec<f64> = holds.iter().map(|[usual_s, _]| *usual_s).collect();
+    usual.sort_unstable_by(f64::total_cmp);
+    let most_s = STUCK * usual[(usual.len() - 1) / 2];
+    let is_stuck = |[usual_s, _]: &[f64; 2]| *usual_s > most_s;
+    let works = holds.iter().filter(|hold| !is_stuck(hold));
+    let [usual_hold_s, longest_hold_s] = works.fold([0.0_f64; 2], |[usual_s, longest_s], hold| {
+        [usual_s.max(hold[0]), longest_s.max(hold[1])]
+    });
+    let stuck = trials.iter().zip(&holds).filter(|(_, hold)| is_stuck(hold));
+    let stuck = stuck.map(|(trial, _)| match trial.robot_name() {
+        Some(robot) => format!("{}, robot {robot}", trial.path().display()),
+        None => trial.path().display().to_string(),
+    });
     let largest = |column| {
         let sizes = known(trials, column).map(f64::abs);
         sizes.reduce(f64::max)
@@ -73,10 +83,21 @@ pub fn profile(trials: &[Trial]) -> Option<Profile> {
         difference_w: difference(trials)?,
         usual_hold_s,
         longest_hold_s,
+        stuck: stuck.collect(),
         v_mps: largest(Column::V),
         omega_radps: largest(Column::Omega),
         voltage_v: voltage().reduce(f64::min).zip(voltage().reduce(f64::max)),
     })
+}
+
+/// How long readings of a trial are held, s: the mean, and the longest.
+fn holds_s(trial: &Trial) -> [f64; 2] {
+    let period_s = trial.period_ns() as f64 * 1e-9;
+    let runs = runs(trial);
+    let rows: usize = runs.iter().map(|run| run.rows).sum();
+    let mean = rows as f64 / runs.len().max(1) as f64;
+    let longest = runs.iter().map(|run| run.rows).max().unwrap_or(1);
+    [mean * period_s, longest as f64 * period_s]
 }
 
 /// The recorded values of a column.

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Recording, ScoreError, each};
+use super::{Recording, ScoreError, each, sources};
 use joulebus_dataset::rows::Row;
 use joulebus_dataset::split::{
     Assignment, By, PAUSE_ROWS, SourceInfo, Split, assign_unread, assign_unread_leaving_out, resume,
@@ -57,7 +57,7 @@ impl Design {
     /// # Errors
     /// [`ScoreError::Split`]; [`ScoreError::Recording`] in a split in time.
     pub fn held_out(recordings: &[Recording], wanted: Split) -> Result<Self, ScoreError> {
-        let infos = infos(recordings);
+        let infos = sources(recordings);
         let resume_at = |at: usize, cuts| -> Result<[usize; 2], ScoreError> {
             let contents = recordings[at].contents()?;
             Ok(resume(&contents.rows, cuts))

@@ -1,5 +1,6 @@
 //! A recording and its rows.
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::Arc;
 
@@ -35,6 +36,9 @@ pub struct Recording {
     period_ns: u64,
     held: Held,
 }
+
+/// Parts of a split.
+const PARTS: usize = 3;
 
 /// Where a recording's rows are.
 #[derive(Clone)]
@@ -207,6 +211,20 @@ impl PartialEq for Recording {
     fn eq(&self, other: &Self) -> bool {
         (&self.name, self.digest) == (&other.name, other.digest)
     }
+}
+
+/// Sources of a split into whole trials. Robots that share a file stay in one part; of fewer than
+/// three files each robot is a trial of its own.
+pub(crate) fn sources(recordings: &[Recording]) -> Vec<SourceInfo> {
+    let files: BTreeSet<&str> = recordings.iter().map(Recording::file).collect();
+    let apart = files.len() < PARTS;
+    let source = |recording: &Recording| {
+        let info = recording.info();
+        let file = recording.file().to_owned();
+        let trial = if apart { info.trial } else { file };
+        SourceInfo { trial, ..info }
+    };
+    recordings.iter().map(source).collect()
 }
 
 /// A platform that accepts a trial as it was recorded: its median period, and limits that refuse

@@ -162,6 +162,7 @@ impl Data {
                 "not stated by the file; range, residuals and scores are of the {rows} readings of \
                  {trials} trials on which it was imported, and may be of its training"
             ),
+            step_s: Some(self.step_s as f32),
             residual: residual(&score.residuals_w),
             scores: Scores {
                 rows: rows as u64,

@@ -3,7 +3,7 @@
 use std::process::Command;
 
 use joulebus_model_files::{ExportError, to_npz, to_python};
-use joulebus_predictor::{Activation, FeatureSet, LAGS, Network, features};
+use joulebus_predictor::{Activation, FeatureSet, LAGS, ModelCard, Network, features};
 use joulebus_testkit_networks::random;
 
 /// Largest difference to the network in single precision, W.
@@ -62,7 +62,11 @@ fn python() -> Option<String> {
 fn with(network: &Network, activation: Activation) -> Network {
     let mut parameters = network.parameters().clone();
     parameters.activation = activation;
-    Network::new(parameters, network.card().clone()).unwrap()
+    let card = ModelCard {
+        step_s: Some(PERIOD_S),
+        ..network.card().clone()
+    };
+    Network::new(parameters, card).unwrap()
 }
 
 /// The forecasts in W, step by step. `measured_w` has the readings with which they continue.
@@ -158,5 +162,18 @@ fn a_models_name_cannot_add_code() {
     assert!(!text.contains("import os\n"));
     for place in ["@NAME@", "@HASH@", "@INPUTS@", "@SHAPES@", "@MODEL@"] {
         assert!(!text.contains(place), "{place}");
+    }
+}
+
+#[test]
+fn the_period_is_that_of_the_training_data_or_demanded() {
+    let unknown = random::network(7, FeatureSet::Full);
+    let stated = with(&unknown, Activation::Relu);
+    for (network, period) in [(&unknown, "None"), (&stated, "0.033")] {
+        let text = to_python(network).unwrap();
+        assert!(
+            text.contains(&format!("\nPERIOD_S = {period}\n")),
+            "{period}"
+        );
     }
 }

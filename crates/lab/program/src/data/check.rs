@@ -3,6 +3,7 @@
 use std::fmt;
 
 use joulebus_dataset::inspect::{Check, Finding, Limits, check_files};
+use joulebus_dataset::trial::ColumnMap;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
@@ -54,9 +55,9 @@ struct CheckReport {
 
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let files = args.recordings.find()?;
-    let limits = args.limits()?;
-    let mut check = check_files(&files, &args.recordings.map(), &limits, args.places);
-    check.accept(&args.accept.accept);
+    let (limits, map, accept) = args.of_platform()?;
+    let mut check = check_files(&files, &map, &limits, args.places);
+    check.accept(&accept.accept);
     let sound = check.is_sound();
     output.report(&CheckReport {
         sound,
@@ -67,12 +68,21 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 }
 
 impl Args {
-    fn limits(&self) -> anyhow::Result<Limits> {
+    /// The limits that apply, and how recordings are read.
+    fn of_platform(&self) -> anyhow::Result<(Limits, ColumnMap, AcceptArguments)> {
         let Some(name) = &self.platform else {
-            return Ok(Limits::default());
+            let map = self.recordings.map();
+            return Ok((Limits::default(), map, self.accept.clone()));
         };
         let config = self.config.load()?;
-        Ok(limits(platform(config.settings(), name)?))
+        let settings = config.settings();
+        let own = platform(settings, name)?;
+        let place = settings.platforms.iter().position(|one| one == own);
+        // `platform` has found it among them, so there is an index.
+        let place = place.unwrap_or_default();
+        let map = self.recordings.map_of(&config, place)?;
+        let accept = self.accept.or_configured(&config, [place])?;
+        Ok((limits(own), map, accept))
     }
 }
 

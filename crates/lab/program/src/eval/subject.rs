@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use joulebus_config::Config;
 use joulebus_dataset::split::Split;
+use joulebus_dataset::trial::ColumnMap;
 use joulebus_eval::score::{Design, Options, Recording, ScoreError, Subject, check_apart};
 use joulebus_predictor::Model;
 use joulebus_program::config_file::ConfigFile;
@@ -69,6 +70,9 @@ pub(crate) struct Section {
     pub(crate) place: usize,
     settings: FleetSettings,
     recordings: Vec<Recording>,
+    /// How further recordings of it are read.
+    map: ColumnMap,
+    accept: AcceptArguments,
 }
 
 impl Section {
@@ -128,42 +132,57 @@ impl Selection {
     /// # Errors
     /// A finding that makes results wrong and is not accepted.
     pub(crate) fn judge(&self, sections: &[Section]) -> anyhow::Result<Vec<Judged>> {
-        let recordings = sections.iter().flat_map(|section| &section.recordings);
-        self.accept.recordings(recordings)
+        let mut judged = Vec::new();
+        for section in sections {
+            judged.extend(section.accept.recordings(&section.recordings)?);
+        }
+        Ok(judged)
     }
 
     /// Reads the recordings, and sorts them by platform. If a model was given, but neither a config
     /// nor robot ids, they are taken as recorded.
     pub(crate) fn sections(
         &self,
-        settings: &FleetSettings,
+        config: &Config,
         model_named: bool,
     ) -> anyhow::Result<Vec<Section>> {
-        let map = self.trials.map();
-        let section = |platform, place, recordings| Section {
+        let settings = config.settings();
+        let section = |platform, place, recordings, map, accept| Section {
             platform,
             place,
             settings: settings.clone(),
             recordings,
+            map,
+            accept,
         };
         if model_named && self.config.config.is_none() && !self.trials.names_robots() {
+            let map = self.trials.map();
             let recordings = open(self.trials.files()?, &map)?;
-            return Ok(vec![section(None, 0, recordings)]);
+            return Ok(vec![section(None, 0, recordings, map, self.accept.clone())]);
         }
         let mut sections = Vec::new();
-        let mut recordings = open_with_ids(&self.trials.assigned(settings)?, &map)?;
+        let mut files = self.trials.assigned(settings)?;
         for (place, platform) in settings.platforms.iter().enumerate() {
             let is_its =
-                |one: &mut Recording| platform.robots.iter().any(|ids| ids.contains(&one.id));
-            let own: Vec<Recording> = recordings.extract_if(.., is_its).collect();
+                |(id, _): &mut (u32, PathBuf)| platform.robots.iter().any(|ids| ids.contains(id));
+            let own: Vec<(u32, PathBuf)> = files.extract_if(.., is_its).collect();
             if !own.is_empty() {
-                sections.push(section(Some(platform.clone()), place, own));
+                let map = self.trials.map_of(config, place)?;
+                let accept = self.accept.or_configured(config, [place])?;
+                let recordings = open_with_ids(&own, &map)?;
+                sections.push(section(
+                    Some(platform.clone()),
+                    place,
+                    recordings,
+                    map,
+                    accept,
+                ));
             }
         }
-        match recordings.first() {
+        match files.first() {
             None => Ok(sections),
-            Some(Recording { id, name, .. }) => {
-                let platforms = settings.platforms.len();
+            Some((id, file)) => {
+                let (name, platforms) = (file.display(), settings.platforms.len());
                 let what =
                     format!("{name}: robot {id} belongs to none of the {platforms} platforms");
                 Err(UsageError(format!("{what}; add its id to one of them")).into())
@@ -195,8 +214,8 @@ impl Selection {
         if self.fit.is_empty() {
             return Ok(Design::folds(recordings));
         }
-        let others = open(find_recordings(&self.fit)?, &self.trials.map())?;
-        self.accept.recordings(&others)?;
+        let others = open(find_recordings(&self.fit)?, &section.map)?;
+        section.accept.recordings(&others)?;
         check_apart(recordings, (&others, "after --fit"))
             .map_err(|error| UsageError(error.to_string()))?;
         Ok(Design::fitted_on(recordings, others))

@@ -47,7 +47,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let config = args.asked.config()?;
     let options = args.asked.options()?;
     let mut comparisons = Vec::new();
-    let sections = args.asked.sections(config.settings(), true)?;
+    let sections = args.asked.sections(&config, true)?;
     let implausible = args.asked.judge(&sections)?;
     for section in sections {
         let design = args.asked.design(&section, &models)?;

@@ -62,6 +62,8 @@ struct OwnReport {
     training_data_sha256: String,
     /// Rows that it was trained on and that are recognised; none if its file does not state them.
     trained_rows: Option<u64>,
+    /// Time between two steps at which it forecasts, s, if it is known.
+    period_s: Option<f32>,
     seed: u64,
     feature_set: &'static str,
     activation: &'static str,
@@ -166,6 +168,7 @@ impl OwnReport {
             training_data: card.training_data.clone(),
             training_data_sha256: card.training_data_sha256.clone(),
             trained_rows: card.trained_rows.as_ref().map(|trained| trained.rows),
+            period_s: card.period_s(),
             seed: card.seed,
             feature_set: set.name(),
             activation: parameters.activation.name(),
@@ -196,6 +199,10 @@ impl fmt::Display for OwnReport {
         match self.trained_rows {
             Some(rows) => writeln!(out, "trained rows  {rows}, recognised by eval and report")?,
             None => writeln!(out, "trained rows  unknown: the file does not state them")?,
+        }
+        match self.period_s {
+            Some(period_s) => writeln!(out, "period        {period_s} s")?,
+            None => writeln!(out, "period        unknown: the file does not state it")?,
         }
         let first = self.layers.first().map_or(0, |layer| layer.inputs);
         let widths: Vec<String> = std::iter::once(first)

@@ -90,12 +90,17 @@ fn evaluate(args: &Args) -> anyhow::Result<(Document, Vec<Judged>)> {
     let first = kind
         .and_then(|kind| kind.robots.first())
         .map_or(0, |ids| *ids.start());
-    let map = args.columns.map();
+    let place = kind.and_then(|kind| settings.platforms.iter().position(|one| one == kind));
+    let map = match place {
+        Some(place) => args.columns.or_configured(&config, place)?.map(),
+        None => args.columns.map(),
+    };
+    let accept = args.accept.or_configured(&config, place)?;
     let recordings = read(&args.paths, first, &map)?;
-    let implausible = args.accept.recordings(&recordings)?;
+    let implausible = accept.recordings(&recordings)?;
     let design = design(args, &recordings, || {
         let training = read(&args.train, first, &map)?;
-        args.accept.recordings(&training)?;
+        accept.recordings(&training)?;
         Ok(training)
     })?;
     say(&format!(

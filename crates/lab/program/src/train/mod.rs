@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use clap::{Subcommand, ValueEnum};
+use joulebus_dataset::split::Split;
 use joulebus_predictor::FeatureSet;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
@@ -103,9 +104,9 @@ fn simulated(sim: &Sim, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Trains on recordings that were judged before, by the default recipe. Returns false if the run
-/// was interrupted. `full` states that velocities are recorded. A few files are split in time,
-/// because there is no trial to hold out.
+/// Trains on recordings that were judged before, by the default recipe. Returns the split, or none
+/// if the run was interrupted. `full` states that velocities are recorded. A few trials are split
+/// in time, because there is none to hold out.
 ///
 /// # Errors
 /// The recordings cannot be read or are too few, or the model cannot be written.
@@ -114,14 +115,14 @@ pub(crate) fn train_recordings(
     columns: &ColumnArguments,
     out: &std::path::Path,
     full: bool,
-    files: usize,
-) -> anyhow::Result<bool> {
+    count: usize,
+) -> anyhow::Result<Option<Split>> {
     let features = if full {
         FeatureChoice::Full
     } else {
         FeatureChoice::Power
     };
-    trials::Args::of(paths, columns, out, features, files).train()
+    trials::Args::of(paths, columns, out, features, count).train()
 }
 
 /// Path of the checkpoint of an unfinished run: beside the model.

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::Context as _;
 use joulebus_dataset::rows::{Dataset, write_rows};
-use joulebus_dataset::split::SplitSummary;
+use joulebus_dataset::split::{Split, SplitSummary};
 use joulebus_dataset::trial::ColumnMap;
 use joulebus_eval::score::Recording;
 use joulebus_eval::training_data::{MAX_ROWS, Parts, TrainingDataError, training_data};
@@ -18,7 +18,7 @@ use joulebus_train::{Recipe, TrainReport, TrainSettings};
 use super::FeatureChoice;
 use super::run::RunArguments;
 use crate::judgement::{self, AcceptArguments, Judged};
-use crate::next_command::recordings;
+use crate::next_command::{free_lab, recordings};
 use crate::recordings::{ColumnArguments, find_recordings, open};
 use crate::split_unit::SplitUnit;
 
@@ -92,13 +92,13 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         start.elapsed(),
         Some(summary),
     );
-    report.next = args.next();
+    report.next = args.next()?;
     judgement::report(output, &report, implausible)?;
     Ok(Outcome::Done)
 }
 
-/// Minimum number of recordings for holding out whole ones.
-const WHOLE_FROM: usize = 10;
+/// Minimum number of trials for holding out whole ones.
+const WHOLE_FROM: usize = 4;
 
 impl Args {
     /// Arguments for the default recipe, and recordings that were judged before.
@@ -107,13 +107,13 @@ impl Args {
         columns: &ColumnArguments,
         out: &Path,
         features: FeatureChoice,
-        files: usize,
+        trials: usize,
     ) -> Self {
         Self {
             paths: paths.to_vec(),
             validate: Vec::new(),
             hold_out: Vec::new(),
-            split: Some(match files {
+            split: Some(match trials {
                 WHOLE_FROM.. => SplitUnit::Trial,
                 _ => SplitUnit::Time,
             }),
@@ -130,21 +130,25 @@ impl Args {
     }
 
     /// Commands for the trained model.
-    fn next(&self) -> Vec<String> {
-        let (recordings, model) = (recordings(&self.paths), word(&self.run.out));
+    fn next(&self) -> anyhow::Result<Vec<String>> {
+        let (recordings, model) = (recordings(&self.paths)?, word(&self.run.out));
         let reading = self.columns.options() + &self.accept.option();
-        vec![
+        let lab = free_lab();
+        Ok(vec![
             format!("joulebus eval {recordings} --model {model}{reading}"),
-            format!("joulebus config init --from {recordings} --model {model} --out lab/{reading}"),
-        ]
+            format!(
+                "joulebus config init --from {recordings} --model {model} --out {lab}{reading}"
+            ),
+        ])
     }
 
-    /// Trains without a report; false if the run was interrupted.
-    pub(super) fn train(&self) -> anyhow::Result<bool> {
+    /// Trains without a report. Returns the split, or none if the run was interrupted.
+    pub(super) fn train(&self) -> anyhow::Result<Option<Split>> {
         self.run.check()?;
         let recipe = self.recipe()?;
         let (dataset, ..) = self.dataset(&recipe)?;
-        Ok(self.run.train(&dataset, &recipe.training)?.is_some())
+        let trained = self.run.train(&dataset, &recipe.training)?;
+        Ok(trained.map(|_| recipe.split))
     }
 
     fn recipe(&self) -> anyhow::Result<Recipe> {

@@ -4,6 +4,7 @@
 //! and NaN means unknown. It has no fields for powers. These are published as `std_msgs/Float64`
 //! and among the diagnostics, with their unit in the key.
 
+use joulebus_publisher::Implausible;
 use joulebus_ros_messages::{
     BatteryState, DiagnosticArray, DiagnosticStatus, Float64, Header, KeyValue, RosError, Time,
     encode,
@@ -155,6 +156,20 @@ pub(crate) fn unknown_status(name: &str, worker: &str) -> DiagnosticStatus {
     }
 }
 
+/// Adds something implausible about a robot to its status: a warning, whatever its alarms are.
+pub(crate) fn add_implausible(status: &mut DiagnosticStatus, found: &Implausible) {
+    let kind = found.finding.kind;
+    status.message = match status.level {
+        0 => format!("implausible {kind}"),
+        _ => format!("{}, implausible {kind}", status.message),
+    };
+    status.level = status.level.max(1);
+    status.values.push(KeyValue {
+        key: format!("implausible_{kind}"),
+        value: format!("{}: {}", found.finding, found.remedy),
+    });
+}
+
 /// The status of the worker and of this bridge.
 pub(crate) fn worker_status(
     (fleet, bridge): (&str, &str),
@@ -235,6 +250,8 @@ fn number(values: &Object, value: &str) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use joulebus_plausibility::Source;
+    use joulebus_publisher::{Judgement, RobotState};
     use joulebus_ros_messages::{Message, RosType};
     use serde_json::json;
 
@@ -321,6 +338,22 @@ mod tests {
         );
         assert_eq!(robot_status("r1", &Object::new()).level, STALE);
         assert_eq!(unknown_status("r1", "gone").message, "worker gone");
+        let mut judgement = Judgement::new(Source::Bridge, Vec::new());
+        for step in 0..200 {
+            let mut state = RobotState::new(1);
+            state.power_w = Some(-40.0 - (step % 7) as f32);
+            state.v_mps = Some(0.5);
+            judgement.take(&state, None, step * 100_000_000);
+        }
+        let mut status = robot_status("r1", &Object::new());
+        status.level = 0;
+        add_implausible(&mut status, &judgement.records()[0]);
+        assert_eq!(
+            (status.level, status.message.as_str()),
+            (1, "implausible sign")
+        );
+        let last = &status.values.last().unwrap().value;
+        assert!(last.contains("negate = true"), "{last}");
         for (robots, arrays) in [(0, 0), (1, 1), (32, 1), (33, 2), (100, 4)] {
             let statuses = vec![status.clone(); robots];
             let messages: Vec<_> = diagnostics(1, &statuses).collect();

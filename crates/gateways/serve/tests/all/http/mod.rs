@@ -15,6 +15,7 @@ use std::process::Command;
 
 use client::{Events, acknowledge, get, get_json, send, what_if};
 use fleet::Fleet;
+use joulebus_connect::findings::FindingsFile;
 use joulebus_testkit::{PATIENCE, end_signals, eventually, says};
 use rustix::process::Signal;
 use serde_json::{Value, json};
@@ -183,6 +184,35 @@ fn an_alarm_is_acknowledged_by_whoever_may_ask_until_it_ends() {
     becomes("its end", None);
     source.end();
     becomes("its return", Some(Value::Null));
+    server.stop();
+    worker.stop();
+}
+
+/// A bridge writes what it finds beside the fleet's shared memory.
+#[test]
+fn what_a_source_finds_implausible_is_an_alarm_on_the_page_and_in_metrics() {
+    let fleet = Fleet::new();
+    let mut worker = fleet.worker();
+    let (mut server, address) = fleet.serve(&[]);
+    let config = joulebus_config::Config::load(fleet.path()).unwrap();
+    let mut findings = FindingsFile::new(&config, "bridge");
+    findings.say([(7, "sign: power is negative")]).unwrap();
+    let is_raised = || {
+        let alarms = get_json(&address, "/api/v1/alarms");
+        let mut raised = alarms["raised"].as_array().unwrap().iter();
+        raised.any(|one| one["robot"] == 7 && one["alarm"] == "Implausible")
+    };
+    eventually("the alarm", is_raised);
+    let metrics = get(&address, "/metrics").text();
+    let line = metrics
+        .lines()
+        .find(|line| line.contains("alarm=\"Implausible\""));
+    assert!(line.is_some_and(|line| line.ends_with(" 1")), "{metrics}");
+    let cards = get_json(&address, "/api/v1/alarms/cards");
+    let mut cards = cards.as_array().unwrap().iter();
+    assert!(cards.any(|card| card["alarm"] == "Implausible"));
+    drop(findings);
+    eventually("its end", || !is_raised());
     server.stop();
     worker.stop();
 }

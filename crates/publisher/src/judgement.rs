@@ -1,10 +1,11 @@
-//! Whether what robots report is plausible, judged while it comes. It alters no sample.
+//! Whether what robots report is plausible, judged while it comes.
 
 use std::collections::BTreeMap;
 
 use joulebus_plausibility::{Finding, Judge, Kind, Known, Observation, Source};
-use joulebus_publisher::{Charger, RobotState};
 use serde::Serialize;
+
+use crate::{Charger, RobotState};
 
 /// Readings between two judgements of a robot.
 const EVERY: u64 = 64;
@@ -15,16 +16,23 @@ const ENDS_AFTER: u64 = 1_024;
 
 /// Something implausible about a robot.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(crate) struct Implausible {
-    pub(crate) robot: u32,
+pub struct Implausible {
+    /// The robot.
+    pub robot: u32,
+    /// What it is.
     #[serde(flatten)]
-    pub(crate) finding: Finding,
-    pub(crate) remedy: String,
+    pub finding: Finding,
+    /// What to do.
+    pub remedy: String,
 }
 
-/// The judgement of all robots.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Judgement {
+/// Judges what the robots of a source report: sign, unit, clock, range, saturation, constancy.
+///
+/// Give it each state that is published. It alters nothing and publishes nothing: a program logs
+/// [`Judgement::take_news`]. It keeps some 11 kB of each robot.
+#[derive(Debug, Clone)]
+pub struct Judgement {
+    source: Source,
     /// Findings that are not told.
     accepted: Vec<Kind>,
     robots: BTreeMap<u32, Robot>,
@@ -38,16 +46,20 @@ struct Robot {
 }
 
 impl Judgement {
-    /// That does not tell some kinds.
-    pub(crate) fn accepting(accepted: Vec<Kind>) -> Self {
+    /// In the words of a source, without findings of the accepted kinds.
+    #[must_use]
+    pub const fn new(source: Source, accepted: Vec<Kind>) -> Self {
         Self {
+            source,
             accepted,
-            ..Self::default()
+            robots: BTreeMap::new(),
+            news: Vec::new(),
         }
     }
 
-    /// Adds a sample with a new reading; `soc` as it came.
-    pub(crate) fn take(&mut self, state: &RobotState, soc: Option<f32>, now_ns: u64) {
+    /// Adds a state with a new reading at `now_ns` (monotonic); `soc` as it came, which may be more
+    /// than was published. States without one, or with a held one, say nothing new: leave them out.
+    pub fn take(&mut self, state: &RobotState, soc: Option<f32>, now_ns: u64) {
         let number = |value: Option<f32>| value.map_or(f64::NAN, f64::from);
         let new = || Robot {
             judge: Box::new(Judge::new(Known::default())),
@@ -82,7 +94,7 @@ impl Judgement {
         };
         for finding in &found {
             if !robot.found.iter().any(|known| is_same(known, finding)) {
-                let remedy = finding.remedy(Source::Bridge, None);
+                let remedy = finding.remedy(self.source, None);
                 self.news.push(format!("robot {id}: {finding}: {remedy}"));
             }
         }
@@ -101,13 +113,14 @@ impl Judgement {
     }
 
     /// All that is implausible, by robot.
-    pub(crate) fn records(&self) -> Vec<Implausible> {
+    #[must_use]
+    pub fn records(&self) -> Vec<Implausible> {
         let of = |(id, robot): (&u32, &Robot)| {
             let id = *id;
             let found = robot.found.clone().into_iter();
             let records = found.map(move |finding| Implausible {
                 robot: id,
-                remedy: finding.remedy(Source::Bridge, None),
+                remedy: finding.remedy(self.source, None),
                 finding,
             });
             records.collect::<Vec<_>>()
@@ -116,7 +129,7 @@ impl Judgement {
     }
 
     /// What was found for the first time since the last call: a line each.
-    pub(crate) fn take_news(&mut self) -> Vec<String> {
+    pub fn take_news(&mut self) -> Vec<String> {
         std::mem::take(&mut self.news)
     }
 }
@@ -126,7 +139,7 @@ mod tests {
     use super::*;
 
     fn judged(change: impl Fn(u64, &mut RobotState), readings: u64) -> (Judgement, Vec<String>) {
-        let mut judgement = Judgement::default();
+        let mut judgement = Judgement::new(Source::Bridge, Vec::new());
         for step in 0..readings {
             let mut state = RobotState::new(7);
             let wave = (step as f32 * 0.7).sin();

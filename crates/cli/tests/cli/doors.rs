@@ -1,0 +1,367 @@
+//! Every kind of finding at every door, in every format: docs/datasets.md has the table.
+//! `JOULEBUS_WRITE=1 cargo test -p joulebus --test cli doors` writes it again.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+use std::process::Output;
+
+use super::fleet::{Fleet, code, done, output, stderr, stdout};
+
+/// Doors, with what stands for the recording.
+const DOORS: [(&str, &str); 10] = [
+    ("data check", "data check RECORDING"),
+    ("import", "import RECORDING -o OUT.csv"),
+    ("config init", "config init --from RECORDING -o OUT"),
+    (
+        "train",
+        "train trials RECORDING --split time --recipe RECIPE --out OUT.safetensors",
+    ),
+    (
+        "eval",
+        "eval RECORDING --config FLEET --first-robot 0 --resamples 0 --horizons none",
+    ),
+    ("analyze", "analyze RECORDING --native --split time"),
+    (
+        "report",
+        "report RECORDING --model builtin:gternal-sim -o OUT",
+    ),
+    (
+        "publish trial",
+        "publish trial RECORDING --config FLEET --no-wait --first-robot 0 --rate max",
+    ),
+    (
+        "model compare",
+        "model compare builtin:gternal-sim builtin:gternal-sim RECORDING --resamples 0 --horizons none",
+    ),
+    (
+        "calibrate",
+        "calibrate RECORDING --config FLEET --platform gternal --false-alarms 100000/hour",
+    ),
+];
+
+/// What is planted: the finding, and how it came about.
+const PLANTED: [(&str, &str); 11] = [
+    ("", "nothing"),
+    ("sign", "a current that is negative while discharging"),
+    ("unit", "V, A and W in columns of mV, mA and mW"),
+    ("unit", "voltage and current without a unit"),
+    ("unit", "a charge of 0 to 100"),
+    ("clock", "times of whole seconds"),
+    ("hold", "a command that never ends"),
+    ("never-came", "a column that is named and empty"),
+    ("range", "a speed of 30 m/s in a tenth of the rows"),
+    ("saturation", "a monitor at 2^15 − 1"),
+    ("constant", "a current of 0 in every reading"),
+];
+
+const FORMATS: [&str; 5] = ["CSV", ".npy", "capture", "Parquet", "ROS 2 bag"];
+const ROWS: u32 = 300;
+
+/// A row of a robot of 12 V and some 0.25 A: time, voltage, current, power, commands, measured
+/// speeds, charge.
+fn row(number: u32, planted: &str) -> [f64; 9] {
+    let step = f64::from(number);
+    let load_a = 0.25 + 0.02 * (0.7 * step).sin() + 0.01 * (2.9 * step).cos();
+    let volt = 12.0 - 0.1 * load_a + 0.001 * (5.1 * step).sin();
+    let (v, omega) = (0.1 + 0.01 * (0.3 * step).sin(), 0.2 * (0.21 * step).cos());
+    let soc = 0.8 - 1e-5 * step;
+    let [mut t, mut u, mut i, mut p] = [step / 30.0, volt * 1e3, load_a * 1e3, volt * load_a * 1e3];
+    let [mut v, mut omega, mut v_meas, mut soc] = [v, omega, 0.1, soc];
+    match planted {
+        "a current that is negative while discharging" => [i, p] = [-i, -p],
+        "V, A and W in columns of mV, mA and mW" => [u, i, p] = [u * 1e-3, i * 1e-3, p * 1e-3],
+        "voltage and current without a unit" => [u, i] = [u * 1e-3, i * 1e-3],
+        "a charge of 0 to 100" => soc *= 100.0,
+        "times of whole seconds" => t = t.floor(),
+        "a command that never ends" if number >= 100 => [v, omega, v_meas] = [0.1, 0.0, 0.0],
+        "a speed of 30 m/s in a tenth of the rows" if number.is_multiple_of(10) => v = 30.0,
+        "a monitor at 2^15 − 1" if number % 7 < 4 => i = 327.67,
+        "a current of 0 in every reading" => i = 0.0,
+        _ => {}
+    }
+    [t, u, i, p, v, omega, v_meas, 0.0, soc]
+}
+
+fn table(planted: &str, is_array: bool) -> String {
+    let (unstated, empty) = (
+        planted == "voltage and current without a unit",
+        planted == "a column that is named and empty",
+    );
+    let header = match (unstated, is_array) {
+        (true, _) => "timestamp_s,voltage,current,v_cmd_mps,omega_cmd_radps",
+        (_, true) => "timestamp_s,voltage_mV,current_mA,power_mW,v_cmd_mps,omega_cmd_radps",
+        _ => {
+            "timestamp_s,voltage_mV,current_mA,power_mW,v_cmd_mps,omega_cmd_radps,v_meas_mps,omega_meas_radps,soc"
+        }
+    };
+    let mut text = header.to_owned() + if empty { ",charge\n" } else { "\n" };
+    for number in 0..ROWS {
+        let [t, u, i, p, v, omega, v_meas, omega_meas, soc] = row(number, planted);
+        text += &match (unstated, is_array) {
+            (true, _) => format!("{t},{u},{i},{v},{omega}"),
+            (_, true) => format!("{t},{u},{i},{p},{v},{omega}"),
+            (_, false) if empty => format!("{t},{u},{i},{p},{v},{omega},{v_meas},{omega_meas},,"),
+            _ => format!("{t},{u},{i},{p},{v},{omega},{v_meas},{omega_meas},{soc}"),
+        };
+        text.push('\n');
+    }
+    text
+}
+
+/// A bag with batteries and commands as ROS has them; `None` where it cannot have this.
+fn bag(planted: &str) -> Option<Vec<u8>> {
+    let write = |f: &mut Vec<u8>, number: f32| f.extend(number.to_le_bytes());
+    let mut writer = mcap::WriteOptions::new()
+        .profile("ros2")
+        .create(Cursor::new(Vec::new()))
+        .unwrap();
+    let mut channel = |topic: &str, kind: &str| {
+        let schema = writer.add_schema(kind, "ros2msg", b"").unwrap();
+        writer
+            .add_channel(schema, topic, "cdr", &BTreeMap::new())
+            .unwrap()
+    };
+    let battery = channel("/battery_state", "sensor_msgs/msg/BatteryState");
+    let command = channel("/cmd_vel", "geometry_msgs/msg/Twist");
+    let odometry = channel("/odom", "nav_msgs/msg/Odometry");
+    let mut message = |channel_id, at_ns: u64, data: &[u8]| {
+        let header = mcap::records::MessageHeader {
+            channel_id,
+            sequence: 0,
+            log_time: at_ns,
+            publish_time: at_ns,
+        };
+        writer.write_to_known_channel(&header, data).unwrap();
+    };
+    for number in 0..ROWS {
+        let [t, u, i, _, v, omega, v_meas, omega_meas, soc] = row(number, planted);
+        let at_ns = 1_700_000_000_000_000_000 + u64::from(number) * 33_333_333;
+        let stamp_ns = match planted {
+            "times of whole seconds" => 1_700_000_000_000_000_000 + t as u64 * 1_000_000_000,
+            _ => at_ns,
+        };
+        let [sec, nanosec] = [stamp_ns / 1_000_000_000, stamp_ns % 1_000_000_000];
+        let mut header = vec![0, 1, 0, 0];
+        header.extend((sec as i32).to_le_bytes());
+        header.extend((nanosec as u32).to_le_bytes());
+        // An empty frame's name, and what aligns the numbers after it.
+        header.extend([1, 0, 0, 0, 0, 0, 0, 0]);
+        let mut data = header.clone();
+        // The current is negative while discharging, in mA and mV above.
+        let (volt, ampere) = match planted {
+            "V, A and W in columns of mV, mA and mW" => (u * 1e6, -i * 1e3),
+            _ => (u, -i),
+        };
+        for value in [
+            volt * 1e-3,
+            f64::NAN,
+            ampere * 1e-3,
+            f64::NAN,
+            f64::NAN,
+            f64::NAN,
+            soc,
+        ] {
+            write(&mut data, value as f32);
+        }
+        // Discharging, health and technology unknown, present; no cells, no names.
+        data.extend([
+            2, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0,
+        ]);
+        message(battery, at_ns, &data);
+        if planted != "a command that never ends" || number < 100 {
+            let mut data = vec![0, 1, 0, 0];
+            for value in [v, 0.0, 0.0, 0.0, 0.0, omega] {
+                data.extend(value.to_le_bytes());
+            }
+            message(command, at_ns, &data);
+        }
+        let mut data = header;
+        data.extend([1, 0, 0, 0, 0, 0, 0, 0]);
+        // Aligned to 8 after the encapsulation.
+        while (data.len() - 4) % 8 != 0 {
+            data.push(0);
+        }
+        let pose = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+        let twist = [v_meas, 0.0, 0.0, 0.0, 0.0, omega_meas];
+        for values in [&pose[..], &[0.0; 36], &twist, &[0.0; 36]] {
+            for value in values {
+                data.extend(value.to_le_bytes());
+            }
+        }
+        message(odometry, at_ns, &data);
+    }
+    writer.finish().unwrap();
+    let is_of_tables = [
+        "voltage and current without a unit",
+        "a column that is named and empty",
+    ];
+    (!is_of_tables.contains(&planted)).then(|| writer.into_inner().into_inner())
+}
+
+/// The recording in a format; `None` where the format cannot have what is planted.
+fn recording(folder: &Path, planted: &str, format: &str) -> Option<PathBuf> {
+    let is_of_text = [
+        "voltage and current without a unit",
+        "a column that is named and empty",
+    ];
+    let csv = folder.join("recording.csv");
+    fs::write(&csv, table(planted, format == ".npy")).unwrap();
+    let made = |name: &str, words: &str| {
+        let path = folder.join(name);
+        let (csv, to) = (csv.display().to_string(), path.display().to_string());
+        let words = words.replace("CSV", &csv).replace("TO", &to);
+        done(words.split(' '));
+        Some(path)
+    };
+    let accepted = "sign,unit,clock,hold,range,saturation,constant,never-came";
+    match format {
+        "CSV" => Some(csv),
+        _ if is_of_text.contains(&planted) => None,
+        // Without measured speeds and a charge.
+        ".npy" if ["a charge of 0 to 100", "a command that never ends"].contains(&planted) => None,
+        ".npy" => made("recording.npy", "data convert CSV --out TO"),
+        // Its messages have no measured speed, and times that advance.
+        "capture" if ["times of whole seconds", "a command that never ends"].contains(&planted) => {
+            None
+        }
+        "capture" => made(
+            "recording.mcap",
+            &format!("import CSV -o TO --accept {accepted}"),
+        ),
+        "Parquet" => made("archive", "export CSV --to parquet TO"),
+        _ => {
+            let path = folder.join("bag.mcap");
+            fs::write(&path, bag(planted)?).unwrap();
+            Some(path)
+        }
+    }
+}
+
+/// What the note of an import says of what it mends by itself.
+fn said_of(kind: &str) -> Option<&'static str> {
+    match kind {
+        "unit" => Some("percentage"),
+        "clock" => Some("the time of recording is used"),
+        "hold" => Some("after the last command: it is unknown (command_holds_s)"),
+        _ => None,
+    }
+}
+
+/// What a door does with a recording.
+fn cell(door: &str, kind: &str, said: &Output) -> &'static str {
+    let (out, errors) = (stdout(said), stderr(said));
+    let refused = errors.contains("implausible") && errors.contains(&format!("  {kind}: "));
+    // Too few recordings, which is asked after what is in them.
+    let is_read = matches!(code(said), 0 | 3)
+        || door == "calibrate" && errors.contains("at least 2 are needed");
+    let warns = |kind: &str| errors.contains(&format!("warning: {kind}: "));
+    let warns_of_any = PLANTED
+        .iter()
+        .any(|(kind, _)| !kind.is_empty() && warns(kind));
+    match code(said) {
+        _ if kind.is_empty() && is_read && !warns_of_any && !out.contains("fault: ") => "read",
+        1 if refused && errors.contains(&format!("--accept {kind}")) => "refused",
+        3 if door == "data check" && !kind.is_empty() && out.contains("fault: ") => "fault",
+        _ if is_read && warns(kind) => "warned",
+        _ if is_read && said_of(kind).is_some_and(|note| out.contains(note)) => "read, said",
+        found => panic!("{door}: {kind:?}: exit code {found}\n{out}{errors}"),
+    }
+}
+
+fn cells(
+    number: usize,
+    (kind, planted): (&str, &str),
+    fleet: &Fleet,
+) -> Vec<(&'static str, String)> {
+    let mut lines = Vec::new();
+    let recipe = fleet.path("recipe.toml").display().to_string();
+    for format in FORMATS {
+        let folder = fleet.path(&format!("{number}{format}").replace(' ', ""));
+        fs::create_dir(&folder).unwrap();
+        let mut line = Vec::new();
+        let recording = recording(&folder, planted, format);
+        for (at, (door, words)) in DOORS.iter().enumerate() {
+            let takes = match format {
+                // Other verbs read what it makes.
+                "ROS 2 bag" => *door == "import",
+                "Parquet" => *door != "import",
+                _ => true,
+            };
+            let Some(recording) = recording.as_ref().filter(|_| takes) else {
+                line.push("–");
+                continue;
+            };
+            let replaced = |word: &str| {
+                let out = folder.join(format!("out{at}")).display().to_string();
+                let word = word.replace("RECORDING", &recording.display().to_string());
+                let word = word.replace("FLEET", &fleet.config().display().to_string());
+                word.replace("OUT", &out).replace("RECIPE", &recipe)
+            };
+            let mut words: Vec<String> = words.split(' ').map(replaced).collect();
+            if kind == "never-came" {
+                words.extend(["--map", "soc=charge"].map(str::to_owned));
+            }
+            line.push(cell(door, kind, &output(&words)));
+        }
+        lines.push((format, line.join(" | ")));
+    }
+    lines
+}
+
+#[test]
+fn no_door_is_silent_about_any_kind_in_any_format() {
+    let fleet = Fleet::new();
+    fs::write(fleet.path("recipe.toml"), "[training]\nmax_epochs = 1\n").unwrap();
+    let found: Vec<_> = std::thread::scope(|scope| {
+        let all = PLANTED.iter().enumerate();
+        let fleet = &fleet;
+        let start = |(number, planted)| scope.spawn(move || cells(number, planted, fleet));
+        let threads: Vec<_> = all
+            .map(|(number, planted)| start((number, *planted)))
+            .collect();
+        threads
+            .into_iter()
+            .map(|thread| thread.join().unwrap())
+            .collect()
+    });
+    let doors: Vec<&str> = DOORS.iter().map(|(door, _)| *door).collect();
+    let mut text = format!(
+        "\n| finding | planted | in | {} |\n|{}\n",
+        doors.join(" | "),
+        "---|".repeat(3 + DOORS.len())
+    );
+    for ((kind, planted), lines) in PLANTED.iter().zip(found) {
+        let mut same: Vec<(Vec<&str>, String)> = Vec::new();
+        for (format, line) in lines {
+            let nowhere = line.split(" | ").all(|cell| cell == "–");
+            match same.iter_mut().find(|(_, known)| *known == line) {
+                _ if nowhere => {}
+                Some((formats, _)) => formats.push(format),
+                None => same.push((vec![format], line)),
+            }
+        }
+        for (formats, line) in same {
+            text += &format!(
+                "| `{kind}` | {planted} | {} | {line} |\n",
+                formats.join(", ")
+            )
+            .replace("``", "");
+        }
+    }
+    text.push('\n');
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/datasets.md");
+    let old = fs::read_to_string(&path).unwrap();
+    let (before, rest) = old.split_once("<!-- doors -->\n").unwrap();
+    let (_, after) = rest.split_once("<!-- doors end -->").unwrap();
+    let new = format!("{before}<!-- doors -->\n{text}<!-- doors end -->{after}");
+    if std::env::var_os("JOULEBUS_WRITE").is_some() {
+        fs::write(&path, new).unwrap();
+    } else {
+        assert!(
+            old == new,
+            "docs/datasets.md has another table: run this test with JOULEBUS_WRITE=1\n{text}"
+        );
+    }
+}

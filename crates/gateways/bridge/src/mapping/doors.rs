@@ -1,0 +1,233 @@
+//! Every kind of finding in every format that comes in live. docs/bridges.md has the table:
+//! `JOULEBUS_WRITE=1 cargo test -p joulebus-tests --test repository cards` writes it there.
+
+use joulebus_plausibility::Expired;
+use joulebus_ros_messages::{BatteryState, Header, Time, encode};
+use joulebus_settings::ChargeReading;
+use serde_json::{Value, json};
+
+use crate::mapping::account::Account;
+use crate::mapping::fields::{Fields, Number};
+use crate::mapping::intake::{Holds, Intake};
+use crate::mapping::observation::{Observation, PowerOf};
+use crate::mapping::ros::incoming::{BatteryFields, DISCHARGING, Received, RosRoute};
+use crate::mapping::topic::{Pattern, Template};
+use crate::mapping::units::Quantity;
+
+/// What becomes of each.
+const TABLE: &str = "
+| finding | planted | MQTT, fields | VDA 5050 | ROS 2, BatteryState |
+|---|---|---|---|---|
+|  | nothing | read | read | read |
+| `sign` | a current of the other sign | alarm | alarm | alarm |
+| `unit` | mV, mA and mW without a unit in the mapping | alarm | alarm | alarm |
+| `unit` | a charge of 0 to 100 where a share is expected, or the other way round | alarm | alarm | alarm |
+| `hold` | a controller that fell silent | expires | expires | expires |
+| `clock` | a robot's clock that stands still | read | read | read |
+| `never-came` | a field that no message has | told | told | – |
+| `saturation` | a monitor at 2^15 − 1 | told | told | told |
+| `constant` | a current of 0 in every reading | alarm | alarm | alarm |
+
+";
+
+/// What is planted, and the finding that it is.
+const PLANTED: [(&str, &str); 9] = [
+    ("", "nothing"),
+    ("sign", "a current of the other sign"),
+    ("unit", "mV, mA and mW without a unit in the mapping"),
+    (
+        "unit",
+        "a charge of 0 to 100 where a share is expected, or the other way round",
+    ),
+    ("hold", "a controller that fell silent"),
+    ("clock", "a robot's clock that stands still"),
+    ("never-came", "a field that no message has"),
+    ("saturation", "a monitor at 2^15 − 1"),
+    ("constant", "a current of 0 in every reading"),
+];
+const FORMATS: [&str; 3] = ["MQTT, fields", "VDA 5050", "ROS 2, BatteryState"];
+const STEP_NS: u64 = 100_000_000;
+
+/// Voltage, current, speed and charge of a robot of 24 V, SI.
+fn robot(step: u64, planted: &str) -> [f64; 4] {
+    let at = step as f64;
+    let mut load_a = 2.0 + 0.2 * (0.7 * at).sin() + 0.1 * (2.9 * at).cos();
+    let volt = 24.0 - 0.1 * load_a + 0.01 * (5.1 * at).sin();
+    let v = 0.2 + 0.05 * (0.3 * at).sin();
+    match planted {
+        "a monitor at 2^15 − 1" if step % 7 < 4 => load_a = 3.2767,
+        "a current of 0 in every reading" => load_a = 0.0,
+        _ => {}
+    }
+    [volt, load_a, v, 0.8 - 1e-5 * at]
+}
+
+fn document(fields: &Fields, document: &Value, account: &mut Account) -> Observation {
+    let seen = fields.read(document, |reason, name| {
+        account.count("topic", reason, name)
+    });
+    account.came("topic", "r7", &fields.came(&seen));
+    seen
+}
+
+fn message(format: &str, planted: &str, step: u64, account: &mut Account) -> Observation {
+    let [mut volt, mut ampere, v, mut soc] = robot(step, planted);
+    if planted.starts_with("a charge") {
+        // VDA 5050 defines a percentage.
+        soc *= if format == "VDA 5050" { 0.01 } else { 100.0 };
+    }
+    if planted.starts_with("mV") {
+        [volt, ampere] = [volt * 1e3, ampere * 1e3];
+    }
+    if planted == "a current of the other sign" {
+        ampere = -ampere;
+    }
+    let commands = planted != "a controller that fell silent" || step < 50;
+    let stamp = if planted.starts_with("a robot's clock") {
+        0
+    } else {
+        step
+    };
+    let has_soc = planted != "a field that no message has";
+    match format {
+        "MQTT, fields" => {
+            let si = |quantity, at| Some(Number::si(quantity, at));
+            let fields = Fields {
+                v: si(Quantity::Speed, "v"),
+                power: si(Quantity::Power, "power"),
+                voltage: si(Quantity::Voltage, "volt"),
+                current: si(Quantity::Current, "ampere"),
+                soc: si(Quantity::Share, "soc"),
+                ..Fields::default()
+            };
+            let power = if planted.starts_with("mV") {
+                volt * ampere * 1e-3
+            } else {
+                volt * ampere
+            };
+            let mut sent = json!({"stamp": stamp, "power": power, "volt": volt, "ampere": ampere});
+            if commands {
+                sent["v"] = json!(v);
+            }
+            if has_soc {
+                sent["soc"] = json!(soc);
+            }
+            document(&fields, &sent, account)
+        }
+        "VDA 5050" => {
+            let mut supply =
+                json!({"batteryVoltage": volt, "batteryCurrent": ampere, "charging": false});
+            if has_soc {
+                supply["stateOfCharge"] = json!(100.0 * soc);
+            }
+            let mut sent = json!({"version": "3.0.0", "timestamp": stamp, "powerSupply": supply});
+            if commands {
+                sent["velocity"] = json!({"vx": v, "vy": 0.0, "omega": 0.0});
+            }
+            document(&Fields::vda5050(false), &sent, account)
+        }
+        _ => {
+            let route = RosRoute {
+                name: "/{robot}/battery".to_owned(),
+                topic: Template::parse("/{robot}/battery", "lab", true).unwrap(),
+                pattern: Pattern::parse("/{robot}/battery").unwrap(),
+                kind: joulebus_ros_messages::RosType::BatteryState,
+                battery: BatteryFields {
+                    discharge_is_positive: false,
+                    percentage: Quantity::Share.si(),
+                    power_of: Some(PowerOf::Battery),
+                },
+            };
+            let state = BatteryState {
+                header: Header {
+                    stamp: Time {
+                        sec: stamp as i32,
+                        nanosec: 0,
+                    },
+                    frame_id: String::new(),
+                },
+                voltage: volt as f32,
+                temperature: f32::NAN,
+                // Negative while discharging.
+                current: -ampere as f32,
+                charge: f32::NAN,
+                capacity: f32::NAN,
+                design_capacity: f32::NAN,
+                percentage: if has_soc { soc as f32 } else { f32::NAN },
+                power_supply_status: DISCHARGING,
+                power_supply_health: 0,
+                power_supply_technology: 0,
+                present: true,
+                cell_voltage: Vec::new(),
+                cell_temperature: Vec::new(),
+                location: String::new(),
+                serial_number: String::new(),
+            };
+            let received = Received::new([0, 1], &encode(&state).unwrap());
+            let mut seen = route.read("r7", &received, account).unwrap_or_default();
+            // Of another topic.
+            seen.v_mps = commands.then_some(v as f32);
+            seen
+        }
+    }
+}
+
+/// What becomes of it: the alarm, a word in log and status, or a rule that makes it right.
+fn cell(format: &str, (kind, planted): (&str, &str)) -> String {
+    let holds = Holds {
+        command_ns: 5 * STEP_NS,
+        expired: Expired::Unknown,
+        reading_ns: 10 * STEP_NS,
+        silent_ns: 50 * STEP_NS,
+    };
+    let mut intake = Intake::new(holds, false, [(7, ChargeReading::Load)]);
+    let mut account = Account::default();
+    let mut last = None;
+    for step in 0..300 {
+        let seen = message(format, planted, step, &mut account);
+        intake.take(7, &seen, step * STEP_NS);
+        last = intake.sample(7, step * STEP_NS);
+    }
+    let found = intake.judgement().records();
+    let of_kind = found.iter().find(|one| one.finding.kind.name() == kind);
+    let unmapped = account.records();
+    if let Some(found) = of_kind {
+        let severity = if found.finding.is_error() {
+            "alarm"
+        } else {
+            "told"
+        };
+        assert!(!found.remedy.is_empty());
+        return severity.to_owned();
+    }
+    assert!(found.is_empty(), "{format}, {planted}: {found:?}");
+    let expired = last.is_some_and(|state| state.v_mps.is_none());
+    match kind {
+        "" | "clock" if unmapped.is_empty() => "read".to_owned(),
+        "hold" if expired => "expires".to_owned(),
+        "never-came" if unmapped.iter().any(|one| one.reason == "never_came") => "told".to_owned(),
+        // A share of the charge is optional in the message, and its definition knows NaN.
+        "never-came" if format == FORMATS[2] => "–".to_owned(),
+        _ => panic!("{format}, {planted}: silent; {unmapped:?}"),
+    }
+}
+
+#[test]
+fn no_format_is_silent_about_any_kind() {
+    let mut text = format!(
+        "\n| finding | planted | {} |\n|{}\n",
+        FORMATS.join(" | "),
+        "---|".repeat(5)
+    );
+    for planted in PLANTED {
+        let cells = FORMATS.map(|format| cell(format, planted)).join(" | ");
+        let kind = match planted.0 {
+            "" => String::new(),
+            kind => format!("`{kind}`"),
+        };
+        text += &format!("| {kind} | {} | {cells} |\n", planted.1);
+    }
+    text.push('\n');
+    // docs/bridges.md has it from here.
+    assert_eq!(text, TABLE, "write this table:\n{text}");
+}

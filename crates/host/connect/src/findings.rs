@@ -1,0 +1,160 @@
+//! What sources find implausible in what they report.
+//!
+//! A source that judges writes a small file beside the fleet's shared memory, and readers raise the
+//! alarm `Implausible`. So no layout, no capture and no bit of the worker knows of it.
+
+use std::collections::BTreeSet;
+use std::io::{self, Read as _};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+use std::{fmt, fs};
+
+use joulebus_config::Config;
+
+/// A file is written again after this time, so that readers know that its source lives.
+const AGAIN: Duration = Duration::from_secs(3);
+/// A file that is older is of a source that was killed.
+const EXPIRES: Duration = Duration::from_secs(15);
+/// Maximum size of a file, bytes, and of findings in one.
+const MAX_BYTES: u64 = 1 << 20;
+const MAX_FINDINGS: usize = 4_000;
+/// What a line begins with.
+const ROBOT: &str = "robot ";
+
+fn beginning(config: &Config) -> String {
+    format!("findings-{}-", config.fleet())
+}
+
+/// The findings of one source. They end with it.
+#[derive(Debug)]
+pub struct FindingsFile {
+    path: PathBuf,
+    written: String,
+    at: Option<Instant>,
+}
+
+impl FindingsFile {
+    /// Of a source of the fleet of `config`, without findings.
+    #[must_use]
+    pub fn new(config: &Config, source: &str) -> Self {
+        let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "-_".contains(letter);
+        let plain = source.chars().map(|c| if is_plain(c) { c } else { '_' });
+        let name: String = beginning(config).chars().chain(plain.take(64)).collect();
+        Self {
+            path: config.root().join(name),
+            written: String::new(),
+            at: None,
+        }
+    }
+
+    /// Says what is implausible now: robots, and what was found. Call it every second.
+    ///
+    /// # Errors
+    /// The file cannot be written; the next call tries again.
+    pub fn say<F: fmt::Display>(
+        &mut self,
+        found: impl IntoIterator<Item = (u32, F)>,
+    ) -> io::Result<()> {
+        let lines = found.into_iter().take(MAX_FINDINGS).map(|(robot, found)| {
+            let found = found.to_string().replace(char::is_control, " ");
+            format!("{ROBOT}{robot}: {found}\n")
+        });
+        let text: String = lines.collect();
+        let is_due = self.at.is_none_or(|at| at.elapsed() >= AGAIN);
+        if text == self.written && (text.is_empty() || !is_due) {
+            return Ok(());
+        }
+        if text.is_empty() {
+            remove(&self.path)?;
+        } else {
+            let draft = self.path.with_extension("new");
+            fs::write(&draft, &text)?;
+            fs::rename(&draft, &self.path)?;
+        }
+        self.written = text;
+        self.at = Some(Instant::now());
+        Ok(())
+    }
+}
+
+impl Drop for FindingsFile {
+    fn drop(&mut self) {
+        if !self.written.is_empty() {
+            // Readers take no old file.
+            let _ = remove(&self.path);
+        }
+    }
+}
+
+fn remove(path: &Path) -> io::Result<()> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    }
+}
+
+/// The robots of which a living source finds something implausible.
+#[must_use]
+pub fn implausible_robots(config: &Config) -> BTreeSet<u32> {
+    let beginning = beginning(config);
+    // Without a fleet there is no directory.
+    let entries = fs::read_dir(config.root()).into_iter().flatten().flatten();
+    let of_fleet = entries.filter(|entry| {
+        let name = entry.file_name();
+        let name = name.to_string_lossy();
+        name.starts_with(&beginning) && !name.contains('.')
+    });
+    of_fleet.flat_map(|entry| robots(&entry.path())).collect()
+}
+
+fn robots(path: &Path) -> Vec<u32> {
+    let read = || -> io::Result<String> {
+        let file = fs::File::open(path)?;
+        let modified = file.metadata()?.modified()?;
+        let mut text = String::new();
+        if modified.elapsed().is_ok_and(|age| age <= EXPIRES) {
+            file.take(MAX_BYTES).read_to_string(&mut text)?;
+        }
+        Ok(text)
+    };
+    // One that was removed meanwhile has none.
+    let text = read().unwrap_or_default();
+    let robot = |line: &str| line.strip_prefix(ROBOT)?.split_once(':')?.0.parse().ok();
+    text.lines().filter_map(robot).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn findings_are_read_while_their_source_lives() {
+        let folder = tempfile::tempdir().expect("a temporary directory");
+        let text = format!(
+            "[fleet]\nname = \"lab\"\n[domain]\nroot = {:?}\n[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n",
+            folder.path()
+        );
+        let config = Config::parse(&text, Path::new(".")).expect("a config");
+        let found = || implausible_robots(&config).into_iter().collect::<Vec<_>>();
+        assert_eq!(found(), []);
+        let (mut one, mut other) = (
+            FindingsFile::new(&config, "bridge"),
+            FindingsFile::new(&config, "../other bridge"),
+        );
+        one.say([(7, "sign"), (7, "unit: two\nlines"), (3, "sign")])
+            .expect("written");
+        other.say([(9, "sign")]).expect("written");
+        assert_eq!(found(), [3, 7, 9]);
+        one.say::<&str>([]).expect("removed");
+        assert_eq!(found(), [9]);
+        drop(other);
+        assert_eq!(found(), []);
+        // Of a source that was killed.
+        one.say([(7, "sign")]).expect("written");
+        let file = fs::File::open(&one.path).expect("it is there");
+        let written = file.metadata().and_then(|metadata| metadata.modified());
+        let written = written.expect("a time");
+        file.set_modified(written - 2 * EXPIRES).expect("set");
+        assert_eq!(found(), []);
+    }
+}
