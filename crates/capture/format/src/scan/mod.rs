@@ -16,6 +16,7 @@ mod source;
 use std::fmt;
 use std::io::{Read, Seek};
 
+use joulebus_files::foreign;
 use mcap::records::{self, op};
 
 use chunk::Chunk;
@@ -143,7 +144,14 @@ impl<R: Read + Seek> Scan<R> {
         let mut magic = Vec::new();
         source.read_up_to(MAGIC_BYTES, &mut magic)?;
         if magic != mcap::MAGIC {
-            return Err(ScanError::NotMcap { found: magic });
+            let mut rest = Vec::new();
+            source.read_up_to(foreign::HEAD_BYTES, &mut rest)?;
+            let found = match foreign::recognise(&[magic.as_slice(), &rest].concat()) {
+                Some(foreign) => foreign.to_string(),
+                None if magic.is_empty() => "an empty file".to_owned(),
+                None => format!("{magic:02x?}"),
+            };
+            return Err(ScanError::NotMcap { found });
         }
         Ok(Self {
             state: State::Top(source),
