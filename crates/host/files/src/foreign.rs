@@ -28,12 +28,15 @@ impl Foreign {
 
 impl fmt::Display for Foreign {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "{} ({})", self.what, self.remedy)
+        write!(out, "{}: {}", self.what, self.remedy)
     }
 }
 
 /// Where a file has which bytes, what it is, and how it is converted. The first one applies.
 type Kind = (usize, &'static [u8], &'static str, &'static str);
+
+/// A file that captures and bags may be.
+pub const MCAP: &str = "an MCAP file";
 
 const MAT: &str = "in MATLAB `writetable(T, 'log.csv')` or `writematrix`; in Python `scipy.io.loadmat` or `mat73.loadmat`, \
                    then `pandas.DataFrame(…).to_csv`";
@@ -47,7 +50,7 @@ const UNPACK: &str = "unpack it first";
 const TABLE: &str =
     "in Python `pandas.read_excel('FILE').to_csv('log.csv', index=False)`, or save it as CSV";
 
-const KINDS: [Kind; 42] = [
+const KINDS: [Kind; 46] = [
     (0, b"MATLAB 7.3 MAT-file", "a MATLAB file (v7.3, HDF5)", MAT),
     (0, b"MATLAB 5.0 MAT-file", "a MATLAB file (v5 to v7)", MAT),
     (
@@ -96,7 +99,7 @@ const KINDS: [Kind; 42] = [
     (0, b"FEA1\0", "a Feather file", PANDAS),
     (
         0,
-        b"PAR1",
+        b"PAR1\x15",
         "a Parquet file",
         "in Python `pandas.read_parquet('FILE').to_csv('log.csv', index=False)`",
     ),
@@ -115,7 +118,7 @@ const KINDS: [Kind; 42] = [
     (
         0,
         b"\x89MCAP0\r\n",
-        "an MCAP file",
+        MCAP,
         "`joulebus import` reads recordings of other programs",
     ),
     (0, b"\x93NUMPY", "a NumPy array", UNPACK),
@@ -168,8 +171,12 @@ const KINDS: [Kind; 42] = [
     (0, b"<!", "a web page", WEB),
     (0, b"<html", "a web page", WEB),
     (0, b"<?xml", "an XML file", "save the table itself as CSV"),
-    (0, b"{", "JSON", JSON),
-    (0, b"[", "JSON", JSON),
+    (0, b"{\"", "JSON", JSON),
+    (0, b"{\n", "JSON", JSON),
+    (0, b"{\r\n", "JSON", JSON),
+    (0, b"[{", "JSON", JSON),
+    (0, b"[[", "JSON", JSON),
+    (0, b"[\n", "JSON", JSON),
 ];
 
 const JSON: &str = "in Python `pandas.read_json('FILE', lines=True).to_csv('log.csv', index=False)`; without `lines` for one list";
@@ -211,7 +218,8 @@ mod tests {
             "\u{feff}t;P_W\n",
             "7,8",
             "BZh",
-            "PAR,1",
+            "PAR1,1",
+            "[s],[W]",
         ] {
             assert_eq!(recognise(text.as_bytes()), None, "{text:?}");
         }

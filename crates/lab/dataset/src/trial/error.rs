@@ -9,7 +9,7 @@ use super::limits::{
 
 /// How to go on with the other lines, or without the file.
 const LEAVE_OUT: &str = "--whole-rows leaves such lines out (`joulebus data convert --whole-rows` for other programs), or leave the \
-                         file out of the command";
+                         file out: move it, or name the others";
 
 /// Why a trial could not be read. Rows count from 1, the header of a CSV not included.
 #[derive(Debug, thiserror::Error)]

@@ -516,12 +516,13 @@ impl Meter {
             if line.starts_with(b"#") {
                 header = Some(self.taken + 1);
             } else if !line.starts_with(b"sep=") {
-                let is_number = |field: &[u8]| {
+                let is_number = |field: &&[u8]| {
                     let text = String::from_utf8_lossy(field);
                     text.trim().parse::<f64>().is_ok()
                 };
-                let mut fields = line.split(|byte| b",;\t|".contains(byte));
-                if let Some(header) = header.filter(|_| fields.any(is_number)) {
+                let fields: Vec<&[u8]> = line.split(|byte| b",;\t|".contains(byte)).collect();
+                let numbers = fields.iter().filter(|field| is_number(field)).count();
+                if let Some(header) = header.filter(|_| 2 * numbers >= fields.len()) {
                     self.taken = header;
                 }
                 break;
