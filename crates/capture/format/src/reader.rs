@@ -7,6 +7,7 @@ use std::io::Read;
 use std::path::Path;
 use std::sync::Arc;
 
+use joulebus_files::foreign;
 use mcap::McapError;
 use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -75,7 +76,15 @@ impl Reader<File> {
     /// # Errors
     /// [`ReadError`].
     pub fn open(path: impl AsRef<Path>) -> Result<Self, ReadError> {
-        Self::new(joulebus_files::open(path.as_ref())?)
+        let path = path.as_ref();
+        let opened = Self::new(joulebus_files::open(path)?);
+        opened.map_err(|error| match (error, foreign::of_file(path)) {
+            (ReadError::Damaged { .. }, Some(kind)) if kind.what != foreign::MCAP => {
+                let found = kind.to_string();
+                ReadError::Foreign { found }
+            }
+            (error, _) => error,
+        })
     }
 }
 
@@ -312,6 +321,12 @@ pub enum ReadError {
     Truncated {
         /// Bytes of the file.
         bytes: u64,
+    },
+    /// The file is of another program.
+    #[error("found {found}; expected a capture of joulebus (.mcap)")]
+    Foreign {
+        /// What it is, and how to get on.
+        found: String,
     },
     /// The file is corrupt, or not a capture.
     #[error("the capture is damaged: {detail}; `joulebus recover` saves what can be read")]

@@ -115,6 +115,42 @@ fn files_that_are_not_regular_are_refused_as_input_of_every_verb() {
 }
 
 #[test]
+fn what_a_file_of_another_kind_is_says_every_verb_that_reads_recordings_or_models() {
+    let fleet = Fleet::new();
+    let trial = fleet.recording("trial.csv", 100);
+    let pointer = fleet.path("pointer.mcap");
+    let text = "version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 4000000\n";
+    fs::write(&pointer, text).unwrap();
+    let others = ["--config X", "config", "CAPTURE", "--recipe X"];
+    let doors = READERS
+        .iter()
+        .filter(|verb| others.iter().all(|other| !verb.contains(other)));
+    let mut asked = 0;
+    for verb in doors {
+        let word = |word: &str| match word {
+            "X" => pointer.clone(),
+            "TRIAL" => trial.clone(),
+            "FLEET" => fleet.config(),
+            "MODEL" => PathBuf::from(MODEL),
+            "OUT" => fleet.path("out"),
+            "OUT.onnx" => fleet.path("out.onnx"),
+            word => PathBuf::from(word),
+        };
+        let mut command = joulebus(verb.split_whitespace().map(word));
+        command.current_dir(fleet.path(""));
+        let ended = Program::start(command).wait();
+        let told = String::from_utf8_lossy(&ended.stdout).into_owned() + &stderr(&ended);
+        assert!((1..=3).contains(&code(&ended)), "{verb}: {told}");
+        assert!(
+            told.contains("a pointer of Git LFS") && told.contains("git lfs pull"),
+            "{verb}: {told}"
+        );
+        asked += 1;
+    }
+    assert_eq!(asked, 21);
+}
+
+#[test]
 fn files_named_in_a_config_are_checked_before_anything_is_created() {
     let fleet = Fleet::new();
     let (specials, _socket) = special_files(&fleet);

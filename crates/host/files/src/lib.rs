@@ -3,10 +3,12 @@
 //! Opening a pipe blocks, reading a device never ends, and opening some devices has side effects.
 //! Therefore only regular files are opened, also through symbolic links, and whole files are read
 //! into memory only up to a limit set by the reader. [`create`] and [`replace`] write files that a
-//! user names. [`disk`] writes files that must survive a crash.
+//! user names. [`foreign`] says what a file of another program is. [`disk`] writes files that must
+//! survive a crash.
 #![forbid(unsafe_code)]
 
 pub mod disk;
+pub mod foreign;
 mod whole;
 
 use std::fs::{File, Metadata, OpenOptions};

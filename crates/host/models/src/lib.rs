@@ -4,6 +4,7 @@
 use std::path::PathBuf;
 
 use joulebus_config::{Config, ModelSource};
+use joulebus_files::foreign;
 use joulebus_predictor::{MAX_MODEL_BYTES, Model, ModelError, Network, Persistence, ResidualStats};
 
 /// 95 % quantile of the standard normal distribution: initial interval of a model without residual
@@ -58,7 +59,11 @@ fn load(platform: &str, source: &ModelSource) -> Result<Model, ModelsError> {
                 source,
             })?;
             let network = Network::from_safetensors(&bytes).map(Model::Network);
-            (path.display().to_string(), network)
+            let name = match foreign::recognise(&bytes).filter(|_| network.is_err()) {
+                Some(kind) => format!("{}, {},", path.display(), kind.of_any_contents()),
+                None => path.display().to_string(),
+            };
+            (name, network)
         }
         ModelSource::Builtin(name, bytes) => {
             let network = Network::from_safetensors(bytes).map(Model::Network);

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context as _, anyhow};
 use joulebus_config::{builtin_model, builtin_models};
+use joulebus_files::foreign;
 use joulebus_predictor::{MAX_MODEL_BYTES, Network};
 
 use crate::exit::UsageError;
@@ -25,7 +26,14 @@ pub fn load(path: &Path) -> anyhow::Result<Network> {
             .with_context(|| format!("cannot read the model {shown}"))?
             .into(),
     };
-    Network::from_safetensors(&bytes).with_context(|| format!("the model {shown} is refused"))
+    let network = Network::from_safetensors(&bytes);
+    network.with_context(|| match foreign::recognise(&bytes) {
+        Some(kind) => format!(
+            "the model {shown} is refused: it is {}",
+            kind.of_any_contents()
+        ),
+        None => format!("the model {shown} is refused"),
+    })
 }
 
 fn shipped(name: &str) -> anyhow::Result<&'static [u8]> {

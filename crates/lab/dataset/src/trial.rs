@@ -10,6 +10,7 @@ mod capture;
 mod error;
 mod fleet;
 mod limits;
+mod moment;
 mod names;
 mod note;
 mod npy;
@@ -31,7 +32,7 @@ pub use names::{ColumnMap, MapError, MappedColumn, Quantity, column_names};
 pub use note::{Gap, TrialNotes};
 pub use resample::{Method, Resample, ResampleError, Resampled};
 pub use stored::Stored;
-pub use table::{Column, SourceColumn, Table};
+pub use table::{Column, LeftOut, SourceColumn, Table};
 pub use write::{Form, Row, WriteError};
 
 pub(crate) use table::Cell;
@@ -81,6 +82,8 @@ impl Trial {
             no_final_line_break,
             unnamed_rows,
             sources,
+            left_out,
+            understood,
         } = table;
         for column in &mut columns {
             if column
@@ -112,6 +115,8 @@ impl Trial {
             ignored_columns,
             no_final_line_break,
             unnamed_rows,
+            left_out,
+            understood,
             ..note::take(&trial.offset_ns, period_ns, &trial.columns, |row| {
                 trial.file_row(row)
             })

@@ -64,6 +64,30 @@ pub(super) fn read(container: Container, bytes: &[u8]) -> Result<Vec<Member>, Re
     Ok(members)
 }
 
+/// What an archive is that has neither a pickle of PyTorch nor arrays, and how its model is saved.
+pub(super) fn foreign(members: &[Member]) -> Option<String> {
+    let has = |name: &str| {
+        let mut members = members.iter();
+        members.any(|member| member.name == name || member.name.ends_with(&format!("/{name}")))
+    };
+    let other = members.iter().find(|member| !member.name.ends_with(".npy"));
+    Some(if has("model.weights.h5") || has("keras_metadata.pb") {
+        "found a model of Keras; save its arrays: `numpy.savez('model.npz', *model.get_weights())`"
+            .to_owned()
+    } else if has("archive_format")
+        || has("models/model.json")
+        || has("serialized_exported_program.json")
+    {
+        "found an exported program of PyTorch (.pt2); save its arrays: \
+         `torch.save(torch.export.load('FILE').state_dict, 'model.pt')`"
+            .to_owned()
+    } else if has("data.pkl") {
+        return None;
+    } else {
+        format!("found a zip archive with {:?}", other?.name)
+    })
+}
+
 /// Refuses counts that no archive of this size has, before memory for the members is allocated.
 fn check_counts(container: Container, bytes: &[u8]) -> Result<(), ReadError> {
     for (mark, at, size) in [(END, 8, 2), (END, 10, 2), (END_64, 24, 8), (END_64, 32, 8)] {

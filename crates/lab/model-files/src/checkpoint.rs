@@ -1,5 +1,6 @@
 //! The contents of a model file of any format.
 
+use joulebus_files::foreign;
 use sha2::{Digest as _, Sha256};
 
 use super::entry::{Container, Entry};
@@ -43,6 +44,9 @@ impl Checkpoint {
                 Container::Npz
             };
             let members = archive::read(container, bytes)?;
+            if let Some(found) = archive::foreign(&members) {
+                return Err(ReadError::Kind { found });
+            }
             return if torch::is_torch(&members) {
                 checkpoint(container, bytes, torch::read_zip(&members)?)
             } else {
@@ -69,16 +73,16 @@ impl Checkpoint {
                 network: Some(network),
             });
         }
+        if bytes.starts_with(&[0x80]) {
+            return checkpoint(Container::Pickle, bytes, entries::of_bare_pickle(bytes)?);
+        }
         let head = bytes.get(..bytes.len().min(8)).unwrap_or_default();
-        Err(ReadError::Kind {
-            found: if bytes.is_empty() {
-                "the file is empty".to_owned()
-            } else if head.starts_with(&[0x80]) {
-                "found a bare pickle, which is not a model file".to_owned()
-            } else {
-                format!("found a file that begins with the bytes {head:02x?}")
-            },
-        })
+        let found = match foreign::recognise(bytes) {
+            _ if bytes.is_empty() => "the file is empty".to_owned(),
+            Some(foreign) => format!("found {}", foreign.of_any_contents()),
+            None => format!("found a file that begins with the bytes {head:02x?}"),
+        };
+        Err(ReadError::Kind { found })
     }
 
     /// The arrays of a directory: names without `.npy` and the bytes of each file.

@@ -1,7 +1,7 @@
 //! Flattens the tree in a file to a list of paths.
 
 use super::npy::ElementType;
-use super::pickle::{Id, Pickle, Storage, Storages, Value};
+use super::pickle::{Foreign, Id, Pickle, Storage, Storages, Value};
 use super::{Container, Entry, EntryValue, ReadError, Tensor, npy};
 
 /// Maximum nesting depth.
@@ -39,8 +39,23 @@ pub(super) fn of_npy(bytes: &[u8]) -> Result<Vec<Entry>, ReadError> {
             detail: format!("{} bytes follow its end", bytes.len() - pickle.end),
         });
     }
-    let nothing = |_: &Storage| Err("there are no storages in this file".to_owned());
-    of_pickle(Container::Npy, &pickle, &nothing)
+    of_pickle(Container::Npy, &pickle, &no_storage)
+}
+
+/// Entries of a bare pickle.
+pub(super) fn of_bare_pickle(bytes: &[u8]) -> Result<Vec<Entry>, ReadError> {
+    let container = Container::Pickle;
+    let pickle = Pickle::read(bytes, 0, Storages::Inside);
+    let pickle = pickle.map_err(|source| ReadError::Pickle {
+        container,
+        part: "top".to_owned(),
+        source,
+    })?;
+    of_pickle(container, &pickle, &no_storage)
+}
+
+fn no_storage<'a>(_: &Storage) -> Result<&'a [u8], String> {
+    Err("there are no storages in this file".to_owned())
 }
 
 /// Entries of a set of named arrays.
@@ -158,12 +173,54 @@ impl Walk<'_> {
             }
             Value::Text(text) => EntryValue::Text(text.chars().take(MAX_KEY_BYTES).collect()),
             Value::None => return Ok(()),
+            Value::Foreign(foreign) => {
+                self.check_foreign(foreign, path, depth)?;
+                EntryValue::Other(pickle.value(id).kind())
+            }
             other => match number(other) {
                 Some(number) => EntryValue::Number(number),
                 None => EntryValue::Other(other.kind()),
             },
         };
         self.add(path, value)
+    }
+
+    /// Refuses an object that is not read but has arrays or layers in it.
+    fn check_foreign(
+        &mut self,
+        foreign: &Foreign,
+        path: &str,
+        depth: usize,
+    ) -> Result<(), ReadError> {
+        let mut open: Vec<(Id, usize)> = foreign.parts.iter().map(|&part| (part, depth)).collect();
+        while let Some((id, depth)) = open.pop() {
+            let parts: Vec<Id> = match self.pickle.value(id) {
+                Value::List(items) | Value::Tuple(items) => items.clone(),
+                Value::Dict(pairs) => pairs
+                    .iter()
+                    .flat_map(|&(key, value)| [key, value])
+                    .collect(),
+                Value::Foreign(inner) => inner.parts.clone(),
+                Value::Objects(list) => vec![*list],
+                Value::Array(_) | Value::Tensor(_) | Value::Storage(_) | Value::Layer { .. } => {
+                    return Err(ReadError::Pickle {
+                        container: self.container,
+                        part: place(path),
+                        source: foreign.refused(),
+                    });
+                }
+                _ => Vec::new(),
+            };
+            self.visits += 1 + parts.len();
+            if self.visits > MAX_VISITS {
+                return Err(too_many(self.container, path));
+            }
+            if depth > MAX_DEPTH && !parts.is_empty() {
+                return Err(self.bad(path, format!("nested deeper than {MAX_DEPTH}")));
+            }
+            open.extend(parts.into_iter().map(|part| (part, depth + 1)));
+        }
+        Ok(())
     }
 
     fn visit_all(&mut self, items: &[Id], path: &str, depth: usize) -> Result<(), ReadError> {

@@ -14,6 +14,8 @@ pub enum Container {
     StateDict,
     /// A NumPy array: of numbers, or of objects, which is a pickle.
     Npy,
+    /// A pickle of arrays.
+    Pickle,
     /// A zip archive of NumPy arrays.
     Npz,
     /// A PyTorch file since version 1.6: a zip archive with a pickle.
@@ -40,6 +42,7 @@ impl fmt::Display for Container {
             Container::Safetensors => "safetensors",
             Container::StateDict => "state dict as safetensors",
             Container::Npy => "npy",
+            Container::Pickle => "pickle",
             Container::Npz => "npz",
             Container::TorchZip => "PyTorch (zip)",
             Container::TorchLegacy => "PyTorch (legacy)",

@@ -135,6 +135,16 @@ pub enum FindError {
         /// Its value.
         found: String,
     },
+    /// The weights are a product of other arrays.
+    #[error(
+        "{path:?} is a factor of weights (weight_norm or another parametrisation); save the weights themselves: \
+         `torch.nn.utils.parametrize.remove_parametrizations(layer, 'weight')`, or `remove_weight_norm(layer)`, \
+         of each such layer before `state_dict()`"
+    )]
+    Parametrised {
+        /// An array of it.
+        path: String,
+    },
     /// The network has layers that are not run.
     #[error(
         "{path:?} belongs to a normalisation layer; the worker runs dense layers alone: fold it into the \

@@ -62,6 +62,18 @@ impl Checkpoint {
         part: Option<&str>,
         activation: Option<Activation>,
     ) -> Result<Found, FindError> {
+        let part_of = part.unwrap_or_default();
+        let factor = self.entries.iter().find(|entry| {
+            let path = &entry.path;
+            let ends = ["weight_g", "weight_v", "weight_orig"];
+            let is_factor =
+                path.contains("parametrizations.") || ends.iter().any(|end| path.ends_with(end));
+            within(path, part_of) && is_factor && matches!(entry.value, EntryValue::Tensor(_))
+        });
+        if let Some(entry) = factor {
+            let path = entry.path.clone();
+            return Err(FindError::Parametrised { path });
+        }
         let arrays = self.arrays(part)?;
         let (activation, activation_from) = match activation {
             Some(asked) => (asked, ActivationFrom::Caller),

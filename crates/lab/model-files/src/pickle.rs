@@ -2,8 +2,11 @@
 //!
 //! A pickle is a program for a stack machine whose opcodes can call any Python function. This
 //! machine builds plain values, and *recognises* the few calls needed for tensors and plain
-//! containers without making them: [`Global`] lists them. Any other opcode, function or argument is
-//! refused with its name and location, because skipping unknown parts could import half a model.
+//! containers without making them: [`Global`] lists them. Any other opcode or argument is refused
+//! with its location, and so is any other function or class where a network could be: as the whole,
+//! or with arrays in it, because skipping unknown parts could import half a model. Elsewhere, as
+//! the paths and options among a checkpoint's hyperparameters, it is a [`Foreign`] value: not made,
+//! and not read.
 //!
 //! Existing readers do not suffice: `serde-pickle` supports neither persistent ids nor arrays, and
 //! the readers of candle and Burn keep unknown objects as opaque values and allocate by lengths
@@ -21,7 +24,7 @@ use std::collections::HashMap;
 pub(super) use call::product;
 pub use error::PickleError;
 
-pub(super) use value::{Id, Storage, Value};
+pub(super) use value::{Foreign, Id, Storage, Value};
 
 use super::element::Element;
 use value::Global;
@@ -74,6 +77,9 @@ impl Pickle {
         if let Some(left) = machine.stack.len().checked_sub(1) {
             return Err(machine.refuse("STOP", format!("leaves {} values over", left + 1)));
         }
+        if let Value::Foreign(foreign) = machine.value(root) {
+            return Err(foreign.refused());
+        }
         Ok(Pickle {
             values: machine.values,
             root,
@@ -95,6 +101,16 @@ impl Pickle {
             Value::Storage(storage) => Some(&**storage),
             _ => None,
         })
+    }
+}
+
+impl Foreign {
+    /// The refusal of it.
+    pub(super) fn refused(&self) -> PickleError {
+        PickleError::Global {
+            at: self.at,
+            name: self.name.to_string(),
+        }
     }
 }
 
@@ -233,7 +249,7 @@ impl Machine<'_> {
         };
         let list = self.top()?;
         match &mut self.values[list.0 as usize] {
-            Value::List(all) => {
+            Value::List(all) | Value::Foreign(Foreign { parts: all, .. }) => {
                 all.extend(items);
                 Ok(())
             }
@@ -259,6 +275,10 @@ impl Machine<'_> {
         match &mut self.values[dict.0 as usize] {
             Value::Dict(all) => {
                 all.extend(pairs.iter().map(|&[key, value]| (key, value)));
+                Ok(())
+            }
+            Value::Foreign(foreign) => {
+                foreign.parts.extend(items);
                 Ok(())
             }
             other => {
@@ -310,10 +330,11 @@ impl Machine<'_> {
         };
         match Global::known(&module, &name) {
             Some(global) => self.push(Value::Global(global)),
-            None => Err(PickleError::Global {
+            None => self.push(Value::Foreign(Foreign {
                 at: self.opcode_at,
-                name: error::shown(&format!("{module}.{name}")),
-            }),
+                name: error::shown(&format!("{module}.{name}")).into(),
+                parts: Vec::new(),
+            })),
         }
     }
 

@@ -54,7 +54,7 @@ use options::ImportArguments;
     current = \"discharge-negative\"   # as ROS has it; or discharge-positive\n  \
     voltage_unit_v = 1.0       # 0.001 for millivolts\n  \
     current_unit_a = 1.0\n\n\
-    Exit codes: 1 if nothing could be used; 3 if messages could not.")]
+    Exit codes: 1 if nothing could be used; 3 if messages, files of a bag or lines could not.")]
 pub(crate) struct Args {
     /// Recordings; several go into one capture, or into a directory
     #[arg(required = true, value_name = "FILE")]
@@ -253,7 +253,12 @@ fn read_trials(
         file: path.display().to_string(),
         imported: None,
         trial: Some(notes.join("; ")),
-        left_out: Vec::new(),
+        left_out: trials
+            .iter()
+            .map(|trial| &trial.notes().left_out)
+            .filter(|left_out| !left_out.is_none())
+            .map(ToString::to_string)
+            .collect(),
     };
     let several = trials.len() > 1;
     let mut runs: BTreeMap<String, u32> = BTreeMap::new();

@@ -6,7 +6,7 @@ use std::fmt::{self, Write as _};
 use anyhow::bail;
 use joulebus_config::{Assignment, Config};
 use joulebus_dataset::inspect::{Implausible, Limits, Range, judge, judge_from};
-use joulebus_dataset::trial::Trial;
+use joulebus_dataset::trial::{LeftOut, Trial};
 use joulebus_eval::score::Recording;
 pub(crate) use joulebus_plausibility::Source;
 use joulebus_plausibility::{Kind, Quantity, Severity};
@@ -126,7 +126,10 @@ impl AcceptArguments {
         &self,
         trials: impl Iterator<Item = (Source, &'a Trial)>,
     ) -> anyhow::Result<Vec<Judged>> {
-        self.settle(trials.map(|(source, trial)| judge_from(source, trial, &Limits::default())))
+        self.settle(trials.map(|(source, trial)| {
+            self.say_left_out(&trial.path().display(), &trial.notes().left_out);
+            judge_from(source, trial, &Limits::default())
+        }))
     }
 
     /// The same, each with the limits of its platform: what is outside is a warning.
@@ -138,6 +141,7 @@ impl AcceptArguments {
         trials: impl Iterator<Item = (Limits, &'a Trial)>,
     ) -> anyhow::Result<Vec<Judged>> {
         let found = trials.map(|(limits, trial)| {
+            self.say_left_out(&trial.path().display(), &trial.notes().left_out);
             let mut found = judge(trial, &limits);
             // The worker refuses such samples and counts them.
             let ranges = found.iter_mut().map(|one| &mut one.finding);
@@ -158,7 +162,16 @@ impl AcceptArguments {
         recordings: impl IntoIterator<Item = &'a Recording>,
     ) -> anyhow::Result<Vec<Judged>> {
         let found = recordings.into_iter();
-        self.settle(found.map(|recording| recording.implausible().to_vec()))
+        self.settle(found.map(|recording| {
+            self.say_left_out(&recording.name, recording.left_out());
+            recording.implausible().to_vec()
+        }))
+    }
+
+    fn say_left_out(&self, file: &dyn fmt::Display, left_out: &LeftOut) {
+        if left_out.lines > 0 && !self.settled {
+            say(&format!("warning: {file}: {left_out}"));
+        }
     }
 
     fn settle(&self, found: impl Iterator<Item = Vec<Implausible>>) -> anyhow::Result<Vec<Judged>> {

@@ -27,13 +27,17 @@ pub(crate) struct Recordings {
 pub(crate) struct ColumnArguments {
     /// Names of columns in CSV files, where they are not found by themselves:
     /// time=timestamp_s,power=load_W (`data check --help` lists the accepted names); a minus turns
-    /// the sign: current_A=-i
+    /// the sign: current_A=-i; := gives a value for every row: voltage_V:=3.0
     #[arg(long, value_name = "QUANTITY=COLUMN,…", value_delimiter = ',')]
     map: Vec<MappedColumn>,
     /// Sign of the current, and of a power that has its sign [default: discharge-positive; of bags
     /// discharge-negative, as in ROS]
     #[arg(long, value_name = "SIGN")]
     pub(crate) current: Option<Sign>,
+    /// Leave out lines of CSV files that are no whole rows (cut, NUL bytes, comments, a second
+    /// header, units), and say how many
+    #[arg(long)]
+    whole_rows: bool,
 }
 
 /// Note of an option that a config keeps.
@@ -58,6 +62,9 @@ impl ColumnArguments {
         }
         if let Some(sign) = self.current.and_then(|sign| sign.to_possible_value()) {
             options += &format!(" --current {}", sign.get_name());
+        }
+        if self.whole_rows {
+            options += " --whole-rows";
         }
         options
     }
@@ -112,7 +119,8 @@ impl ColumnArguments {
     /// How recordings are read: the names and the sign given.
     pub(crate) fn map(&self) -> ColumnMap {
         let turned = self.current == Some(Sign::DischargeNegative);
-        ColumnMap::from(self.map.clone()).discharge_negative(turned)
+        let map = ColumnMap::from(self.map.clone());
+        map.discharge_negative(turned).whole_rows(self.whole_rows)
     }
 }
 

@@ -2,13 +2,10 @@
 
 use std::collections::BTreeMap;
 
+use joulebus_capture_format::import::unpacked;
 use joulebus_capture_format::{RosFile, RosTopic, RosTopicId, WriteError};
 
-use crate::bag::{Bag, BagError, Definition, MAX_BYTES, Row};
-
-/// The start of a message that rosbag2 compressed (`--compression-mode message`). CDR starts
-/// with 0.
-const ZSTD_MAGIC: &[u8] = &[0x28, 0xb5, 0x2f, 0xfd];
+use crate::bag::{Bag, BagError, Definition, Row};
 
 /// Errors of a conversion.
 #[derive(Debug, thiserror::Error)]
@@ -100,10 +97,7 @@ pub(crate) fn convert(
         if !topic.is_imported {
             return Ok(file.message(topic.id, time_ns, &[])?);
         }
-        if !data.starts_with(ZSTD_MAGIC) {
-            return Ok(file.message(topic.id, time_ns, data)?);
-        }
-        match zstd::bulk::decompress(data, expanded_bytes(data)) {
+        match unpacked(data) {
             Ok(data) => file.message(topic.id, time_ns, &data)?,
             Err(error) => leave_out(format!("compressed: {error}")),
         }
@@ -111,11 +105,4 @@ pub(crate) fn convert(
     })?;
     file.finish()?;
     Ok(left_out)
-}
-
-/// Bytes that a compressed message may have: battery states, velocities and odometry have some
-/// hundreds, and lists of cells a few thousand; a thousand times its own size is more than any of
-/// them needs.
-fn expanded_bytes(data: &[u8]) -> usize {
-    data.len().saturating_mul(1_000).min(MAX_BYTES as usize)
 }

@@ -125,7 +125,8 @@ fn only_archives_of_datasets_use_parquet() {
 fn only_model_files_reads_pickles() {
     let words = ["pickle", "STACK_GLOBAL", "_rebuild_tensor"];
     for member in members().iter().filter(|it| it.name != "model-files") {
-        let found = places(&member.directory.join("src"), &words, &[]);
+        // It says what a file is that nobody reads.
+        let found = places(&member.directory.join("src"), &words, &["files/src/foreign.rs"]);
         assert_eq!(found, Vec::<String>::new());
     }
 }

@@ -20,14 +20,11 @@ impl Channel {
     }
 }
 
-/// Adds the channels of a recording's next file.
+/// Adds the channels of a recording's next file. A topic may have several: of a publisher that was
+/// started again, or of recordings that were merged.
 pub(super) fn join(channels: &mut Vec<Channel>, of_next_file: Vec<Channel>) {
-    let known = channels.len();
     for channel in of_next_file {
-        match channels[..known]
-            .iter_mut()
-            .find(|known| known.is_of(&channel))
-        {
+        match channels.iter_mut().find(|known| known.is_of(&channel)) {
             Some(known) => known.messages += channel.messages,
             None => channels.push(channel),
         }

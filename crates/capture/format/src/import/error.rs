@@ -24,9 +24,14 @@ pub enum ImportError {
         what: String,
     },
     /// Two robots have the same name.
-    #[error("two robots named {name:?}; give them different names in a mapping file")]
+    #[error(
+        "two robots named {name:?}, with the batteries {batteries}; choose the one of its power with --battery, or give \
+         them different names in a mapping file"
+    )]
     TwoOfAName {
         /// The name.
         name: String,
+        /// Topics of their batteries.
+        batteries: String,
     },
 }

@@ -49,6 +49,9 @@ pub struct RobotMapping {
     pub id: Option<u32>,
     /// Topic of its `BatteryState`.
     pub battery: String,
+    /// Whether its command and odometry are looked for, as those of robots that no mapping names.
+    #[serde(skip)]
+    pub is_searched: bool,
     /// Topic of its `Twist` or `TwistStamped`.
     #[serde(default)]
     pub command: Option<String>,
@@ -198,69 +201,161 @@ pub(super) fn choose(
     mapping: &Mapping,
     channels: &[Channel],
 ) -> Result<Vec<RobotMapping>, ImportError> {
+    let search = Search::of(channels);
     if !mapping.robots.is_empty() {
-        for robot in &mapping.robots {
+        let mut robots = mapping.robots.clone();
+        for robot in &mut robots {
             check_topics(robot, channels)?;
+            if robot.is_searched && robot.command.is_none() {
+                robot.command = search.command(&robot.battery)?;
+            }
+            if robot.is_searched && robot.odometry.is_none() {
+                robot.odometry = search.odometry(&robot.battery)?;
+            }
         }
-        return Ok(mapping.robots.clone());
+        return Ok(robots);
     }
-    let of_kind = |wanted: RosType| {
-        channels
-            .iter()
-            .filter(move |channel| channel.kind == Ok(wanted) && channel.messages > 0)
-    };
     let mut robots = Vec::new();
-    let batteries: Vec<&Channel> = of_kind(RosType::BatteryState).collect();
-    for battery in &batteries {
-        let namespace = namespace(&battery.topic);
-        let ours = |channel: &&Channel| {
-            batteries.len() == 1 || self::namespace(&channel.topic) == namespace
-        };
-        let commands = of_kind(RosType::Twist).chain(of_kind(RosType::TwistStamped));
-        let command = only(
-            &commands.filter(ours).collect::<Vec<_>>(),
-            "cmd_vel",
-            &battery.topic,
-        )?;
-        let odometry: Vec<_> = of_kind(RosType::Odometry).filter(ours).collect();
-        let odometry = only(&odometry, "odom", &battery.topic)?;
+    for battery in &search.batteries {
         robots.push(RobotMapping {
-            name: namespace.unwrap_or(name).to_owned(),
+            name: folders(battery)
+                .first()
+                .map_or(name, |first| *first)
+                .to_owned(),
             id: None,
-            battery: battery.topic.clone(),
-            command,
-            odometry,
+            battery: (*battery).to_owned(),
+            is_searched: true,
+            command: search.command(battery)?,
+            odometry: search.odometry(battery)?,
             current: mapping.current,
             voltage_unit_v: 1.0,
             current_unit_a: 1.0,
         });
     }
+    let first = robots
+        .first()
+        .map(|robot: &RobotMapping| robot.name.clone());
+    if robots.len() > 1
+        && robots
+            .iter()
+            .all(|robot| Some(&robot.name) == first.as_ref())
+    {
+        rename(&mut robots);
+    }
     Ok(robots)
 }
 
-/// The first component of a topic with several.
-fn namespace(topic: &str) -> Option<&str> {
-    let (first, rest) = topic.trim_start_matches('/').split_once('/')?;
-    (!rest.is_empty()).then_some(first)
+/// Names robots of one namespace by what their own adds to it: that of battery and command.
+fn rename(robots: &mut [RobotMapping]) {
+    let own = |robot: &RobotMapping| -> Vec<String> {
+        let battery = folders(&robot.battery);
+        let command = robot.command.as_deref().or(robot.odometry.as_deref());
+        let length = command.map_or(battery.len(), |command| shared(&robot.battery, command));
+        battery[..length]
+            .iter()
+            .map(|part| (*part).to_owned())
+            .collect()
+    };
+    let all: Vec<Vec<String>> = robots.iter().map(own).collect();
+    let is_same = |at: &usize| {
+        all.iter()
+            .all(|one| one.get(*at).is_some() && one.get(*at) == all[0].get(*at))
+    };
+    let common = (0..).take_while(is_same).count();
+    for (robot, own) in robots.iter_mut().zip(&all) {
+        if own.len() > common {
+            robot.name = own[common..].join("_");
+        }
+    }
+}
+
+/// The parts of a topic without the last one.
+fn folders(topic: &str) -> Vec<&str> {
+    let mut parts: Vec<&str> = topic.trim_start_matches('/').split('/').collect();
+    parts.pop();
+    parts
+}
+
+/// The number of namespaces that two topics share.
+fn shared(one: &str, other: &str) -> usize {
+    let (one, other) = (folders(one), folders(other));
+    one.iter().zip(&other).take_while(|(a, b)| a == b).count()
+}
+
+/// The topics of a recording by their kinds.
+struct Search<'a> {
+    batteries: Vec<&'a str>,
+    commands: Vec<&'a str>,
+    odometries: Vec<&'a str>,
+}
+
+impl<'a> Search<'a> {
+    fn of(channels: &'a [Channel]) -> Self {
+        let of_kind = |kinds: &[RosType]| -> Vec<&str> {
+            let used = channels.iter().filter(|channel| {
+                channel.messages > 0 && channel.kind.as_ref().is_ok_and(|kind| kinds.contains(kind))
+            });
+            let mut topics = Vec::new();
+            for channel in used {
+                if !topics.contains(&channel.topic.as_str()) {
+                    topics.push(channel.topic.as_str());
+                }
+            }
+            topics
+        };
+        Self {
+            batteries: of_kind(&[RosType::BatteryState]),
+            commands: of_kind(&[RosType::Twist, RosType::TwistStamped]),
+            odometries: of_kind(&[RosType::Odometry]),
+        }
+    }
+
+    fn command(&self, battery: &str) -> Result<Option<String>, ImportError> {
+        self.nearest(&self.commands, "cmd_vel", battery)
+    }
+
+    fn odometry(&self, battery: &str) -> Result<Option<String>, ImportError> {
+        self.nearest(&self.odometries, "odom", battery)
+    }
+
+    /// The topics with the longest namespace in common with a battery, none of which is nearer to
+    /// another one. Of one battery all are.
+    fn nearest(
+        &self,
+        topics: &[&str],
+        usual: &str,
+        battery: &str,
+    ) -> Result<Option<String>, ImportError> {
+        if self.batteries.len() == 1 {
+            return only(topics, usual, battery);
+        }
+        let is_ours = |topic: &&str| {
+            let depth = shared(battery, topic);
+            let mut others = self.batteries.iter();
+            let at_root = folders(battery).is_empty() && folders(topic).is_empty();
+            (depth > 0 || at_root) && others.all(|other| shared(other, topic) <= depth)
+        };
+        let ours: Vec<&str> = topics.iter().copied().filter(is_ours).collect();
+        let deepest = ours.iter().map(|topic| shared(battery, topic)).max();
+        let nearest = ours
+            .into_iter()
+            .filter(|topic| Some(shared(battery, topic)) == deepest);
+        only(&nearest.collect::<Vec<_>>(), usual, battery)
+    }
 }
 
 /// The only candidate topic, or the one with the usual name among several.
-fn only(found: &[&Channel], usual: &str, battery: &str) -> Result<Option<String>, ImportError> {
+fn only(found: &[&str], usual: &str, battery: &str) -> Result<Option<String>, ImportError> {
     match found {
         [] => Ok(None),
-        [one] => Ok(Some(one.topic.clone())),
+        [one] => Ok(Some((*one).to_owned())),
         several => {
-            let mut named = several
-                .iter()
-                .filter(|channel| channel.topic.rsplit('/').next() == Some(usual));
+            let named = |topic: &&&str| topic.rsplit('/').next() == Some(usual);
+            let mut named = several.iter().filter(named);
             match (named.next(), named.next()) {
-                (Some(one), None) => Ok(Some(one.topic.clone())),
+                (Some(one), None) => Ok(Some((*one).to_owned())),
                 _ => {
-                    let topics: Vec<&str> = several
-                        .iter()
-                        .map(|channel| channel.topic.as_str())
-                        .collect();
-                    let what = format!("{battery} could go with any of {}", topics.join(", "));
+                    let what = format!("{battery} could go with any of {}", several.join(", "));
                     Err(ImportError::Choice { what })
                 }
             }

@@ -9,8 +9,9 @@ mod join;
 mod mapping;
 mod report;
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::io::{Read, Seek};
+use std::io::{self, Read, Seek};
 
 use mcap::records::Record;
 
@@ -32,20 +33,20 @@ pub fn import(
     name: &str,
     mapping: &Mapping,
 ) -> Result<Imported, ImportError> {
-    import_files(&mut [input], name, mapping)
+    import_files(&mut [(String::new(), input)], name, mapping)
 }
 
-/// Reads a recording of several files, in any order.
+/// Reads a recording of several files with their names, in any order.
 ///
 /// # Errors
 /// As [`import`].
 pub fn import_files(
-    inputs: &mut [impl Read + Seek],
+    inputs: &mut [(String, impl Read + Seek)],
     name: &str,
     mapping: &Mapping,
 ) -> Result<Imported, ImportError> {
     let mut channels = Vec::new();
-    for input in inputs.iter_mut() {
+    for (_, input) in inputs.iter_mut() {
         let (found, _) = self::channels(input)?;
         channel::join(&mut channels, found);
     }
@@ -54,7 +55,12 @@ pub fn import_files(
     names.sort_unstable();
     if let Some(pair) = names.windows(2).find(|pair| pair[0] == pair[1]) {
         let name = pair[0].to_owned();
-        return Err(ImportError::TwoOfAName { name });
+        let batteries = robots.iter().filter(|robot| robot.name == name);
+        let batteries: Vec<&str> = batteries.map(|robot| robot.battery.as_str()).collect();
+        return Err(ImportError::TwoOfAName {
+            batteries: batteries.join(", "),
+            name,
+        });
     }
     let mut tracks: Vec<join::Track> = robots
         .into_iter()
@@ -62,14 +68,37 @@ pub fn import_files(
         .collect();
     let mut damage = Vec::new();
     let several = inputs.len() > 1;
-    for (input, number) in inputs.iter_mut().zip(1..) {
+    for (file, input) in inputs.iter_mut() {
         let found = read_tracks(input, &mut tracks)?;
         damage.extend(found.into_iter().map(|what| match several {
-            true => format!("file {number}: {what}"),
+            true => format!("{file}: {what}"),
             false => what,
         }));
     }
     Ok(report::imported(tracks, &channels, damage))
+}
+
+/// The start of a message that rosbag2 compressed (`--compression-mode message`). CDR starts with
+/// 0.
+const ZSTD_MAGIC: &[u8] = &[0x28, 0xb5, 0x2f, 0xfd];
+/// Bytes of an unpacked message for each that it has, and at most: battery states, velocities and
+/// odometry have some hundreds, and lists of cells a few thousand.
+const MAX_EXPANSION: usize = 1_000;
+const MAX_MESSAGE_BYTES: usize = 64 << 20;
+
+/// A message of rosbag2 without its compression, if it has one.
+///
+/// # Errors
+/// It cannot be unpacked, or is far too long.
+pub fn unpacked(data: &[u8]) -> io::Result<Cow<'_, [u8]>> {
+    if !data.starts_with(ZSTD_MAGIC) {
+        return Ok(Cow::Borrowed(data));
+    }
+    let allowed = data
+        .len()
+        .saturating_mul(MAX_EXPANSION)
+        .min(MAX_MESSAGE_BYTES);
+    zstd::bulk::decompress(data, allowed).map(Cow::Owned)
 }
 
 /// The channels of a file with their messages, and the damage.
@@ -128,6 +157,8 @@ fn read_tracks(
             }
             Record::Message { header, data } => {
                 if let Some((topic, kind)) = kinds.get(&header.channel_id) {
+                    // One that cannot be unpacked is refused as what it is.
+                    let data = unpacked(&data).unwrap_or(Cow::Borrowed(&data));
                     for track in tracks.iter_mut() {
                         track.take(topic, *kind, &header, &data);
                     }

@@ -15,13 +15,10 @@ pub enum ScanError {
         source: std::io::Error,
     },
     /// The file has wrong magic bytes at its start.
-    #[error(
-        "byte 0: found {found:02x?}, an MCAP file begins with {:02x?}",
-        mcap::MAGIC
-    )]
+    #[error("byte 0: found {found}, an MCAP file begins with {:02x?}", mcap::MAGIC)]
     NotMcap {
-        /// Its first bytes, at most eight.
-        found: Vec<u8>,
+        /// What it is, or its first bytes, at most eight.
+        found: String,
     },
     /// The file is truncated.
     #[error("{place}: the file ends within the {what}{}", missing_words(*missing))]

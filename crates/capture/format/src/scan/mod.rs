@@ -16,6 +16,7 @@ mod source;
 use std::fmt;
 use std::io::{Read, Seek};
 
+use joulebus_files::foreign;
 use mcap::records::{self, op};
 
 use chunk::Chunk;
@@ -152,21 +153,31 @@ impl<R: Read + Seek> Scan<R> {
     pub(crate) fn anyway(input: R) -> Result<(Self, Option<ScanError>), ScanError> {
         let mut source = Source::new(input)?;
         let file_bytes = source.file_bytes();
-        let mut found = Vec::new();
-        source.read_up_to(MAGIC_BYTES, &mut found)?;
-        let is_mcap = found == mcap::MAGIC;
-        let failed = (!is_mcap).then_some(resume::Failure {
-            from: 0,
-            search_from: 1,
-            next: Some(MAGIC_BYTES),
-        });
+        let mut magic = Vec::new();
+        source.read_up_to(MAGIC_BYTES, &mut magic)?;
+        let (mut failed, mut not_mcap) = (None, None);
+        if magic != mcap::MAGIC {
+            let mut rest = Vec::new();
+            source.read_up_to(foreign::HEAD_BYTES, &mut rest)?;
+            let found = match foreign::recognise(&[magic.as_slice(), &rest].concat()) {
+                Some(foreign) => foreign.to_string(),
+                None if magic.is_empty() => "an empty file".to_owned(),
+                None => format!("{magic:02x?}"),
+            };
+            not_mcap = Some(ScanError::NotMcap { found });
+            failed = Some(resume::Failure {
+                from: 0,
+                search_from: 1,
+                next: Some(MAGIC_BYTES),
+            });
+        }
         let scan = Self {
             state: State::Top(source),
             buffer: Vec::new(),
             failed,
             file_bytes,
         };
-        Ok((scan, (!is_mcap).then_some(ScanError::NotMcap { found })))
+        Ok((scan, not_mcap))
     }
 
     /// Length of the file, bytes.

@@ -50,13 +50,25 @@ impl Bag {
         encoding: &str,
         definition: &str,
     ) {
+        self.channel_with(topic, type_name, encoding, definition, &BTreeMap::new());
+    }
+
+    /// One with metadata of its own, as another publisher of the topic has.
+    pub(crate) fn channel_with(
+        &mut self,
+        topic: &str,
+        type_name: &str,
+        encoding: &str,
+        definition: &str,
+        metadata: &BTreeMap<String, String>,
+    ) {
         let schema = self
             .writer
             .add_schema(type_name, "ros2msg", definition.as_bytes())
             .unwrap();
         let id = self
             .writer
-            .add_channel(schema, topic, encoding, &BTreeMap::new())
+            .add_channel(schema, topic, encoding, metadata)
             .unwrap();
         self.channels.insert(topic.to_owned(), id);
     }

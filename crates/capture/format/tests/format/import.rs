@@ -1,11 +1,13 @@
 //! Import of other programs' recordings: used and refused messages, with reasons.
 
+use std::collections::BTreeMap;
 use std::fs::{self, File};
+use std::io::Cursor;
 
 use crate::bag::{BATTERY, Bag, battery, header, odometry, twist};
-use byteorder::BigEndian;
+use byteorder::{BigEndian, LittleEndian};
 use cdr_encoding::to_vec;
-use joulebus_capture_format::import::{Mapping, import};
+use joulebus_capture_format::import::{Mapping, RobotReport, import};
 use joulebus_ros_messages::TwistStamped;
 use joulebus_testkit::recordings::shared;
 use joulebus_testkit::says;
@@ -255,6 +257,132 @@ fn two_robots_of_one_file_are_distinguished_by_namespace_or_mapping() {
     assert_eq!(imported.unusable.len(), 2, "{:?}", imported.unusable);
     let twice = format!("{mapping}\n[[robot]]\nname = \"second\"\nbattery = \"/a/battery\"");
     says(&bag().import(&twice).unwrap_err(), ["second"]);
+}
+
+/// A bag in which each battery, command and odometry has five messages, the n-th topic with v = n.
+fn bag_of(batteries: &[&str], commands: &[&str]) -> Bag {
+    let mut bag = Bag::new();
+    for topic in batteries {
+        bag.channel(topic, "sensor_msgs/msg/BatteryState", "cdr", BATTERY);
+    }
+    for topic in commands {
+        bag.channel(topic, "geometry_msgs/msg/Twist", "cdr", "");
+    }
+    for step in 0..5_u64 {
+        let now_ns = START_NS + step * TENTH_NS;
+        for (topic, v_mps) in commands.iter().zip(1..) {
+            bag.message(topic, now_ns, &twist(f64::from(v_mps), 0.0));
+        }
+        for topic in batteries {
+            bag.message(topic, now_ns, &battery(now_ns, 10.0, -0.5));
+        }
+    }
+    bag
+}
+
+#[test]
+fn a_battery_goes_with_the_topics_of_its_longest_namespace() {
+    let deep = [
+        "/fleet/r1/battery_state",
+        "/fleet/r2/battery_state",
+        "/fleet/r3/battery_state",
+    ];
+    let imported = bag_of(&deep, &["/fleet/r1/cmd_vel", "/fleet/r2/cmd_vel"])
+        .import("")
+        .unwrap();
+    let of = |robot: &RobotReport| (robot.name.clone(), robot.rows[2].v_mps);
+    let found: Vec<_> = imported.robots.iter().map(of).collect();
+    assert_eq!(found[..2], [("r1".to_owned(), 1.0), ("r2".to_owned(), 2.0)]);
+    assert_eq!(found[2].0, "r3");
+    assert!(
+        found[2].1.is_nan(),
+        "the command of another robot: {found:?}"
+    );
+
+    // Several batteries of one robot: one is chosen, with the robot's command.
+    let several = [
+        "/p/battery/status",
+        "/p/battery/left/status",
+        "/p/battery/right/status",
+    ];
+    let bag = || bag_of(&several, &["/p/cmd_vel", "/q/cmd_vel"]);
+    let refused = bag().import("").unwrap_err().to_string();
+    says(
+        &refused,
+        several.iter().chain(&["--battery", "mapping file"]),
+    );
+    let mut mapping: Mapping = "[[robot]]\nname = \"p\"\nbattery = \"/p/battery/left/status\""
+        .parse()
+        .unwrap();
+    let chosen = |mapping: &Mapping| import(Cursor::new(bag().bytes()), "bag", mapping).unwrap();
+    assert!(
+        chosen(&mapping).robots[0].rows[2].v_mps.is_nan(),
+        "a mapping says all"
+    );
+    mapping.robots[0].is_searched = true;
+    assert_eq!(chosen(&mapping).robots[0].rows[2].v_mps, 1.0);
+}
+
+#[test]
+fn channels_of_one_topic_in_one_file_are_one() {
+    let mut bag = Bag::new();
+    let state = "sensor_msgs/msg/BatteryState";
+    for (restarts, step) in [("0", 0_u64), ("1", 5)] {
+        let metadata = BTreeMap::from([("restarts".to_owned(), restarts.to_owned())]);
+        bag.channel_with("/r/battery", state, "cdr", BATTERY, &metadata);
+        for step in step..step + 5 {
+            let now_ns = START_NS + step * TENTH_NS;
+            bag.message("/r/battery", now_ns, &battery(now_ns, 10.0, -0.5));
+        }
+    }
+    let imported = bag.import("").unwrap();
+    let robots: Vec<_> = imported
+        .robots
+        .iter()
+        .map(|it| (it.name.as_str(), it.row_count))
+        .collect();
+    assert_eq!(robots, [("r", 10)]);
+    assert!(imported.is_whole());
+}
+
+#[test]
+fn messages_that_rosbag2_compressed_are_read() {
+    let mut bag = Bag::new();
+    bag.channel("/r/battery", "sensor_msgs/msg/BatteryState", "cdr", BATTERY);
+    for step in 0..5_u64 {
+        let now_ns = START_NS + step * TENTH_NS;
+        let mut data = vec![0, 1, 0, 0];
+        data.extend(to_vec::<_, LittleEndian>(&battery(now_ns, 10.0, -0.5)).unwrap());
+        bag.raw(
+            "/r/battery",
+            now_ns,
+            &zstd::bulk::compress(&data, 3).unwrap(),
+        );
+    }
+    // A bomb is refused, as what it is not.
+    let bomb = zstd::bulk::compress(&vec![0; 80 << 20], 19).unwrap();
+    bag.raw("/r/battery", START_NS + 5 * TENTH_NS, &bomb);
+    let imported = bag.import("").unwrap();
+    let robot = &imported.robots[0];
+    assert_eq!((robot.row_count, robot.battery.messages), (5, 6));
+    assert_eq!(robot.rows[4].power_w, 5.0);
+    assert_eq!(robot.battery.refused.values().sum::<u64>(), 1);
+}
+
+#[test]
+fn a_file_of_another_kind_is_named() {
+    for (bytes, part) in [
+        (
+            &b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n"[..],
+            "git lfs pull",
+        ),
+        (b"#ROSBAG V2.0\n", "rosbags-convert"),
+        (b"", "an empty file"),
+        (b"hello, world", "68, 65"),
+    ] {
+        let refused = import(Cursor::new(bytes), "bag", &Mapping::default()).unwrap_err();
+        says(&refused, [part, "an MCAP file begins with"]);
+    }
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::trial::SourceColumn;
+use crate::trial::{LeftOut, SourceColumn};
 
 /// The metadata of a trial in its file, beside the rows.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -28,6 +28,12 @@ pub struct Head {
     /// The columns of a CSV that were read.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sources: Vec<SourceColumn>,
+    /// Lines of a CSV that were left out.
+    #[serde(default, skip_serializing_if = "LeftOut::is_none")]
+    pub left_out: LeftOut,
+    /// How the text of a CSV was understood, where that is not usual.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub understood: Vec<String>,
 }
 
 /// Exact integers of a row of a capture.

@@ -301,6 +301,8 @@ fn assemble(path: &Path, head: &Head, values: Values) -> Result<Table, TrialErro
         no_final_line_break: head.no_final_line_break,
         unnamed_rows: head.unnamed_rows,
         sources: head.sources.clone(),
+        left_out: head.left_out.clone(),
+        understood: head.understood.clone(),
         ..Table::default()
     };
     let Values {

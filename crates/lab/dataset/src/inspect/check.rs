@@ -105,7 +105,11 @@ struct Looked {
 }
 
 fn look(file: &Path, map: &ColumnMap, limits: &Limits, places: usize) -> Looked {
-    match Trial::read_mapped(file, map) {
+    let read = Trial::read_mapped(file, map);
+    let broken = matches!(&read, Err(error) if error.is_of_lines());
+    // The other rows are checked as well.
+    let whole = broken.then(|| Trial::read_mapped(file, &map.clone().whole_rows(true)).ok());
+    match whole.flatten().map_or(read, Ok) {
         Err(error) => {
             let text = error.to_string();
             let prefix = format!("{}: ", file.display());
@@ -116,7 +120,15 @@ fn look(file: &Path, map: &ColumnMap, limits: &Limits, places: usize) -> Looked 
             }
         }
         Ok(trials) => Looked {
-            findings: check_robots(&trials, limits, places),
+            findings: {
+                let mut findings = check_robots(&trials, limits, places);
+                // Left out on request.
+                let asked = findings
+                    .iter_mut()
+                    .filter(|finding| finding.kind == FindingKind::NoRow && !broken);
+                asked.for_each(|finding| (finding.fault, finding.accepted) = (false, true));
+                findings
+            },
             digests: trials.iter().map(digest).collect(),
             robots: trials
                 .iter()
@@ -201,10 +213,11 @@ impl Findings {
 
     /// Adds a finding of other files and their number.
     fn merge(&mut self, other: &Finding) {
-        let finding = self
-            .kinds
-            .entry(other.kind)
-            .or_insert(Finding::new(other.kind));
+        let finding = self.kinds.entry(other.kind).or_insert(Finding {
+            fault: other.fault,
+            accepted: other.accepted,
+            ..Finding::new(other.kind)
+        });
         finding.count += other.count;
         finding.files += other.files;
         let room = self.places.saturating_sub(finding.places.len());
@@ -389,6 +402,22 @@ fn check_file(trial: &Trial, found: &mut Findings) {
     for column in &notes.ignored_columns {
         found.add(FindingKind::UnknownColumn, 1, || name(column));
     }
+    for understood in &notes.understood {
+        found.add(FindingKind::Understood, 1, || {
+            whole(trial, None, understood.clone())
+        });
+    }
+    let left_out = &notes.left_out;
+    for (row, what) in &left_out.first {
+        found.add(FindingKind::NoRow, 1, || Place {
+            row: Some(*row),
+            ..whole(trial, None, what.clone())
+        });
+    }
+    let others = left_out.lines - left_out.first.len();
+    found.add(FindingKind::NoRow, others, || {
+        whole(trial, None, String::new())
+    });
     found.add(
         FindingKind::CutOff,
         usize::from(notes.no_final_line_break),

@@ -5,6 +5,8 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use joulebus_files::foreign;
+
 use crate::archive::{is_archive, listings};
 use crate::trial::{Form, is_capture};
 
@@ -48,10 +50,12 @@ pub enum FindError {
         source: io::Error,
     },
     /// A directory without recordings.
-    #[error("{path} holds no recordings (.npy, .csv, .csv.gz, .mcap of joulebus, archives)", path = path.display())]
+    #[error("{path} holds no recordings (.npy, .csv, .csv.gz, .mcap of joulebus, archives){other}", path = path.display())]
     NoRecordings {
         /// The directory.
         path: PathBuf,
+        /// A file of another program in it, if there is one: what it is, and how it is converted.
+        other: String,
     },
     /// A pattern without a match.
     #[error("nothing matches {pattern:?}; * and ? match within a name, ** matches directories")]
@@ -113,11 +117,16 @@ fn take(path: &Path, found: &mut Found) -> Result<(), FindError> {
         found.files.push(path.to_owned());
         return Ok(());
     }
-    let before = found.files.len();
+    let (before, others) = (found.files.len(), found.others.len());
     walk(path, found)?;
     if found.files.len() == before {
+        let other = found.others[others..].iter().find_map(|file| {
+            let kind = foreign::of_file(file)?;
+            Some(format!("; {} is {kind}", file.display()))
+        });
         return Err(FindError::NoRecordings {
             path: path.to_owned(),
+            other: other.unwrap_or_default(),
         });
     }
     Ok(())

@@ -47,6 +47,8 @@ pub enum FindingKind {
     Stuck,
     /// No final newline: the file may be truncated.
     CutOff,
+    /// A line that is no whole row: cut, of NUL bytes, a comment, a second header, units.
+    NoRow,
     /// Rows without a robot name, while others have one.
     UnnamedRow,
     /// An unknown column.
@@ -57,6 +59,8 @@ pub enum FindingKind {
     ConstantColumn,
     /// Readings equal to the previous one.
     Held,
+    /// A form of text that is not usual.
+    Understood,
 }
 
 impl FindingKind {
@@ -85,7 +89,11 @@ impl FindingKind {
     pub const fn is_fault(self) -> bool {
         !matches!(
             self,
-            Self::UnknownColumn | Self::MissingColumn | Self::ConstantColumn | Self::Held
+            Self::UnknownColumn
+                | Self::MissingColumn
+                | Self::ConstantColumn
+                | Self::Held
+                | Self::Understood
         )
     }
 }
@@ -111,6 +119,8 @@ impl fmt::Display for FindingKind {
             Self::Unit => "columns that seem to be in another unit",
             Self::Stuck => "readings held too long",
             Self::CutOff => "files that may be truncated",
+            Self::NoRow => "lines that are no whole rows",
+            Self::Understood => "forms of text that were recognised",
             Self::UnnamedRow => "rows without a robot name",
             Self::UnknownColumn => "unknown columns",
             Self::MissingColumn => "columns that are not recorded",

@@ -7,6 +7,10 @@ use super::limits::{
     FREE_TEXT_BYTES, MAX_EXPANSION, MAX_ROBOTS, MAX_ROW_BYTES, MAX_ROWS, MAX_TEXT_BYTES,
 };
 
+/// How to go on with the other lines, or without the file.
+const LEAVE_OUT: &str = "--whole-rows leaves such lines out (`joulebus data convert --whole-rows` for other programs), or leave the \
+                         file out: move it, or name the others";
+
 /// Why a trial could not be read. Rows count from 1, the header of a CSV not included.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -34,12 +38,12 @@ pub enum TrialError {
     Kind {
         /// The file.
         path: PathBuf,
-        /// The format it seems to have.
-        found: &'static str,
+        /// The format it seems to have, and how it is converted.
+        found: String,
     },
     /// The file is truncated.
     #[error(
-        "{path}: truncated: {missing} after {rows} complete rows; copy the file again",
+        "{path}: truncated: {missing} after {rows} complete rows; copy the file again, or leave it out of the command",
         path = path.display()
     )]
     Truncated {
@@ -150,17 +154,27 @@ pub enum TrialError {
         /// Bytes of header and rows.
         expected_bytes: u64,
     },
-    /// Fields are not separated by commas.
+    /// The first line has no names.
     #[error(
-        "{path}: the header's fields are separated by {found:?}, allowed are commas: save the table as CSV with commas, \
-         and with a point in its numbers",
+        "{path}: the first line has no names, but {found}; put a line with the names of the columns in front, such as \
+         timestamp_s,voltage_V,current_A (`ros2 topic echo --csv` writes none)",
         path = path.display()
     )]
-    Separator {
+    NoHeader {
         /// The file.
         path: PathBuf,
-        /// The separator found.
-        found: char,
+        /// The line.
+        found: String,
+    },
+    /// A line is no row.
+    #[error("{path}: row {row}: {what}; {LEAVE_OUT}", path = path.display())]
+    Line {
+        /// The file.
+        path: PathBuf,
+        /// Row, from 1.
+        row: usize,
+        /// What it is.
+        what: String,
     },
     /// Required columns are missing.
     #[error(
@@ -221,7 +235,7 @@ pub enum TrialError {
     },
     /// A row has more or fewer fields than the header.
     #[error(
-        "{path}: row {row}: found {found} fields, the header has {expected}",
+        "{path}: row {row}: found {found} fields, the header has {expected}; {LEAVE_OUT}",
         path = path.display()
     )]
     FieldCount {
@@ -245,11 +259,11 @@ pub enum TrialError {
         /// Row, from 1.
         row: usize,
         /// Name of the column.
-        column: &'static str,
+        column: String,
         /// The value.
         found: String,
         /// Allowed values.
-        allowed: &'static str,
+        allowed: String,
     },
     /// More than one robot in the file.
     #[error(
@@ -284,4 +298,29 @@ pub enum TrialError {
         /// Rows in the file.
         rows: usize,
     },
+}
+
+impl TrialError {
+    /// Whether it concerns lines of a CSV, which can be left out.
+    pub(crate) const fn is_of_lines(&self) -> bool {
+        matches!(
+            self,
+            Self::Line { .. }
+                | Self::FieldCount { .. }
+                | Self::Value { .. }
+                | Self::Truncated { .. }
+        )
+    }
+
+    /// What is wrong with the line, without file and remedy.
+    pub(super) fn of_the_line(&self) -> String {
+        match self {
+            Self::Line { what, .. } => what.clone(),
+            Self::FieldCount {
+                found, expected, ..
+            } => format!("found {found} fields, the header has {expected}"),
+            Self::Value { column, found, .. } => format!("found {found:?} in column {column}"),
+            other => other.to_string(),
+        }
+    }
 }

@@ -14,6 +14,5 @@ pub(super) const MAX_EXPANSION: u64 = 100;
 pub(super) const MAX_ROBOTS: usize = 10_000;
 
 pub(super) const GZIP_MAGIC: &[u8] = b"\x1f\x8b";
-pub(super) const ZIP_MAGIC: &[u8] = b"PK\x03\x04";
 /// The first bytes of an MCAP file.
 pub(super) const MCAP_MAGIC: &[u8] = b"\x89MCAP0\r\n";

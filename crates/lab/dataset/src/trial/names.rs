@@ -53,7 +53,16 @@ const SPELLINGS: [Spelling; 14] = [
         quantity: Quantity::Time,
         name: "time",
         layout: &["timestamp_s", "timestamp"],
-        others: &["time", "t", "stamp", "timestamp", "elapsed"],
+        others: &[
+            "time",
+            "t",
+            "stamp",
+            "timestamp",
+            "elapsed",
+            "datetime",
+            "date_time",
+            "time_stamp",
+        ],
         units: &[
             ("s", 1.0),
             ("sec", 1.0),
@@ -69,7 +78,7 @@ const SPELLINGS: [Spelling; 14] = [
         name: "power",
         layout: &["power_mW"],
         others: &["power", "p", "pwr", "electrical_power"],
-        units: &[("w", 1e3), ("mw", 1.0), ("kw", 1e6)],
+        units: &[("w", 1e3), ("mw", 1.0), ("kw", 1e6), ("uw", 1e-3)],
     },
     Spelling {
         quantity: of(Column::V),
@@ -109,14 +118,14 @@ const SPELLINGS: [Spelling; 14] = [
         name: "voltage",
         layout: &["voltage_mV", "voltage"],
         others: &["voltage", "battery_voltage", "bus_voltage"],
-        units: &[("v", 1e3), ("mv", 1.0)],
+        units: &[("v", 1e3), ("mv", 1.0), ("uv", 1e-3)],
     },
     Spelling {
         quantity: of(Column::Current),
         name: "current",
         layout: &["current_mA", "current"],
         others: &["current", "battery_current", "bus_current"],
-        units: &[("a", 1e3), ("ma", 1.0)],
+        units: &[("a", 1e3), ("ma", 1.0), ("ua", 1e-3)],
     },
     Spelling {
         quantity: of(Column::VMeasured),
@@ -178,8 +187,8 @@ fn spelling(quantity: Quantity) -> &'static Spelling {
 }
 
 impl Spelling {
-    /// The factor of a name other than the layout's.
-    fn factor(&self, name: &str) -> Option<f64> {
+    /// The factor of a name other than the layout's, and whether the name has the unit.
+    fn factor(&self, name: &str) -> Option<(f64, bool)> {
         // V and W alone are units more often than velocities.
         if name.chars().count() == 1 && name.chars().any(char::is_uppercase) {
             return None;
@@ -190,12 +199,13 @@ impl Spelling {
                 true => name.as_str(),
                 false => name.strip_suffix(unit)?.strip_suffix('_')?,
             };
-            self.others.contains(&bare).then_some(*factor)
+            let found = self.others.contains(&bare);
+            found.then_some((*factor, !unit.is_empty()))
         })
     }
 
-    /// The factor of a mapped column: by the unit at the end of its name, if it has one.
-    fn mapped_factor(&self, name: &str) -> f64 {
+    /// The factor of a mapped column, by the unit at the end of its name, and whether that has one.
+    fn mapped_factor(&self, name: &str) -> (f64, bool) {
         let name = plain(name);
         let by_unit = self.units.iter().find(|(unit, _)| {
             !unit.is_empty()
@@ -203,10 +213,38 @@ impl Spelling {
                     .strip_suffix(unit)
                     .is_some_and(|rest| rest.ends_with('_'))
         });
-        by_unit
-            .or(self.units.first())
-            .map_or(1.0, |(_, factor)| *factor)
+        let factor = by_unit.or(self.units.first());
+        (factor.map_or(1.0, |(_, factor)| *factor), by_unit.is_some())
     }
+}
+
+/// The last parts of names that follow a topic or a message, as PlotJuggler writes them
+/// (`/robot/cmd_vel/linear/x`), with the factor of ROS's unit to the layout's. Measured velocities
+/// come first: odometry has them in the same fields.
+const FIELDS: [(&str, Quantity, f64); 9] = [
+    ("twist_twist_linear_x", of(Column::VMeasured), 1.0),
+    ("twist_twist_angular_z", of(Column::OmegaMeasured), 1.0),
+    ("linear_x", of(Column::V), 1.0),
+    ("angular_z", of(Column::Omega), 1.0),
+    ("voltage", of(Column::Voltage), 1e3),
+    ("current", of(Column::Current), 1e3),
+    ("percentage", of(Column::Soc), 1.0),
+    ("pose_pose_position_x", of(Column::X), 1.0),
+    ("pose_pose_position_y", of(Column::Y), 1.0),
+];
+
+/// The quantity of a field of a message, named by its path.
+fn field(name: &str) -> Option<(Quantity, f64)> {
+    let plain = plain(name);
+    let is_end = |end: &str| {
+        let before = name.len().checked_sub(end.len());
+        let before = before.and_then(|at| name.get(..at));
+        let is_after =
+            before.is_some_and(|before| before.is_empty() || before.ends_with(['/', '.']));
+        plain.ends_with(end) && is_after && name.contains(['/', '.'])
+    };
+    let found = FIELDS.iter().find(|(end, ..)| is_end(end));
+    found.map(|(_, quantity, factor)| (*quantity, *factor))
 }
 
 /// A name in lower case; brackets, dots, slashes, spaces and hyphens count as an underscore.
@@ -214,7 +252,7 @@ fn plain(name: &str) -> String {
     let mut plain = String::with_capacity(name.len());
     for letter in name.chars() {
         match letter {
-            ' ' | '[' | ']' | '(' | ')' | '/' | '.' | '-' | '_' => {
+            ' ' | '[' | ']' | '(' | ')' | '/' | '.' | '-' | '_' | '%' | '#' | ',' => {
                 if !plain.ends_with('_') && !plain.is_empty() {
                     plain.push('_');
                 }
@@ -234,10 +272,13 @@ pub struct MappedColumn {
     /// As it was given.
     text: String,
     quantity: Quantity,
-    /// The name in the file.
+    /// The name in the file, or the value of every row.
     name: String,
+    is_constant: bool,
     /// Factor to the unit of the layout, negative for a column with the other sign.
     factor: f64,
+    /// Whether the caller, or the name, states the unit.
+    states_unit: bool,
 }
 
 /// Why a mapping is invalid.
@@ -245,14 +286,17 @@ pub struct MappedColumn {
 #[non_exhaustive]
 pub enum MapError {
     /// There is no name on one of the sides.
-    #[error("{found:?} is no mapping; an example: power=battery_W or power_mW=p1")]
+    #[error(
+        "{found:?} is no mapping; examples: power=battery_W, power_mW=p1, and voltage_V:=3.0 for what every row has"
+    )]
     Form {
         /// The found name.
         found: String,
     },
     /// The quantity is unknown.
     #[error(
-        "{found:?} is no quantity; allowed: {allowed}, each with a unit if it is not in the column's name"
+        "{found:?} is no quantity; allowed: {allowed}, each with a unit if it is not in the column's name; an energy (Wh) \
+         or a charge (Ah) is not read: give power, or voltage and current"
     )]
     Quantity {
         /// The found name.
@@ -266,13 +310,18 @@ impl FromStr for MappedColumn {
     type Err = MapError;
 
     fn from_str(text: &str) -> Result<Self, MapError> {
+        let form = || MapError::Form {
+            found: text.to_owned(),
+        };
         let sides = text
             .split_once('=')
             .map(|(left, right)| (left.trim(), right.trim()));
-        let Some((quantity, name)) = sides.filter(|(a, b)| !a.is_empty() && !b.is_empty()) else {
-            return Err(MapError::Form {
-                found: text.to_owned(),
-            });
+        let (quantity, name) = sides
+            .filter(|(a, b)| !a.is_empty() && !b.is_empty())
+            .ok_or_else(form)?;
+        let (quantity, is_constant) = match quantity.strip_suffix(':') {
+            Some(quantity) => (quantity.trim_end(), true),
+            None => (quantity, false),
         };
         // A minus turns the sign.
         let (name, sign) = match name.strip_prefix('-') {
@@ -281,26 +330,33 @@ impl FromStr for MappedColumn {
         };
         let wanted = plain(quantity);
         for spelling in &SPELLINGS {
-            if wanted == spelling.name {
-                return Ok(Self {
-                    text: text.to_owned(),
-                    quantity: spelling.quantity,
-                    name: name.to_owned(),
-                    factor: sign * spelling.mapped_factor(name),
-                });
+            let (factor, states_unit) = if wanted == spelling.name {
+                spelling.mapped_factor(name)
+            } else {
+                let unit = wanted
+                    .strip_prefix(spelling.name)
+                    .and_then(|rest| rest.strip_prefix('_'));
+                match spelling.units.iter().find(|(name, _)| Some(*name) == unit) {
+                    Some((_, factor)) => (*factor, true),
+                    None => continue,
+                }
+            };
+            let is_value = match spelling.quantity {
+                Quantity::Robot => true,
+                Quantity::Time => false,
+                Quantity::Column(_) => name.parse::<f64>().is_ok_and(f64::is_finite),
+            };
+            if is_constant && !is_value {
+                return Err(form());
             }
-            let unit = wanted
-                .strip_prefix(spelling.name)
-                .and_then(|rest| rest.strip_prefix('_'));
-            let factor = spelling.units.iter().find(|(name, _)| Some(*name) == unit);
-            if let Some((_, factor)) = factor {
-                return Ok(Self {
-                    text: text.to_owned(),
-                    quantity: spelling.quantity,
-                    name: name.to_owned(),
-                    factor: sign * factor,
-                });
-            }
+            return Ok(Self {
+                text: text.to_owned(),
+                quantity: spelling.quantity,
+                name: name.to_owned(),
+                is_constant,
+                factor: sign * factor,
+                states_unit,
+            });
         }
         Err(MapError::Quantity {
             found: quantity.to_owned(),
@@ -321,13 +377,14 @@ impl fmt::Display for MappedColumn {
 pub struct ColumnMap {
     columns: Vec<MappedColumn>,
     turned: bool,
+    whole_rows: bool,
 }
 
 impl From<Vec<MappedColumn>> for ColumnMap {
     fn from(columns: Vec<MappedColumn>) -> Self {
         Self {
             columns,
-            turned: false,
+            ..Self::default()
         }
     }
 }
@@ -350,6 +407,17 @@ impl ColumnMap {
         Self { turned, ..self }
     }
 
+    /// Leaves out lines of a CSV that are no whole rows, instead of refusing the file.
+    #[must_use]
+    pub fn whole_rows(self, whole_rows: bool) -> Self {
+        Self { whole_rows, ..self }
+    }
+
+    /// Whether lines that are no whole rows are left out.
+    pub(super) const fn leaves_out(&self) -> bool {
+        self.whole_rows
+    }
+
     /// Whether the current is negative while the battery discharges.
     pub(crate) const fn turns(&self) -> bool {
         self.turned
@@ -364,56 +432,96 @@ impl ColumnMap {
 
     /// The mapped columns: `(quantity, name in the file)`.
     pub(super) fn named(&self) -> impl Iterator<Item = (Quantity, &str)> {
-        self.columns
+        let columns = self.columns.iter().filter(|column| !column.is_constant);
+        columns.map(|column| (column.quantity, column.name.as_str()))
+    }
+
+    /// The value that a quantity has in every row, with the factor to the layout's unit.
+    pub(super) fn constant(&self, quantity: Quantity) -> Option<(&str, f64)> {
+        let found = self
+            .columns
             .iter()
-            .map(|column| (column.quantity, column.name.as_str()))
+            .find(|column| column.is_constant && column.quantity == quantity);
+        found.map(|column| (column.name.as_str(), column.factor))
+    }
+
+    /// The two columns of a time in seconds and nanoseconds, and what is in front of their names.
+    /// If the time is mapped, the one of that name, else all.
+    pub(super) fn time_pairs(&self, names: &[String]) -> Vec<(usize, usize, String)> {
+        let mapped = self.named().find(|(of, _)| *of == Quantity::Time);
+        let mapped = mapped.map(|(_, name)| plain(name));
+        let plains: Vec<String> = names.iter().map(|name| plain(name)).collect();
+        let pair = |(at, name): (usize, &String)| {
+            let bare = NANOSECONDS.iter().find_map(|end| name.strip_suffix(end))?;
+            let seconds = plains.iter().position(|other| {
+                let same = other.strip_prefix(bare);
+                same.is_some_and(|end| matches!(end, "sec" | "secs" | "seconds"))
+            })?;
+            Some((seconds, at, bare.trim_end_matches('_').to_owned()))
+        };
+        let pairs = plains.iter().enumerate().filter_map(pair);
+        pairs
+            .filter(|(.., name)| mapped.as_ref().is_none_or(|mapped| mapped == name))
+            .collect()
     }
 
     /// Positions of a quantity among a file's columns, with the factor to the layout's unit: mapped
-    /// columns, else the layout's names, else other spellings. A file should have at most one.
+    /// columns, else the layout's names, else other spellings, else fields of messages. A file
+    /// should have at most one.
     pub(super) fn positions(&self, quantity: Quantity, names: &[String]) -> Vec<Found> {
-        let mapped: Vec<&MappedColumn> = self
-            .columns
-            .iter()
-            .filter(|column| column.quantity == quantity)
-            .collect();
-        let taken = |name: &String| self.columns.iter().any(|column| column.name == *name);
+        let taken = |name: &str| self.named().any(|(_, mapped)| mapped == name);
         let each = || names.iter().enumerate();
-        if !mapped.is_empty() {
-            let found = mapped.iter().flat_map(|column| {
+        if self.maps(quantity) {
+            let mapped = self
+                .columns
+                .iter()
+                .filter(|column| column.quantity == quantity && !column.is_constant);
+            let found = mapped.flat_map(|column| {
                 let same = each().filter(|(_, name)| **name == column.name);
                 same.map(|(position, _)| Found {
                     position,
                     factor: column.factor,
-                    states_unit: true,
+                    states_unit: column.states_unit || quantity != Quantity::Time,
                 })
             });
             return found.collect();
         }
         let spelling = spelling(quantity);
-        let layout: Vec<Found> = each()
-            .filter(|(_, name)| spelling.layout.contains(&name.as_str()) && !taken(name))
-            .map(|(position, name)| Found {
-                position,
-                factor: 1.0,
-                states_unit: spelling.layout.first() == Some(&name.as_str()),
-            })
-            .collect();
+        let among = |found: &dyn Fn(&str) -> Option<(f64, bool)>| -> Vec<Found> {
+            each()
+                .filter(|(_, name)| !taken(name))
+                .filter_map(|(position, name)| {
+                    found(name).map(|(factor, states_unit)| Found {
+                        position,
+                        factor,
+                        states_unit,
+                    })
+                })
+                .collect()
+        };
+        let layout = among(&|name| {
+            let is_layout = spelling.layout.contains(&name);
+            is_layout.then_some((1.0, spelling.layout.first() == Some(&name)))
+        });
         if !layout.is_empty() {
             return layout;
         }
-        each()
-            .filter(|(_, name)| !taken(name))
-            .filter_map(|(position, name)| {
-                Some(Found {
-                    position,
-                    factor: spelling.factor(name)?,
-                    states_unit: true,
-                })
-            })
-            .collect()
+        let spelled = among(&|name| {
+            let (factor, has_unit) = spelling.factor(name)?;
+            Some((factor, has_unit || quantity != Quantity::Time))
+        });
+        if !spelled.is_empty() {
+            return spelled;
+        }
+        among(&|name| {
+            let (found, factor) = field(name)?;
+            (found == quantity).then_some((factor, true))
+        })
     }
 }
+
+/// Ends of the name of a column with the nanoseconds of a time.
+const NANOSECONDS: [&str; 4] = ["nanosec", "nanosecs", "nsecs", "nsec"];
 
 /// Accepted names of a quantity, for messages.
 pub(super) fn accepted(quantity: Quantity) -> String {
@@ -436,10 +544,13 @@ fn shown(unit: &str) -> &str {
         "w" => "W",
         "mw" => "mW",
         "kw" => "kW",
+        "uw" => "uW",
         "v" => "V",
         "mv" => "mV",
+        "uv" => "uV",
         "a" => "A",
         "ma" => "mA",
+        "ua" => "uA",
         unit => unit,
     }
 }
@@ -509,12 +620,23 @@ mod tests {
             ("omega_rad/s", of(Column::Omega), 1.0),
             ("yaw_rate", of(Column::Omega), 1.0),
             ("battery_voltage_V", of(Column::Voltage), 1e3),
+            ("Current(uA)", of(Column::Current), 1e-3),
+            ("power_uW", of(Column::Power), 1e-3),
+            ("__time", Quantity::Time, 1.0),
+            ("%time", Quantity::Time, 1.0),
+            ("/r1/battery_state/voltage", of(Column::Voltage), 1e3),
+            ("battery.percentage", of(Column::Soc), 1.0),
+            ("/r1/cmd_vel/twist/linear/x", of(Column::V), 1.0),
+            ("/r1/odom/twist/twist/linear/x", of(Column::VMeasured), 1.0),
             ("current_A", of(Column::Current), 1e3),
         ] {
             let found = map.positions(quantity, &[name.to_owned()]);
             let found: Vec<_> = found.iter().map(|one| (one.position, one.factor)).collect();
             assert_eq!(found, [(0, factor)], "{name}");
         }
+        // Measured, not commanded.
+        let odometry = ["/odom/twist/twist/angular/z".to_owned()];
+        assert!(map.positions(of(Column::Omega), &odometry).is_empty());
         // Neither watt nor milliwatt: not guessed.
         assert!(
             map.positions(of(Column::Power), &["power".to_owned()])
@@ -540,7 +662,23 @@ mod tests {
             let found: Vec<_> = found.iter().map(|one| (one.position, one.factor)).collect();
             assert_eq!(found, [(1, factor)], "{mapping}");
         }
-        for wrong in ["power", "=a", "power=", "speed=a", "power_hp=a"] {
+        let constant: MappedColumn = "voltage_V:=3.0".parse().expect("a constant");
+        let map = ColumnMap::from(vec![constant]);
+        assert_eq!(map.constant(of(Column::Voltage)), Some(("3.0", 1e3)));
+        assert!(
+            map.positions(of(Column::Voltage), &["voltage_mV".to_owned()])
+                .is_empty()
+        );
+        for wrong in [
+            "power",
+            "=a",
+            "power=",
+            "speed=a",
+            "power_hp=a",
+            "voltage_V:=3,0",
+            "time:=1",
+            "energy_mWh=a",
+        ] {
             assert!(wrong.parse::<MappedColumn>().is_err(), "{wrong}");
         }
     }

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::table::{Column, Columns, is_held, value};
+use super::table::{Column, Columns, LeftOut, is_held, value};
 
 /// Quality notes. Everything noted is kept in the trial; rows count from 1, the header of a CSV not
 /// included.
@@ -28,6 +28,10 @@ pub struct TrialNotes {
     pub ignored_columns: Vec<String>,
     /// A CSV does not end with a newline: it may be truncated.
     pub no_final_line_break: bool,
+    /// Lines of a CSV that are no whole rows and were left out.
+    pub left_out: LeftOut,
+    /// How the text of a CSV was understood, where that is not usual.
+    pub understood: Vec<String>,
 }
 
 /// A gap between rows.
@@ -49,6 +53,7 @@ impl TrialNotes {
             && self.unnamed_rows == 0
             && self.ignored_columns.is_empty()
             && !self.no_final_line_break
+            && self.left_out.lines == 0
     }
 }
 
@@ -89,6 +94,12 @@ impl fmt::Display for TrialNotes {
                 out,
                 ", the last line has no newline: the file may be truncated"
             )?;
+        }
+        for understood in &self.understood {
+            write!(out, ", {understood}")?;
+        }
+        if self.left_out.lines > 0 {
+            write!(out, ", {}", self.left_out)?;
         }
         Ok(())
     }

@@ -58,7 +58,7 @@ fn refused(path: &Path, error: HeaderError) -> TrialError {
         },
         HeaderError::Magic => TrialError::Kind {
             path,
-            found: "a file named .npy that is not a NumPy array",
+            found: "a file named .npy that is not a NumPy array".to_owned(),
         },
         HeaderError::Records => TrialError::ElementType {
             path,

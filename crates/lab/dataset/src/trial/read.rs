@@ -3,12 +3,12 @@
 use std::io::{BufReader, Cursor, Read};
 use std::path::Path;
 
-use super::limits::{GZIP_MAGIC, MCAP_MAGIC, ZIP_MAGIC};
+use joulebus_files::foreign;
+
+use super::limits::{GZIP_MAGIC, MCAP_MAGIC};
 use super::names::ColumnMap;
 use super::{Table, Trial, TrialError, capture, npy, text};
 use crate::archive;
-
-const HEAD_BYTES: u64 = 8;
 
 impl Table {
     /// Reads the table of a file with one robot, as [`Trial::read`] does.
@@ -52,7 +52,7 @@ impl Table {
         let mut file = joulebus_files::open(path).map_err(io)?;
         let mut head = Vec::new();
         file.by_ref()
-            .take(HEAD_BYTES)
+            .take(foreign::HEAD_BYTES)
             .read_to_end(&mut head)
             .map_err(io)?;
         if head.is_empty() {
@@ -69,11 +69,6 @@ impl Table {
             capture::read(path)
         } else if head.starts_with(archive::MAGIC) {
             Ok(vec![archive::table(path)?.0])
-        } else if head.starts_with(ZIP_MAGIC) {
-            Err(TrialError::Kind {
-                path: path.to_owned(),
-                found: "a zip archive (.npz?)",
-            })
         } else {
             let file_bytes = file.metadata().map_err(io)?.len();
             let zipped = head.starts_with(GZIP_MAGIC).then_some(file_bytes);

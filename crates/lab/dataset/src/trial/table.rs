@@ -1,6 +1,7 @@
 //! The columns of a trial: their names, their units, and the table that both readers fill.
 
 use std::collections::HashMap;
+use std::fmt;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -145,6 +146,50 @@ pub struct Table {
     pub(crate) unnamed_rows: usize,
     /// The columns of a CSV that were read.
     pub(crate) sources: Vec<SourceColumn>,
+    /// Lines of a CSV that were left out. Of several robots the first has them.
+    pub(crate) left_out: LeftOut,
+    /// How the text of a CSV was understood, where that is not usual.
+    pub(crate) understood: Vec<String>,
+}
+
+/// Lines of a CSV that are no whole rows, and were left out on request.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LeftOut {
+    /// Their number.
+    pub lines: usize,
+    /// The first, each with its row in the file and what it is.
+    pub first: Vec<(usize, String)>,
+}
+
+impl LeftOut {
+    /// Lines that are kept with a description.
+    const DESCRIBED: usize = 16;
+
+    /// Whether there are none.
+    pub const fn is_none(&self) -> bool {
+        self.lines == 0
+    }
+
+    pub(super) fn add(&mut self, row: usize, what: String) {
+        self.lines += 1;
+        if self.first.len() < Self::DESCRIBED {
+            self.first.push((row, what));
+        }
+    }
+}
+
+impl fmt::Display for LeftOut {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            out,
+            "{} lines that are no whole rows were left out",
+            self.lines
+        )?;
+        match self.first.first() {
+            Some((row, what)) => write!(out, ", the first in row {row}: {what}"),
+            None => Ok(()),
+        }
+    }
 }
 
 /// Values of each [`Column`], in the order of [`Column::ALL`].
@@ -179,16 +224,16 @@ pub(crate) struct Cell<'a> {
 impl Cell<'_> {
     pub(super) fn refuse(
         self,
-        column: &'static str,
+        column: impl Into<String>,
         found: impl Into<String>,
-        allowed: &'static str,
+        allowed: impl Into<String>,
     ) -> TrialError {
         TrialError::Value {
             path: self.path.to_owned(),
             row: self.row,
-            column,
+            column: column.into(),
             found: found.into(),
-            allowed,
+            allowed: allowed.into(),
         }
     }
 }
@@ -223,6 +268,16 @@ impl Table {
     /// Whether the file, a CSV, does not end with a newline.
     pub fn no_final_line_break(&self) -> bool {
         self.no_final_line_break
+    }
+
+    /// Lines of the file that were left out, because they are no whole rows.
+    pub const fn left_out(&self) -> &LeftOut {
+        &self.left_out
+    }
+
+    /// How the text of a CSV was understood, where that is not usual.
+    pub fn understood(&self) -> &[String] {
+        &self.understood
     }
 
     /// Rows without a robot name in a table that has one; all written rows name the robot.
@@ -292,10 +347,8 @@ impl Table {
         column: Column,
         recorded: f64,
     ) -> Result<(), TrialError> {
-        check_value(cell, column, column.si(recorded))?;
-        self.columns[column as usize]
-            .get_or_insert_default()
-            .push(recorded);
+        check_value(cell, column.name(), column, column.si(recorded))?;
+        self.push_checked(column, recorded);
         Ok(())
     }
 
@@ -306,29 +359,37 @@ impl Table {
         column: Column,
         value: f64,
     ) -> Result<(), TrialError> {
-        check_value(cell, column, value)?;
-        self.columns[column as usize]
-            .get_or_insert_default()
-            .push(value);
+        check_value(cell, column.name(), column, value)?;
+        self.push_checked(column, value);
         Ok(())
     }
 
     /// Appends the time of a new row.
     pub(crate) fn push_time(&mut self, cell: Cell<'_>, timestamp_s: f64) -> Result<(), TrialError> {
+        if !is_time(timestamp_s) {
+            let allowed = "a number of seconds within ±4e9";
+            return Err(cell.refuse(TIME_NAMES[0], timestamp_s.to_string(), allowed));
+        }
+        self.push_any_time(cell, timestamp_s)
+    }
+
+    /// The same for a time in a unit that is not known yet.
+    pub(super) fn push_any_time(&mut self, cell: Cell<'_>, time: f64) -> Result<(), TrialError> {
         if cell.row > MAX_ROWS {
             return Err(TrialError::TooManyRows {
                 path: cell.path.to_owned(),
             });
         }
-        // Sums of two such times, and repetitions, fit into i64 nanoseconds.
-        if !(-MAX_TIMESTAMP_S..=MAX_TIMESTAMP_S).contains(&timestamp_s) {
-            let allowed = "a number of seconds within ±4e9";
-            return Err(cell.refuse(TIME_NAMES[0], timestamp_s.to_string(), allowed));
-        }
         // MAX_ROWS fits u32.
         self.file_row.push(cell.row as u32);
-        self.timestamp_s.push(timestamp_s);
+        self.timestamp_s.push(time);
         Ok(())
+    }
+
+    /// Appends a value that [`check_value`] has passed, in the unit of the file.
+    pub(super) fn push_checked(&mut self, column: Column, recorded: f64) {
+        let values = self.columns[column as usize].get_or_insert_default();
+        values.push(recorded);
     }
 
     /// The only table of a file.
@@ -347,12 +408,17 @@ impl Table {
 }
 
 /// Samples carry f32: an overflow would arrive as infinity.
-fn check_value(cell: Cell<'_>, column: Column, value: f64) -> Result<(), TrialError> {
+pub(super) fn check_value(
+    cell: Cell<'_>,
+    name: &str,
+    column: Column,
+    value: f64,
+) -> Result<(), TrialError> {
     if value.is_nan() || (value as f32).is_finite() {
         return Ok(());
     }
     let allowed = "NaN, or a finite number within ±3.4e38 in SI units";
-    Err(cell.refuse(column.name(), column.recorded(value).to_string(), allowed))
+    Err(cell.refuse(name, column.recorded(value).to_string(), allowed))
 }
 
 /// The tables of a file while it is read, one per robot, in the order in which they appear.
@@ -429,6 +495,11 @@ impl Tables {
         }
         self.tables
     }
+}
+
+/// Whether sums of two such times, and repetitions, fit into i64 nanoseconds.
+pub(super) fn is_time(timestamp_s: f64) -> bool {
+    (-MAX_TIMESTAMP_S..=MAX_TIMESTAMP_S).contains(&timestamp_s)
 }
 
 /// Enough for Unix seconds until the year 2096.

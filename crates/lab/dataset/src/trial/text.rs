@@ -5,11 +5,13 @@ use std::path::Path;
 
 use csv::ByteRecord;
 use flate2::bufread::MultiGzDecoder;
+use joulebus_files::foreign;
 
 use super::TrialError;
 use super::limits::{FREE_TEXT_BYTES, MAX_EXPANSION, MAX_ROW_BYTES, MAX_TEXT_BYTES};
-use super::names::{ColumnMap, Quantity, accepted};
-use super::table::{Cell, Column, SourceColumn, TIME_NAMES, Table, Tables};
+use super::moment::{self, TimeForm};
+use super::names::{ColumnMap, Found, Quantity, accepted};
+use super::table::{Cell, Column, LeftOut, SourceColumn, Table, Tables, check_value, is_time};
 
 /// Reads the table; `zipped`: the bytes are gzip, with the size of the file.
 pub(super) fn read(
@@ -26,57 +28,444 @@ pub(super) fn read(
         }
         None => (source, MAX_TEXT_BYTES),
     };
+    let mut meter = Meter {
+        source,
+        head: Vec::new(),
+        taken: 0,
+        failed: None,
+        ended: false,
+        bytes: 0,
+        allowed,
+        row_bytes: 0,
+        last: b'\n',
+    };
+    let start = Start::find(path, &mut meter, zipped, map)?;
+    let mut understood = start.understood;
+    let layout = start.layout;
     let mut reader = csv::ReaderBuilder::new()
         .trim(csv::Trim::All)
         .flexible(true)
-        .from_reader(Meter {
-            source,
-            bytes: 0,
-            allowed,
-            row_bytes: 0,
-            last: b'\n',
-        });
+        .delimiter(start.separator)
+        .from_reader(meter);
     let header = match reader.byte_headers() {
         Ok(header) => header.clone(),
         Err(error) => return Err(explain(path, zipped, reader.get_ref(), 0, error)),
     };
-    if header.as_slice().starts_with(crate::npy::MAGIC) {
-        return Err(TrialError::Kind {
-            path: path.to_owned(),
-            found: "a compressed NumPy array (decompress it first)",
-        });
-    }
-    let (layout, sources, ignored_columns) = Layout::find(path, &header, map)?;
+    let mut numbers = Numbers {
+        separator: start.separator,
+        decimal_comma: start.decimal_comma,
+    };
+    let mut times = Times::default();
     let mut tables = Tables::default();
     let mut record = ByteRecord::new();
-    let mut rows = 0;
+    let (mut rows, mut left_out) = (0, LeftOut::default());
+    let mut refused = None;
     loop {
-        match reader.read_byte_record(&mut record) {
-            Ok(true) => layout.take_row(
-                Cell {
-                    path,
-                    row: rows + 1,
-                },
-                &record,
-                &mut tables,
-            )?,
+        let cell = Cell {
+            path,
+            row: rows + 1,
+        };
+        let taken = match reader.read_byte_record(&mut record) {
             Ok(false) => break,
-            Err(error) => return Err(explain(path, zipped, reader.get_ref(), rows, error)),
+            Ok(true) => {
+                let meter = reader.get_ref();
+                let cut = meter.ended && !meter.ends_in_line_break();
+                let cut = cut && (map.leaves_out() || record.len() < header.len());
+                match no_row(&record, &header, cell.row, cut) {
+                    Some(what) => Err(TrialError::Line {
+                        path: path.to_owned(),
+                        row: cell.row,
+                        what,
+                    }),
+                    None => layout.take_row(cell, &record, &mut numbers, &mut times, &mut tables),
+                }
+            }
+            Err(error) => {
+                let error = explain(path, zipped, reader.get_ref(), rows, error);
+                match error {
+                    TrialError::Truncated { missing: what, .. }
+                    | TrialError::Gzip { detail: what, .. }
+                        if map.leaves_out() && rows > 0 =>
+                    {
+                        left_out.add(cell.row, what);
+                        break;
+                    }
+                    error => return Err(error),
+                }
+            }
+        };
+        match taken {
+            Err(error) if map.leaves_out() && error.is_of_lines() => {
+                left_out.add(cell.row, error.of_the_line());
+                refused.get_or_insert(error);
+            }
+            taken => taken?,
         }
         rows += 1;
         reader.get_mut().row_bytes = 0;
     }
-    let no_final_line_break = !matches!(reader.get_ref().last, b'\n' | b'\r');
-    let mut tables = tables.finish(path, &ignored_columns, no_final_line_break);
+    // A file of other lines is none with a few broken ones.
+    if let Some(error) = refused.filter(|_| left_out.lines * 2 > rows) {
+        return Err(error);
+    }
+    let ends_whole = reader.get_ref().ends_in_line_break();
+    let no_final_line_break = !ends_whole && left_out.lines == 0;
+    let mut tables = tables.finish(path, &start.ignored_columns, no_final_line_break);
+    times.finish(path, &mut tables, &layout.time_name, &mut understood)?;
+    if numbers.decimal_comma == Some(true) {
+        understood.push("its numbers have a decimal comma".to_owned());
+    }
     for table in &mut tables {
-        table.sources.clone_from(&sources);
+        table.sources.clone_from(&start.sources);
+    }
+    if let Some(first) = tables.first_mut() {
+        (first.left_out, first.understood) = (left_out, understood);
     }
     Ok(tables)
+}
+
+/// What a line is that is no row.
+fn no_row(record: &ByteRecord, header: &ByteRecord, row: usize, cut: bool) -> Option<String> {
+    let nul_bytes = record.as_slice().iter().filter(|byte| **byte == 0).count();
+    let first = record.get(0).unwrap_or_default();
+    let is_comment = |field: &[u8]| {
+        let marks: [&[u8]; 3] = [b"#", b"%", b"//"];
+        !is_missing(field) && marks.iter().any(|mark| field.starts_with(mark))
+    };
+    let is_text = |field: &[u8]| {
+        let text = String::from_utf8_lossy(field);
+        is_missing(field) || !text.contains(|letter: char| letter.is_ascii_digit())
+    };
+    if nul_bytes > 0 {
+        Some(format!(
+            "{nul_bytes} NUL bytes, as a loss of power leaves them"
+        ))
+    } else if record == header {
+        Some("the header again: a second recording was appended".to_owned())
+    } else if is_comment(first) {
+        Some("a comment".to_owned())
+    } else if record.iter().all(<[u8]>::is_empty) {
+        Some("an empty line".to_owned())
+    } else if row == 1 && record.iter().all(is_text) && !record.iter().all(is_missing) {
+        let words = String::from_utf8_lossy(record.as_slice())
+            .chars()
+            .take(60)
+            .collect::<String>();
+        Some(format!("units or words instead of numbers ({words:?})"))
+    } else if cut {
+        let (found, expected) = (record.len(), header.len());
+        Some(format!(
+            "the last line may be cut: it has no newline, and {found} of {expected} fields"
+        ))
+    } else {
+        None
+    }
+}
+
+/// How a text begins: what separates its fields, and which they are.
+struct Start {
+    separator: u8,
+    layout: Layout,
+    sources: Vec<SourceColumn>,
+    ignored_columns: Vec<String>,
+    decimal_comma: Option<bool>,
+    understood: Vec<String>,
+}
+
+impl Start {
+    /// Finds the separator with which the header names what a trial needs.
+    fn find(
+        path: &Path,
+        meter: &mut Meter,
+        zipped: Option<u64>,
+        map: &ColumnMap,
+    ) -> Result<Self, TrialError> {
+        meter.fill_head();
+        if let Some(foreign) = foreign::recognise(&meter.head) {
+            return Err(TrialError::Kind {
+                path: path.to_owned(),
+                found: match zipped.is_some() {
+                    true => format!("{} in gzip (decompress it first)", foreign.what),
+                    false => foreign.to_string(),
+                },
+            });
+        }
+        if !meter.head.contains(&b'\n') {
+            if let Some(error) = meter.failed.take() {
+                return Err(explain(path, zipped, meter, 0, error.into()));
+            }
+        }
+        if meter.head.len() as u64 >= MAX_ROW_BYTES && !meter.head.contains(&b'\n') {
+            return Err(TrialError::RowTooLong {
+                path: path.to_owned(),
+                rows: 0,
+            });
+        }
+        meter.drop_preamble();
+        let mut best: Option<(usize, TrialError)> = None;
+        for separator in [b',', b';', b'\t', b'|'] {
+            let (header, sample) = sampled(&meter.head, separator);
+            let layout = Layout::find(path, &header, &sample, map);
+            let (layout, sources, ignored_columns) = match layout {
+                Ok(found) => found,
+                Err(error) => {
+                    if best
+                        .as_ref()
+                        .is_none_or(|(fields, _)| header.len() > *fields)
+                    {
+                        best = Some((header.len(), error));
+                    }
+                    continue;
+                }
+            };
+            let mut numbers = Numbers {
+                separator,
+                decimal_comma: None,
+            };
+            let is_plain = separator == b',';
+            let understood = (!is_plain)
+                .then(|| format!("its fields are separated by {:?}", char::from(separator)));
+            for field in sample.iter().flat_map(ByteRecord::iter) {
+                let _ = numbers.parse(field);
+            }
+            return Ok(Self {
+                separator,
+                layout,
+                sources,
+                ignored_columns,
+                decimal_comma: numbers.decimal_comma,
+                understood: understood.into_iter().collect(),
+            });
+        }
+        // There are four separators, and each has an error.
+        Err(best.map_or_else(
+            || TrialError::Empty {
+                path: path.to_owned(),
+            },
+            |(_, error)| error,
+        ))
+    }
+}
+
+/// The header, and the first rows that are whole.
+fn sampled(head: &[u8], separator: u8) -> (ByteRecord, Vec<ByteRecord>) {
+    let mut reader = csv::ReaderBuilder::new()
+        .trim(csv::Trim::All)
+        .flexible(true)
+        .has_headers(false)
+        .delimiter(separator)
+        .from_reader(head);
+    let mut records = reader.byte_records().map_while(Result::ok);
+    let header = records.next().unwrap_or_default();
+    (header, records.take(SAMPLED_ROWS).collect())
+}
+
+/// Rows that show how a text is written.
+const SAMPLED_ROWS: usize = 200;
+/// Bytes in which they are looked for.
+const HEAD_BYTES: u64 = 64 << 10;
+
+/// How the numbers of a text are written.
+struct Numbers {
+    separator: u8,
+    /// Whether a comma is in front of the fraction; unknown until a number tells.
+    decimal_comma: Option<bool>,
+}
+
+impl Numbers {
+    /// The number in a field, NaN for one that says that there is none, or what is allowed.
+    fn parse(&mut self, field: &[u8]) -> Result<f64, &'static str> {
+        const ALLOWED: &str = "a number, NaN, or nothing";
+        if is_missing(field) {
+            return Ok(f64::NAN);
+        }
+        let text = std::str::from_utf8(field).map_err(|_| ALLOWED)?;
+        if let Ok(number) = text.parse() {
+            return Ok(number);
+        }
+        let comma = text.split_once(',').filter(|_| self.separator != b',');
+        let (whole, fraction) = comma.ok_or(ALLOWED)?;
+        let is_fraction =
+            fraction.len() != 3 || matches!(whole.trim_start_matches(['-', '+']), "0" | "");
+        if text.contains('.') || !(is_fraction || self.decimal_comma == Some(true)) {
+            return Err("a number with a point; a comma could separate thousands here");
+        }
+        let number = format!("{whole}.{fraction}").parse().map_err(|_| ALLOWED)?;
+        self.decimal_comma = Some(true);
+        Ok(number)
+    }
+}
+
+/// Whether a field says that there is no value.
+fn is_missing(field: &[u8]) -> bool {
+    const WORDS: [&str; 16] = [
+        "nan",
+        "na",
+        "n/a",
+        "<na>",
+        "#n/a",
+        "nat",
+        "null",
+        "none",
+        "nil",
+        "-",
+        "--",
+        "-nan(ind)",
+        "nan(ind)",
+        "-1.#ind",
+        "1.#qnan",
+        "unavailable",
+    ];
+    let is_word = |word: &&str| field.eq_ignore_ascii_case(word.as_bytes());
+    field.is_empty() || WORDS.iter().any(|word| is_word(&word))
+}
+
+/// How the times of a text are written.
+#[derive(Default)]
+struct Times {
+    form: Option<TimeForm>,
+    /// Whether they are numbers of a unit that their size tells, when all are known.
+    is_epoch: bool,
+}
+
+impl Times {
+    /// The time in a row, s, or in a unit that is not known yet.
+    fn take(
+        &mut self,
+        cell: Cell<'_>,
+        layout: &Layout,
+        record: &ByteRecord,
+        numbers: &mut Numbers,
+    ) -> Result<f64, TrialError> {
+        let name = &layout.time_name;
+        let field = |position: usize| record.get(position).unwrap_or_default();
+        let refuse = |field: &[u8], allowed: &str| {
+            let found = String::from_utf8_lossy(field);
+            cell.refuse(name, found.chars().take(60).collect::<String>(), allowed)
+        };
+        let allowed = || {
+            format!(
+                "a number of seconds within ±4e9, or a time such as {}",
+                moment::ALLOWED
+            )
+        };
+        let (position, factor, states_unit) = match layout.time {
+            TimeColumns::One(found) => (found.position, found.factor, found.states_unit),
+            TimeColumns::Pair(seconds, nanoseconds) => {
+                let mut part = |position| {
+                    let found = numbers.parse(field(position));
+                    found.map_err(|allowed| refuse(field(position), allowed))
+                };
+                let time_s = part(seconds)? + part(nanoseconds)? * 1e-9;
+                return match is_time(time_s) {
+                    true => Ok(time_s),
+                    false => Err(refuse(field(seconds), &allowed())),
+                };
+            }
+        };
+        let text = field(position);
+        let (form, time_s) = match numbers.parse(text) {
+            Ok(number) => (TimeForm::Number, number * factor),
+            Err(_) => {
+                let parsed = std::str::from_utf8(text).ok().and_then(moment::parse);
+                parsed.ok_or_else(|| refuse(text, &allowed()))?
+            }
+        };
+        let is_first = self.form.is_none();
+        if *self.form.get_or_insert(form) != form {
+            return Err(refuse(text, "a time that is written as in the first row"));
+        }
+        if is_first && form == TimeForm::Number && !states_unit {
+            self.is_epoch = time_s.abs() >= EPOCHS[0].1 * MIN_EPOCH_S;
+        }
+        match is_time(time_s) || (self.is_epoch && time_s.is_finite()) {
+            true => Ok(time_s),
+            false => Err(cell.refuse(name, String::from_utf8_lossy(text), many_seconds(name))),
+        }
+    }
+
+    /// Turns the times into seconds, when all of them are known.
+    fn finish(
+        &self,
+        path: &Path,
+        tables: &mut [Table],
+        name: &str,
+        understood: &mut Vec<String>,
+    ) -> Result<(), TrialError> {
+        if self.is_epoch {
+            let all = || {
+                tables
+                    .iter()
+                    .flat_map(|table| table.timestamp_s.iter().copied())
+            };
+            let steps = tables.iter().filter_map(|table| {
+                let pairs = table.timestamp_s.windows(2);
+                let steps = pairs.map(|pair| pair[1] - pair[0]);
+                let mut steps: Vec<f64> = steps.filter(|step| *step > 0.0).collect();
+                let middle = steps.len().checked_sub(1)? / 2;
+                Some(*steps.select_nth_unstable_by(middle, f64::total_cmp).1)
+            });
+            let step = steps.reduce(f64::min).unwrap_or_default();
+            let of_unit = |per_second: f64| {
+                let mut times_s = all().map(|time| time / per_second);
+                step / per_second <= MAX_STEP_S
+                    && times_s.all(|time_s| (MIN_EPOCH_S..MAX_EPOCH_S).contains(&time_s))
+            };
+            let unit = EPOCHS
+                .into_iter()
+                .find(|(_, per_second)| of_unit(*per_second));
+            let Some((unit, per_second)) = unit else {
+                let row = Cell { path, row: 1 };
+                let found = all().next().unwrap_or_default().to_string();
+                return Err(row.refuse(name, found, many_seconds(name)));
+            };
+            for time in tables.iter_mut().flat_map(|table| &mut table.timestamp_s) {
+                *time /= per_second;
+            }
+            understood.push(format!("{name} is read as {unit} since 1970"));
+        }
+        if self.form == Some(TimeForm::Clock) {
+            for table in tables {
+                let days = moment::over_midnight(&mut table.timestamp_s);
+                if days > 0 {
+                    understood.push(format!(
+                        "the times of {name} have no date and pass midnight {days} times"
+                    ));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Units of times since 1970, with their number in a second.
+const EPOCHS: [(&str, f64); 3] = [
+    ("milliseconds", 1e3),
+    ("microseconds", 1e6),
+    ("nanoseconds", 1e9),
+];
+/// Times that may be taken for such: the years 1997 to 2096.
+const MIN_EPOCH_S: f64 = 8.6e8;
+const MAX_EPOCH_S: f64 = 4e9;
+/// Longer steps are those of another unit.
+const MAX_STEP_S: f64 = 3600.0;
+
+fn many_seconds(name: &str) -> String {
+    format!(
+        "a number of seconds within ±4e9; if it counts milliseconds, --map time_ms={name}, and time_us or time_ns for \
+         smaller ones"
+    )
 }
 
 /// Limits the size of the text and of each row, and records whether the text ends with a newline.
 struct Meter {
     source: Box<dyn Read>,
+    /// The beginning of the text, of which `taken` bytes were read.
+    head: Vec<u8>,
+    taken: usize,
+    /// What happened after the head.
+    failed: Option<io::Error>,
+    ended: bool,
     bytes: u64,
     allowed: u64,
     /// Bytes read since the end of the last complete row.
@@ -88,11 +477,77 @@ impl Meter {
     const fn is_too_long(&self) -> bool {
         self.bytes > self.allowed || self.row_bytes > MAX_ROW_BYTES
     }
+
+    const fn ends_in_line_break(&self) -> bool {
+        matches!(self.last, b'\n' | b'\r')
+    }
+
+    /// Reads the beginning, with the header. An error comes when the rest is read.
+    fn fill_head(&mut self) {
+        let mut room = HEAD_BYTES;
+        while room > 0 {
+            let mut more = self.source.by_ref().take(room);
+            let read = more.read_to_end(&mut self.head);
+            // A header may be longer.
+            let is_cut =
+                matches!(&read, Ok(read) if *read as u64 == room) && !self.head.contains(&b'\n');
+            room = if is_cut {
+                MAX_ROW_BYTES.saturating_sub(self.head.len() as u64)
+            } else {
+                0
+            };
+            self.failed = read.err();
+        }
+        if self.head.starts_with(b"\xef\xbb\xbf") {
+            self.taken = 3;
+        }
+    }
+
+    /// Passes over what some programs write in front of the header: comments, of which the last
+    /// may be the header itself, and Excel's `sep=;`.
+    fn drop_preamble(&mut self) {
+        let mut header = None;
+        loop {
+            let rest = &self.head[self.taken..];
+            let Some(end) = rest.iter().position(|byte| *byte == b'\n') else {
+                break;
+            };
+            let line = &rest[..end];
+            if line.starts_with(b"#") {
+                header = Some(self.taken + 1);
+            } else if !line.starts_with(b"sep=") {
+                let is_number = |field: &&[u8]| {
+                    let text = String::from_utf8_lossy(field);
+                    text.trim().parse::<f64>().is_ok()
+                };
+                let fields: Vec<&[u8]> = line.split(|byte| b",;\t|".contains(byte)).collect();
+                let numbers = fields.iter().filter(|field| is_number(field)).count();
+                if let Some(header) = header.filter(|_| 2 * numbers >= fields.len()) {
+                    self.taken = header;
+                }
+                break;
+            }
+            self.taken += end + 1;
+        }
+        self.head.drain(..self.taken);
+        self.taken = 0;
+    }
 }
 
 impl Read for Meter {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let read = self.source.read(buffer)?;
+        let read = match self.head.get(self.taken..).filter(|rest| !rest.is_empty()) {
+            Some(mut rest) => {
+                let read = rest.read(buffer)?;
+                self.taken += read;
+                read
+            }
+            None => match self.failed.take() {
+                Some(error) => return Err(error),
+                None => self.source.read(buffer)?,
+            },
+        };
+        self.ended = read == 0;
         self.bytes += read as u64;
         self.row_bytes += read as u64;
         if self.is_too_long() {
@@ -146,12 +601,31 @@ fn explain(
     }
 }
 
-/// Position of each column of the table in a row, and the factor to the unit of the layout.
+/// The columns with the time of a row.
+enum TimeColumns {
+    One(Found),
+    /// Seconds and nanoseconds.
+    Pair(usize, usize),
+}
+
+/// Where the value of a column is in a row.
+enum Source {
+    Position(usize),
+    /// What every row has.
+    Constant(f64),
+}
+
+/// Position of each column of the table in a row, its name, and the factor to the unit of the
+/// layout.
 struct Layout {
     fields: usize,
+    /// Whether the header ends with a separator.
+    ends_empty: bool,
     robot: Option<usize>,
-    time: (usize, f64),
-    columns: Vec<(Column, usize, f64)>,
+    robot_name: Option<String>,
+    time: TimeColumns,
+    time_name: String,
+    columns: Vec<(Column, Source, f64, String)>,
     /// Whether power is voltage times current.
     by_product: bool,
 }
@@ -160,24 +634,25 @@ impl Layout {
     fn find(
         path: &Path,
         header: &ByteRecord,
+        sample: &[ByteRecord],
         map: &ColumnMap,
     ) -> Result<(Self, Vec<SourceColumn>, Vec<String>), TrialError> {
         let names = header
             .iter()
             .map(|name| String::from_utf8_lossy(name).into_owned())
             .collect::<Vec<_>>();
-        if let [only] = names.as_slice()
-            && let Some(found) = only.chars().find(|each| matches!(each, ';' | '\t' | '|'))
-        {
-            return Err(TrialError::Separator {
+        let shown = || names.join(", ").chars().take(400).collect::<String>();
+        if !names.is_empty() && names.iter().all(|name| name.parse::<f64>().is_ok()) {
+            return Err(TrialError::NoHeader {
                 path: path.to_owned(),
-                found,
+                found: shown(),
             });
         }
-        let shown = || names.join(", ").chars().take(400).collect::<String>();
-        let absent = map
-            .named()
-            .filter(|(_, name)| names.iter().all(|found| found != name));
+        let pairs = map.time_pairs(&names);
+        let absent = map.named().filter(|(quantity, name)| {
+            let is_pair = *quantity == Quantity::Time && !pairs.is_empty();
+            !is_pair && names.iter().all(|found| found != name)
+        });
         let absent: Vec<String> = absent
             .map(|(quantity, name)| format!("{quantity}={name}"))
             .collect();
@@ -188,6 +663,11 @@ impl Layout {
                 found: shown(),
             });
         }
+        let twice = |first: usize, second: usize| TrialError::DuplicateColumn {
+            path: path.to_owned(),
+            first: names[first].clone(),
+            second: names[second].clone(),
+        };
         let mut used = vec![false; names.len()];
         let mut find = |quantity| match map.positions(quantity, &names).as_slice() {
             [] => Ok(None),
@@ -195,26 +675,69 @@ impl Layout {
                 used[one.position] = true;
                 Ok(Some(*one))
             }
-            [first, second, ..] => Err(TrialError::DuplicateColumn {
-                path: path.to_owned(),
-                first: names[first.position].clone(),
-                second: names[second.position].clone(),
-            }),
+            [first, second, ..] => Err(twice(first.position, second.position)),
         };
         let robot = find(Quantity::Robot)?.map(|found| found.position);
-        let time = find(Quantity::Time)?.map(|found| (found.position, found.factor));
+        let robot_name = map
+            .constant(Quantity::Robot)
+            .map(|(name, _)| name.to_owned());
         let (mut columns, mut sources) = (Vec::new(), Vec::new());
         for column in Column::ALL {
             let quantity = Quantity::Column(column);
-            if let Some(found) = find(quantity)? {
-                columns.push((column, found.position, found.factor));
-                sources.push(SourceColumn {
-                    column,
-                    name: names[found.position].clone(),
-                    states_unit: found.states_unit,
-                    is_mapped: map.maps(quantity),
-                });
+            let constant = map.constant(quantity);
+            let value =
+                constant.and_then(|(text, factor)| Some((text, text.parse().ok()?, factor)));
+            let (source, factor, name, states_unit) = match (value, find(quantity)?) {
+                (Some((text, value, factor)), _) => {
+                    (Source::Constant(value), factor, text.to_owned(), true)
+                }
+                (None, Some(found)) => {
+                    let name = names[found.position].clone();
+                    (
+                        Source::Position(found.position),
+                        found.factor,
+                        name,
+                        found.states_unit,
+                    )
+                }
+                (None, None) => continue,
+            };
+            columns.push((column, source, factor, name.clone()));
+            sources.push(SourceColumn {
+                column,
+                name,
+                states_unit,
+                is_mapped: map.maps(quantity),
+            });
+        }
+        let in_pairs = |position: usize| {
+            let mut pairs = pairs.iter();
+            pairs.any(|(seconds, nanoseconds, _)| [*seconds, *nanoseconds].contains(&position))
+        };
+        let alone = map.positions(Quantity::Time, &names);
+        let alone: Vec<Found> = alone
+            .into_iter()
+            .filter(|found| !in_pairs(found.position))
+            .collect();
+        let (time, time_name) = match (alone.as_slice(), pairs.as_slice()) {
+            ([one], _) => (Some(TimeColumns::One(*one)), names[one.position].clone()),
+            ([], [(seconds, nanoseconds, _)]) => (
+                Some(TimeColumns::Pair(*seconds, *nanoseconds)),
+                names[*seconds].clone(),
+            ),
+            ([], []) => {
+                let index = index_with_times(&names, sample);
+                (index.map(TimeColumns::One), "the first column".to_owned())
             }
+            ([first, second, ..], _) => return Err(twice(first.position, second.position)),
+            ([], [(first, ..), (second, ..), ..]) => return Err(twice(*first, *second)),
+        };
+        match &time {
+            Some(TimeColumns::One(found)) => used[found.position] = true,
+            Some(TimeColumns::Pair(seconds, nanoseconds)) => {
+                (used[*seconds], used[*nanoseconds]) = (true, true);
+            }
+            None => {}
         }
         let has = |wanted| columns.iter().any(|(column, ..)| *column == wanted);
         let by_product = !has(Column::Power) && has(Column::Voltage) && has(Column::Current);
@@ -237,68 +760,113 @@ impl Layout {
         };
         let layout = Self {
             fields: names.len(),
+            ends_empty: names.last().is_some_and(String::is_empty),
             robot,
+            robot_name,
             time,
+            time_name,
             columns,
             by_product,
         };
+        // An index that a program wrote in front of the table is no column that anybody misses.
+        let is_index = |at: usize, name: &str| name.is_empty() || (at == 0 && name == "Unnamed: 0");
         let ignored_columns = names
             .into_iter()
             .zip(used)
-            .filter_map(|(name, used)| (!used).then_some(name))
+            .enumerate()
+            .filter_map(|(at, (name, used))| (!used && !is_index(at, &name)).then_some(name))
             .collect();
         Ok((layout, sources, ignored_columns))
     }
 
+    /// Takes a row, or nothing of it.
     fn take_row(
         &self,
         cell: Cell<'_>,
         record: &ByteRecord,
+        numbers: &mut Numbers,
+        times: &mut Times,
         tables: &mut Tables,
     ) -> Result<(), TrialError> {
-        if record.len() != self.fields {
+        let fields = match record.len() {
+            // A separator at the end of the rows or of the header alone.
+            found if found == self.fields + 1 && record.iter().next_back() == Some(b"") => {
+                self.fields
+            }
+            found if found + 1 == self.fields && self.ends_empty => self.fields,
+            found => found,
+        };
+        if fields != self.fields {
             return Err(TrialError::FieldCount {
                 path: cell.path.to_owned(),
                 row: cell.row,
-                found: record.len(),
+                found: fields,
                 expected: self.fields,
             });
         }
-        let name = self
-            .robot
-            .map(|position| String::from_utf8_lossy(&record[position]));
-        let name = name.filter(|name| !name.eq_ignore_ascii_case("nan"));
-        let table = tables.of(cell, name.as_deref().unwrap_or_default())?;
-        let (position, factor) = self.time;
-        let time_s = number(cell, TIME_NAMES[0], &record[position])? * factor;
-        table.push_time(cell, time_s)?;
-        let (mut voltage_mv, mut current_ma) = (f64::NAN, f64::NAN);
-        for (column, position, factor) in &self.columns {
-            let value = number(cell, column.name(), &record[*position])? * factor;
-            match column {
-                Column::Voltage => voltage_mv = value,
-                Column::Current => current_ma = value,
-                _ => {}
-            }
-            table.push(cell, *column, value)?;
+        let mut values = [f64::NAN; Column::ALL.len()];
+        for (column, source, factor, name) in &self.columns {
+            let value = match source {
+                Source::Constant(value) => value * factor,
+                Source::Position(position) => {
+                    let field = record.get(*position).unwrap_or_default();
+                    let parsed = numbers.parse(field);
+                    let value = parsed.map_err(|allowed| {
+                        let found = String::from_utf8_lossy(field);
+                        cell.refuse(name, found.chars().take(60).collect::<String>(), allowed)
+                    })?;
+                    value * factor
+                }
+            };
+            check_value(cell, name, *column, column.si(value))?;
+            values[*column as usize] = value;
         }
-        if self.by_product {
-            table.push(cell, Column::Power, voltage_mv * current_ma / 1000.0)?;
+        let time_s = times.take(cell, self, record, numbers)?;
+        let name = match (&self.robot_name, self.robot) {
+            (Some(name), _) => name.clone(),
+            (None, Some(position)) => robot_name(record.get(position).unwrap_or_default()),
+            (None, None) => String::new(),
+        };
+        let product = self.by_product.then_some(Column::Power);
+        if let Some(power) = product {
+            let [voltage_mv, current_ma] =
+                [Column::Voltage, Column::Current].map(|column| values[column as usize]);
+            let power_mw = voltage_mv * current_ma / 1000.0;
+            check_value(cell, power.name(), power, power.si(power_mw))?;
+            values[power as usize] = power_mw;
+        }
+        let table = tables.of(cell, &name)?;
+        table.push_any_time(cell, time_s)?;
+        let read = self.columns.iter().map(|(column, ..)| *column);
+        for column in read.chain(product) {
+            table.push_checked(column, values[column as usize]);
         }
         Ok(())
     }
 }
 
-fn number(cell: Cell<'_>, column: &'static str, field: &[u8]) -> Result<f64, TrialError> {
-    if field.is_empty() {
-        return Ok(f64::NAN);
+/// A robot's name. A whole number that a program wrote with a fraction is the number.
+fn robot_name(field: &[u8]) -> String {
+    if is_missing(field) {
+        return String::new();
     }
-    std::str::from_utf8(field)
-        .ok()
-        .and_then(|text| text.parse().ok())
-        .ok_or_else(|| {
-            let found = String::from_utf8_lossy(field);
-            let found = found.chars().take(60).collect::<String>();
-            cell.refuse(column, found, "a number, NaN, or nothing")
-        })
+    let name = String::from_utf8_lossy(field);
+    let whole = name.split_once('.').filter(|(whole, fraction)| {
+        let digits =
+            |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+        digits(whole) && fraction.bytes().all(|byte| byte == b'0')
+    });
+    whole.map_or(&*name, |(whole, _)| whole).to_owned()
+}
+
+/// A first column without a name that has times as text: pandas' index.
+fn index_with_times(names: &[String], sample: &[ByteRecord]) -> Option<Found> {
+    let is_index = matches!(names.first()?.as_str(), "" | "Unnamed: 0" | "index");
+    let first = std::str::from_utf8(sample.first()?.get(0)?).ok()?;
+    let found = Found {
+        position: 0,
+        factor: 1.0,
+        states_unit: true,
+    };
+    (is_index && moment::parse(first).is_some()).then_some(found)
 }

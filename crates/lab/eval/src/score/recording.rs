@@ -7,7 +7,7 @@ use std::sync::Arc;
 use joulebus_dataset::inspect::{Implausible, Limits, judge};
 use joulebus_dataset::rows::{TrialRows, trial_rows};
 use joulebus_dataset::split::{Placed, SourceInfo, SplitError, check_copies, digest, group_of};
-use joulebus_dataset::trial::{Stored, Trial, TrialError};
+use joulebus_dataset::trial::{LeftOut, Stored, Trial, TrialError};
 use joulebus_settings::Platform;
 
 /// A trial with its names: in memory, or in a file that is read whenever its rows are needed.
@@ -27,6 +27,8 @@ pub struct Recording {
     notes: String,
     /// What is implausible in it.
     implausible: Vec<Implausible>,
+    /// Lines of its file that were left out.
+    left_out: LeftOut,
     /// Rows of the trial.
     trial_rows: usize,
     /// Rows with a forecast and a reading that follows.
@@ -95,6 +97,7 @@ impl Recording {
             file: trial.path().display().to_string(),
             notes: trial.notes().to_string(),
             implausible: judge(trial, &Limits::default()),
+            left_out: trial.notes().left_out.clone(),
             trial_rows: trial.rows(),
             rows: rows.rows.len(),
             digest: digest(rows),
@@ -106,6 +109,11 @@ impl Recording {
     /// What is implausible in its readings, errors first.
     pub fn implausible(&self) -> &[Implausible] {
         &self.implausible
+    }
+
+    /// Lines of its file that are no whole rows and were left out.
+    pub fn left_out(&self) -> &LeftOut {
+        &self.left_out
     }
 
     /// The same recording, read again from its source when its rows are needed.

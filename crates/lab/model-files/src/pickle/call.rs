@@ -1,6 +1,6 @@
 //! The recognised calls for tensors and plain containers, replaced by their results.
 
-use super::value::{Array, DType, Global, Storage, Tensor};
+use super::value::{Array, DType, Foreign, Global, Storage, Tensor};
 use super::{Element, Id, Machine, PickleError, Storages, Value};
 
 /// Maximum number of arguments of a call.
@@ -8,10 +8,25 @@ const MAX_ARGUMENTS: usize = 8;
 /// Maximum number of dimensions of an array.
 const MAX_DIMENSIONS: usize = 8;
 
+impl Foreign {
+    /// What a call of it would make.
+    fn made_of(&self, function: Id, arguments: Id) -> Foreign {
+        Foreign {
+            at: self.at,
+            name: self.name.clone(),
+            parts: vec![function, arguments],
+        }
+    }
+}
+
 impl Machine<'_> {
     /// REDUCE: a function call.
     pub(super) fn reduce(&mut self) -> Result<(), PickleError> {
         let (arguments, function) = (self.pop()?, self.pop()?);
+        if let Value::Foreign(foreign) = self.value(function) {
+            let made = foreign.made_of(function, arguments);
+            return self.push(Value::Foreign(made));
+        }
         let (global, arguments) = self.function("REDUCE", function, arguments)?;
         let result = match (global, arguments.as_slice()) {
             (Global::OrderedDict, []) => self.add(Value::Dict(Vec::new()))?,
@@ -35,6 +50,10 @@ impl Machine<'_> {
     /// NEWOBJ: a class without its attributes, which BUILD sets.
     pub(super) fn new_object(&mut self) -> Result<(), PickleError> {
         let (arguments, class) = (self.pop()?, self.pop()?);
+        if let Value::Foreign(foreign) = self.value(class) {
+            let made = foreign.made_of(class, arguments);
+            return self.push(Value::Foreign(made));
+        }
         match self.function("NEWOBJ", class, arguments)? {
             (Global::Layer(class), arguments) if arguments.is_empty() => {
                 let attributes = None;
@@ -52,6 +71,10 @@ impl Machine<'_> {
     /// BUILD: the state of the object just created.
     pub(super) fn build(&mut self) -> Result<(), PickleError> {
         let (state, object) = (self.pop()?, self.top()?);
+        if let Value::Foreign(foreign) = &mut self.values[object.0 as usize] {
+            foreign.parts.push(state);
+            return Ok(());
+        }
         let built = match (self.value(object), self.value(state)) {
             (Value::BlankArray, Value::Tuple(state)) => self.array_from(state)?,
             (Value::DType(dtype), Value::Tuple(state)) => {

@@ -1,5 +1,7 @@
 //! Values of a pickle, and the recognised functions.
 
+use std::sync::Arc;
+
 use crate::element::Element;
 
 /// Index of a value in its pickle.
@@ -21,6 +23,8 @@ pub(crate) enum Value {
     Tuple(Vec<Id>),
     Dict(Vec<(Id, Id)>),
     Global(Global),
+    /// A function or class that is not recognised, or what a call of it would make: never made.
+    Foreign(Foreign),
     DType(DType),
     /// An array before its contents are set.
     BlankArray,
@@ -34,6 +38,17 @@ pub(crate) enum Value {
         class: &'static str,
         attributes: Option<Id>,
     },
+}
+
+/// An object of a class that is not recognised. Nobody reads it.
+#[derive(Clone, Debug)]
+pub(crate) struct Foreign {
+    /// Offset of the opcode that names it.
+    pub(crate) at: usize,
+    /// Module and name as in the file.
+    pub(crate) name: Arc<str>,
+    /// Its arguments, state and items: none of them may be part of a network.
+    pub(crate) parts: Vec<Id>,
 }
 
 /// Element type of an array; `None`: objects.
@@ -104,6 +119,7 @@ impl Value {
             Value::Tuple(_) => "a tuple",
             Value::Dict(_) => "a dict",
             Value::Global(_) => "a function",
+            Value::Foreign(_) => "a foreign object, which is not read",
             Value::DType(_) => "a dtype",
             Value::BlankArray => "an array without contents",
             Value::Array(_) => "an array",

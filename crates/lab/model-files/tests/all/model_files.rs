@@ -425,7 +425,11 @@ fn files_of_other_formats_are_refused_with_what_was_found() {
     for (bytes, said) in [
         (&b""[..], "empty"),
         (b"robot_id,timestamp_s\n", "72, 6f"),
-        (b"\x80\x04K\x01.", "bare pickle"),
+        (b"\x89HDF\r\n\x1a\n", "found an HDF5 file"),
+        (
+            b"version https://git-lfs.github.com/spec/v1\n",
+            "git lfs pull",
+        ),
         (b"\x93NUMPY\x01\x00", "header"),
     ] {
         let error = Checkpoint::read(bytes).unwrap_err().to_string();

@@ -269,6 +269,25 @@ fn an_array_that_may_belong_to_a_layer_is_not_left_out() {
     let is_named = matches!(&error, FindError::NormalisationLayer { .. });
     assert!(is_named, "{error}");
     assert!(error.to_string().contains("norm."), "{error}");
+
+    // Weights as a product of direction and length.
+    tensors.truncate(2 * plain.len());
+    "net.0.parametrizations.weight.original1".clone_into(&mut tensors[0].0);
+    tensors.push((
+        "net.0.parametrizations.weight.original0".to_owned(),
+        vec![24, 1],
+        vec![0; 96],
+    ));
+    let read = Checkpoint::read(&serialized(&tensors, Dtype::F32, &[])).unwrap();
+    let error = read.find(None, None).unwrap_err().to_string();
+    says(
+        &error,
+        [
+            "net.0.parametrizations",
+            "weight_norm",
+            "remove_parametrizations",
+        ],
+    );
 }
 
 #[test]

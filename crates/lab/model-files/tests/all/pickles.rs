@@ -4,8 +4,8 @@
 use std::io::{Cursor, Write as _};
 use std::path::Path;
 
-use crate::wrapped::{in_legacy, in_npy, in_zip};
-use joulebus_model_files::{Checkpoint, ReadError};
+use crate::wrapped::{in_legacy, in_npy, in_zip, zipped};
+use joulebus_model_files::{Checkpoint, Container, EntryValue, ReadError};
 use joulebus_testkit::{counting, says};
 use zip::write::SimpleFileOptions;
 
@@ -102,7 +102,7 @@ fn attempts(canary: &str) -> Vec<(&'static str, Vec<u8>, &'static [&'static str]
         ),
         ("INST", b"\x80\x02(S'x'\nios\nsystem\n.".to_vec(), &["STRING", "0x53"]),
         ("OBJ", b"\x80\x02(N\x85o.".to_vec(), &["OBJ"]),
-        ("protocol 0", format!("cos\nsystem\n(S'{command}'\ntR.").into_bytes(), &["os.system"]),
+        ("protocol 0", format!("cos\nsystem\n(S'{command}'\ntR.").into_bytes(), &["STRING"]),
         ("EXT1", b"\x80\x02\x82\x01.".to_vec(), &["EXT1", "0x82"]),
         ("EXT2", b"\x80\x02\x83\x01\x00.".to_vec(), &["EXT2"]),
         ("EXT4", b"\x80\x02\x84\x01\x00\x00\x00.".to_vec(), &["EXT4"]),
@@ -152,6 +152,116 @@ fn harmless_pickles_in_the_same_containers_are_read() {
         let read = Checkpoint::read(&file).unwrap();
         assert_eq!(read.entries.len(), 1);
         assert_eq!(read.entries[0].path, "a");
+    }
+}
+
+#[test]
+fn foreign_objects_are_opaque_where_no_network_can_be_and_refused_where_one_could() {
+    let text = |text: &str| {
+        [
+            &b"X"[..],
+            &(text.len() as u32).to_le_bytes(),
+            text.as_bytes(),
+        ]
+        .concat()
+    };
+    // {"a": 7, "path": OBJECT}
+    let beside = |object: &[u8]| {
+        let items = [
+            b"\x80\x02}(".to_vec(),
+            text("a"),
+            b"K\x07".to_vec(),
+            text("path"),
+            object.to_vec(),
+        ];
+        [items.concat(), b"u.".to_vec()].concat()
+    };
+    let path = [&b"cpathlib\nPurePosixPath\n"[..], &text("logs"), b"\x85R"].concat();
+    let namespace = [
+        &b"cargparse\nNamespace\n)\x81}"[..],
+        &text("lr"),
+        b"K\x01sb",
+    ]
+    .concat();
+    let command = [&b"cposix\nsystem\n"[..], &text("touch canary"), b"\x85R"].concat();
+    let dtype = b"ctorch\nfloat32\n".to_vec();
+    let items = b"ccollections\nCounter\n)\x81(K\x01K\x02u".to_vec();
+    for object in [&path, &namespace, &command, &dtype, &items] {
+        for file in [
+            in_npy(&beside(object)),
+            in_zip(&beside(object)),
+            beside(object),
+        ] {
+            let read = Checkpoint::read(&file).unwrap();
+            let paths: Vec<&str> = read.entries.iter().map(|entry| &*entry.path).collect();
+            assert_eq!(paths, ["a", "path"]);
+            let foreign = matches!(read.entries[1].value, EntryValue::Other(what) if what.contains("foreign"));
+            assert!(foreign, "{:?}", read.entries[1]);
+        }
+    }
+    // With an array or a layer in it, or in its arguments, or in its state.
+    let array = b"cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\nK\x00\x85C\x01b\x87R(K\x01K\x01\x85\
+        cnumpy\ndtype\nX\x02\x00\x00\x00f8K\x00K\x01\x87R(K\x03X\x01\x00\x00\x00<NNNtb\x89C\x08\x00\x00\x00\x00\x00\x00\x00\x00tb";
+    let layer = b"ctorch.nn.modules.linear\nLinear\n)\x81";
+    for inner in [&array[..], layer] {
+        let of = |before: &[u8], after: &[u8]| [before, inner, after].concat();
+        for object in [
+            of(b"c__main__\nModel\n", b"\x85R"),
+            of(b"c__main__\nModel\n)\x81}K\x01", b"sb"),
+            of(b"c__main__\nModel\n)\x81K\x01", b"s"),
+            of(b"c__main__\nOuter\nc__main__\nModel\n", b"\x85R\x85R"),
+        ] {
+            let error = Checkpoint::read(&in_npy(&beside(&object)))
+                .unwrap_err()
+                .to_string();
+            says(&error, ["__main__.", "nothing was run", "\"path\""]);
+        }
+    }
+    // Objects that hold themselves a million times take no time and no memory.
+    let within = [
+        &b"c__main__\nA\n)\x81q\x00("[..],
+        &b"h\x00".repeat(50_000),
+        b"e",
+    ]
+    .concat();
+    let error = Checkpoint::read(&in_npy(&beside(&within)))
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("more entries") || error.contains("nested deeper"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_bare_pickle_of_arrays_is_read() {
+    let array = b"\x80\x02}X\x01\x00\x00\x00w](K\x01K\x02es.";
+    let read = Checkpoint::read(array).unwrap();
+    assert_eq!((read.container, read.entries.len()), (Container::Pickle, 1));
+    let error = Checkpoint::read(b"\x80\x04\x8c\x07sklearn\x8c\x03MLP\x93)\x81.")
+        .unwrap_err()
+        .to_string();
+    says(&error, ["sklearn.MLP", "state_dict"]);
+}
+
+#[test]
+fn archives_of_other_programs_are_named() {
+    for (members, said) in [
+        (&["config.json", "model.weights.h5"][..], "numpy.savez"),
+        (
+            &[
+                "m/archive_format",
+                "m/models/model.json",
+                "m/data/weights/weight_0",
+            ],
+            "torch.export.load",
+        ),
+        (&["notes.txt"], "a zip archive with \"notes.txt\""),
+    ] {
+        let members: Vec<(&str, &[u8])> = members.iter().map(|name| (*name, &b"{}"[..])).collect();
+        let error = Checkpoint::read(&zipped(&members)).unwrap_err();
+        assert!(matches!(error, ReadError::Kind { .. }), "{error}");
+        says(&error.to_string(), [said]);
     }
 }
 

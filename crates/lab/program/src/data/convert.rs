@@ -23,7 +23,8 @@ use crate::recordings::{Recordings, Resampling};
     Resampling changes the data. hold: the latest row, as a controller would have read it; mean: over \
     the period that ends, which keeps the energy; linear: between the adjacent rows. Gaps are kept, \
     and NaN stays NaN.\n\
-    Exit codes: 3 if rows were left out because their time does not advance.")]
+    --whole-rows keeps what a power failure left of a file: the rows before its cut or empty end.\n\
+    Exit codes: 3 if rows were left out because their time does not advance, or lines because they are no whole rows.")]
 pub(super) struct Args {
     #[command(flatten)]
     recordings: Recordings,
@@ -74,6 +75,10 @@ struct Written {
     resampled: Option<Resampled>,
     dropped_columns: Vec<String>,
     unnamed_rows: usize,
+    /// Lines that are no whole rows.
+    left_out_lines: usize,
+    #[serde(skip)]
+    left_out: String,
 }
 
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
@@ -93,6 +98,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
             table.rename(name);
         }
         let unnamed_rows = table.unnamed_rows();
+        let (left_out_lines, left_out) = (table.left_out().lines, table.left_out().to_string());
         let mut resampled = None;
         if let Some(how) = resample {
             let refused = || format!("{} cannot be resampled", from.display());
@@ -108,11 +114,13 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
             resampled,
             dropped_columns,
             unnamed_rows,
+            left_out_lines,
+            left_out,
         });
     }
     let lost = |file: &Written| {
-        file.resampled
-            .is_some_and(|counts| counts.not_advancing > 0)
+        let counts = file.resampled;
+        file.left_out_lines > 0 || counts.is_some_and(|counts| counts.not_advancing > 0)
     };
     let lost = files.iter().any(lost);
     output.report(&ConvertReport { resample, files })?;
@@ -261,6 +269,9 @@ impl fmt::Display for ConvertReport {
             }
             if !written.dropped_columns.is_empty() {
                 writeln!(out, "  left out: {}", written.dropped_columns.join(" "))?;
+            }
+            if written.left_out_lines > 0 {
+                writeln!(out, "  {}", written.left_out)?;
             }
             if written.unnamed_rows > 0 {
                 let rows = written.unnamed_rows;

@@ -23,7 +23,7 @@ use rustix::fs::{CWD, FlockOperation, OFlags, RenameFlags, flock, renameat_with}
 use rustix::io::Errno;
 use serde::{Deserialize, Serialize};
 
-use super::partition;
+use super::partition::{self, Levels, Partition};
 
 /// Ending of a file that is being written.
 const DRAFT_ENDING: &str = ".part";
@@ -43,6 +43,10 @@ pub(crate) struct Archive {
     /// Recordings by name.
     recordings: HashMap<String, u32>,
     next: u32,
+    /// What its folders name; unknown before the first trial.
+    levels: Option<Levels>,
+    /// Whether a trial may lack some of it.
+    is_mixed: bool,
     /// The folder was made for it.
     made_folder: bool,
     /// Its lock holds as long as it is open.
@@ -61,7 +65,7 @@ impl Archive {
     ///
     /// # Errors
     /// Another folder, one that another export is writing, or one that cannot be read or written.
-    pub(crate) fn open(folder: &Path) -> anyhow::Result<Self> {
+    pub(crate) fn open(folder: &Path, is_mixed: bool) -> anyhow::Result<Self> {
         let shown = folder.display();
         let failed = || format!("cannot use the folder {shown}");
         let made_folder = !disk::exists(folder);
@@ -90,6 +94,8 @@ impl Archive {
             folder: folder.to_owned(),
             recordings: HashMap::new(),
             next: 0,
+            levels: None,
+            is_mixed,
             made_folder,
             _mark: mark,
         };
@@ -160,6 +166,10 @@ impl Archive {
             };
             self.next = self.next.max(after);
             self.recordings.insert(listing.name, number);
+            for trial in &listing.trials {
+                self.levels.get_or_insert(Levels::of_file(&trial.file));
+                self.is_mixed |= partition::is_of_nothing(&trial.file);
+            }
             listed.extend(listing.trials.into_iter().map(|trial| trial.file));
         }
         self.remove_unfinished(&listed)
@@ -273,11 +283,15 @@ impl Adding<'_> {
             no_final_line_break: table.no_final_line_break(),
             unnamed_rows: table.unnamed_rows(),
             sources: table.sources().to_vec(),
+            left_out: table.left_out().clone(),
+            understood: table.understood().to_vec(),
         };
         let unix_ns = stamps.and_then(|stamps| stamps.first());
         let unix_ns = unix_ns.map(|stamp| stamp.unix_ns);
         let robot = head.robot.as_deref();
-        let folder = partition::folder(fleet, unix_ns, robot);
+        let partition = Partition::of(fleet, unix_ns, robot);
+        let levels = self.levels(&partition)?;
+        let folder = partition.folder(levels);
         let (ordinal, trial) = (head.ordinal, head.trial);
         let file = folder.join(format!("{ordinal:06}-{trial:04}{PARQUET_ENDING}"));
         let draft = self.archive.folder.join(draft_of(&file));
@@ -296,6 +310,30 @@ impl Adding<'_> {
             crc32: written.crc32,
         });
         Ok((rows, written.bytes))
+    }
+
+    /// What the folders of the archive name. pandas and Dask read no archive in which some trials
+    /// lack a part of it.
+    fn levels(&mut self, partition: &Partition) -> anyhow::Result<Levels> {
+        let (own, is_mixed) = (partition.levels(), self.archive.is_mixed);
+        let first = if is_mixed { Levels::ALL } else { own };
+        let levels = *self.archive.levels.get_or_insert(first);
+        if own == levels || (is_mixed && levels == Levels::ALL) {
+            return Ok(levels);
+        }
+        let mut what = format!(
+            "{}: a trial has {}, those in {} have {}; pandas and Dask cannot read an archive of both: export it into \
+             another folder, or name the robot that a file lacks with --map robot:=NAME",
+            self.name,
+            own.names(),
+            self.archive.folder.display(),
+            levels.names(),
+        );
+        what += match levels == Levels::ALL {
+            true => ", or give --mixed for DuckDB, Polars and pyarrow",
+            false => ", or export all of it again with --mixed for DuckDB, Polars and pyarrow",
+        };
+        Err(UsageError(what).into())
     }
 
     /// Makes the recording a part of the archive. Returns its number of trials.
@@ -358,7 +396,7 @@ fn drafts(root: &Path, folder: &Path, left: &mut Vec<PathBuf>) -> std::io::Resul
         let name = name.to_string_lossy();
         if kind.is_dir() && name.contains('=') {
             drafts(root, &path, left)?;
-        } else if kind.is_file() && is_draft(&name) && folder.components().count() == 3 {
+        } else if kind.is_file() && is_draft(&name) && folder.components().count() <= 3 {
             left.push(path);
         }
     }

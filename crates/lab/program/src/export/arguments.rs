@@ -11,7 +11,8 @@ use crate::recordings::ColumnArguments;
     joulebus export run.mcap --to parquet archive/\n  \
     joulebus export recordings/ --to parquet archive/\n  \
     joulebus eval archive/ --model my.safetensors\n\n\
-    Each trial is a file, DIR/fleet=…/day=…/robot=…/*.parquet, in the order and the units of its recording, to the bit; \
+    Each trial is a file, DIR/fleet=…/day=…/robot=…/*.parquet, in the order and the units of its recording, to the bit. \
+    What no recording has, as the fleet and day of a CSV, is no folder; recordings that have it go into another DIR. \
     docs/datasets.md has the columns. Every verb that takes recordings takes DIR as the recordings that were \
     exported, in their order; a partition of it (DIR/fleet=a/day=2026-11-22) file by file. Further exports into DIR \
     add to it. Captures of any length need little memory; a temporary file in TMPDIR has their samples meanwhile.\n\n\
@@ -25,6 +26,10 @@ pub(crate) struct Args {
     /// The format, parquet, and the folder: a new or an empty one, or one of an earlier export
     #[arg(long, required = true, num_args = 2, value_names = ["FORMAT", "DIR"])]
     pub(super) to: Vec<OsString>,
+    /// Put recordings with and without fleet, day and robot into one archive: DuckDB, Polars and
+    /// pyarrow read what is unknown as null, pandas and Dask cannot read it
+    #[arg(long)]
+    pub(super) mixed: bool,
     #[command(flatten)]
     pub(super) columns: ColumnArguments,
 }

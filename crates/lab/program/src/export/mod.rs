@@ -48,7 +48,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let files = find_recordings(&args.paths)?;
     let names = files.iter().map(|file| name(file));
     let names = names.collect::<Result<Vec<_>, _>>()?;
-    let mut archive = Archive::open(folder)?;
+    let mut archive = Archive::open(folder, args.mixed)?;
     if let Some(name) = names.iter().find(|name| archive.has(name)) {
         let folder = folder.display();
         return Err(UsageError(format!(

@@ -1,23 +1,75 @@
 //! The partition of a trial: `fleet=…/day=…/robot=…`, as Hive names it.
 
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use joulebus_program::utc::Utc;
 
 /// The partition value that engines read as null.
 const NOTHING: &str = "__HIVE_DEFAULT_PARTITION__";
 
-/// The folder of a trial. `unix_ns`: when its first reading was recorded, if that is known.
-pub(crate) fn folder(fleet: Option<&str>, unix_ns: Option<u64>, robot: Option<&str>) -> PathBuf {
-    let escaped = |value: Option<&str>| {
-        let value = value.filter(|value| !value.is_empty());
-        value.map_or_else(|| NOTHING.to_owned(), escape)
-    };
-    let day = unix_ns.map_or_else(|| NOTHING.to_owned(), |unix_ns| Utc::of(unix_ns).date());
-    let fleet = format!("fleet={}", escaped(fleet));
-    let robot = format!("robot={}", escaped(robot));
-    PathBuf::from(fleet).join(format!("day={day}")).join(robot)
+/// What a partition may name, outermost first.
+const NAMES: [&str; 3] = ["fleet", "day", "robot"];
+
+/// Which of fleet, day and robot the folders of an archive name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Levels([bool; 3]);
+
+impl Levels {
+    /// All of them.
+    pub(crate) const ALL: Self = Self([true; 3]);
+
+    /// Those of a file in an archive.
+    pub(crate) fn of_file(file: &Path) -> Self {
+        let text = file.to_string_lossy();
+        Self(NAMES.map(|name| {
+            text.split('/')
+                .any(|part| part.starts_with(&format!("{name}=")))
+        }))
+    }
+
+    /// Its names, for messages.
+    pub(crate) fn names(self) -> String {
+        let names = NAMES.into_iter().zip(self.0).filter(|(_, known)| *known);
+        let names: Vec<&str> = names.map(|(name, _)| name).collect();
+        match names.is_empty() {
+            true => "neither fleet nor day nor robot".to_owned(),
+            false => names.join(", "),
+        }
+    }
+}
+
+/// Whether a file is in a partition of something unknown.
+pub(crate) fn is_of_nothing(file: &Path) -> bool {
+    file.to_string_lossy().contains(NOTHING)
+}
+
+/// The partition of a trial: its fleet, day and robot as folders name them, if they are known.
+#[derive(Debug)]
+pub(crate) struct Partition([Option<String>; 3]);
+
+impl Partition {
+    /// `unix_ns`: when the first reading was recorded.
+    pub(crate) fn of(fleet: Option<&str>, unix_ns: Option<u64>, robot: Option<&str>) -> Self {
+        let escaped = |value: Option<&str>| value.filter(|value| !value.is_empty()).map(escape);
+        let day = unix_ns.map(|unix_ns| Utc::of(unix_ns).date());
+        Self([escaped(fleet), day, escaped(robot)])
+    }
+
+    /// What is known.
+    pub(crate) fn levels(&self) -> Levels {
+        Levels([0, 1, 2].map(|at| self.0[at].is_some()))
+    }
+
+    /// The folder in an archive of these levels.
+    pub(crate) fn folder(&self, levels: Levels) -> PathBuf {
+        let parts = NAMES.into_iter().zip(&self.0).zip(levels.0);
+        let parts = parts.filter(|(_, is_there)| *is_there);
+        let folder = |((name, value), _): ((&str, &Option<String>), bool)| {
+            format!("{name}={}", value.as_deref().unwrap_or(NOTHING))
+        };
+        parts.map(folder).collect()
+    }
 }
 
 /// The value with every byte as `%2F` that a name of a folder cannot have, or that engines read
@@ -40,12 +92,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_name_leaves_its_partition() {
-        let folder = folder(Some("a/../b"), Some(0), Some("../ü=1 %"));
+    fn no_name_leaves_its_partition_and_what_is_unknown_has_no_folder() {
+        let named = Partition::of(Some("a/../b"), Some(0), Some("../ü=1 %"));
         let wanted = "fleet=a%2F..%2Fb/day=1970-01-01/robot=..%2F%C3%BC%3D1%20%25";
-        assert_eq!(folder, PathBuf::from(wanted));
-        let nothing = super::folder(None, None, Some(""));
-        assert_eq!(nothing.components().count(), 3);
-        assert!(nothing.to_string_lossy().matches(NOTHING).count() == 3);
+        assert_eq!(named.folder(named.levels()), PathBuf::from(wanted));
+        assert_eq!(Levels::of_file(Path::new(wanted)), Levels::ALL);
+        let robot = Partition::of(None, None, Some("7"));
+        assert_eq!(robot.folder(robot.levels()), PathBuf::from("robot=7"));
+        assert_eq!(robot.levels().names(), "robot");
+        let nothing = Partition::of(None, None, Some(""));
+        assert_eq!(nothing.folder(nothing.levels()), PathBuf::new());
+        assert_eq!(
+            nothing.levels(),
+            Levels::of_file(Path::new("000000-0000.parquet"))
+        );
+        let folder = nothing.folder(Levels::ALL);
+        assert!(is_of_nothing(&folder) && !is_of_nothing(Path::new(wanted)));
+        assert_eq!(folder.components().count(), 3);
     }
 }

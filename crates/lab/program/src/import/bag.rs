@@ -10,6 +10,7 @@ use std::process::{Child, Command, Output, Stdio};
 
 use anyhow::{Context as _, bail};
 use joulebus_capture_format::import::{Imported, Mapping, import_files};
+use joulebus_capture_format::scan::Scan;
 use joulebus_dataset::trial::is_capture;
 use joulebus_program::exit::INCOMPLETE;
 
@@ -49,16 +50,32 @@ pub(super) fn read(path: &Path, name: &str, mapping: &Mapping) -> anyhow::Result
         vec![path.to_owned()]
     };
     let mut files = Vec::new();
-    for path in &paths {
-        if ends_in(path, "db3") {
-            files.push(convert(path, &mut left_out)?);
-        } else {
-            let file = joulebus_files::open(path);
-            files.push(file.with_context(|| path.display().to_string())?);
+    for part in &paths {
+        let opened = match ends_in(part, "db3") {
+            true => convert(part, &mut left_out),
+            false => open_mcap(part),
+        };
+        match opened {
+            Ok(file) => files.push((part.display().to_string(), file)),
+            // The other files are read.
+            Err(error) if paths.len() > 1 => left_out.push(format!("{error:#}")),
+            Err(error) => return Err(error),
         }
+    }
+    if files.is_empty() {
+        bail!("no file of it can be read: {}", left_out.join("; "));
     }
     let imported = import_files(&mut files, name, mapping)?;
     Ok(BagRead { imported, left_out })
+}
+
+/// Opens a file that begins like MCAP.
+fn open_mcap(path: &Path) -> anyhow::Result<File> {
+    let named = || path.display().to_string();
+    let mut file = joulebus_files::open(path).with_context(named)?;
+    Scan::new(&mut file).with_context(named)?;
+    file.rewind().with_context(named)?;
+    Ok(file)
 }
 
 /// The files of a bag's folder.

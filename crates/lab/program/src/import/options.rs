@@ -20,10 +20,10 @@ pub(super) struct ImportArguments {
     /// Topic of the robot's BatteryState [default: each such topic is a robot]
     #[arg(long, value_name = "TOPIC")]
     battery: Option<String>,
-    /// Topic of its Twist or TwistStamped
+    /// Topic of its Twist or TwistStamped [default: the one of its namespace]
     #[arg(long, value_name = "TOPIC", requires = "battery")]
     command: Option<String>,
-    /// Topic of its Odometry
+    /// Topic of its Odometry [default: the one of its namespace]
     #[arg(long, value_name = "TOPIC", requires = "battery")]
     odometry: Option<String>,
     /// Its name in a dataset
@@ -101,6 +101,7 @@ impl ImportArguments {
             name: self.robot_name.clone().unwrap_or(usual),
             id: self.robot_id,
             battery: battery.to_owned(),
+            is_searched: true,
             command: self.command.clone(),
             odometry: self.odometry.clone(),
             current,

@@ -8,7 +8,7 @@ use std::process::Command;
 use joulebus_dataset::trial::{Table, TrialError};
 
 use crate::recordings::{capture, full};
-use crate::{export, files, joulebus, parquet};
+use crate::{export, export_mixed, files, joulebus, parquet};
 use joulebus_testkit::says;
 
 fn archive(place: &Path) -> PathBuf {
@@ -18,7 +18,7 @@ fn archive(place: &Path) -> PathBuf {
     ];
     let folder = place.join("archive");
     let paths: Vec<&Path> = recordings.iter().map(AsRef::as_ref).collect();
-    export(&paths, &folder).exits(0);
+    export_mixed(&paths, &folder).exits(0);
     folder
 }
 
@@ -237,8 +237,8 @@ fn links_in_an_archive_are_not_followed_by_an_export_and_numbers_without_a_next_
     refuses(&folder, "the draft of the listing");
 
     let folder = begin("partition");
-    let fleet = folder.join("fleet=__HIVE_DEFAULT_PARTITION__");
-    fs::rename(&fleet, folder.join("fleet=moved")).unwrap();
+    let fleet = folder.join("robot=7");
+    fs::rename(&fleet, folder.join("robot=moved")).unwrap();
     symlink(&elsewhere, &fleet).unwrap();
     refuses(&folder, "a partition");
 

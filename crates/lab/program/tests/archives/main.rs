@@ -18,10 +18,20 @@ const LAB: &str = env!("CARGO_BIN_EXE_joulebus-lab");
 
 /// Exports recordings into a folder.
 fn export(paths: &[&Path], folder: &Path) -> Ended {
-    let words = ["export", "--format", "json"].map(PathBuf::from);
+    export_as(&[], paths, folder)
+}
+
+/// Exports recordings with and without fleets and days into one folder.
+fn export_mixed(paths: &[&Path], folder: &Path) -> Ended {
+    export_as(&["--mixed"], paths, folder)
+}
+
+fn export_as(options: &[&str], paths: &[&Path], folder: &Path) -> Ended {
+    let words = [&["export", "--format", "json"], options].concat();
+    let words = words.iter().map(PathBuf::from);
     let paths = paths.iter().map(PathBuf::from);
     let to = ["--to", "parquet"].map(PathBuf::from);
-    let words = words.into_iter().chain(paths).chain(to);
+    let words = words.chain(paths).chain(to);
     run(LAB, words.chain([folder.to_owned()]))
 }
 

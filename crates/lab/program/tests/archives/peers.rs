@@ -1,4 +1,4 @@
-//! DuckDB and Polars read an archive.
+//! DuckDB, Polars, pandas, pyarrow and Dask read an archive.
 
 use std::fs;
 use std::path::Path;
@@ -8,8 +8,8 @@ use joulebus_dataset::archive::{Listing, RowStamp, fields, listings};
 use joulebus_dataset::trial::{Column, Table, each_run, is_capture};
 use serde_json::{Value, json};
 
-use crate::recordings::{BEGIN_NS, every_kind};
-use crate::{export, parquet};
+use crate::recordings::{BEGIN_NS, capture, every_kind, full, sparse};
+use crate::{export, export_mixed, parquet};
 
 /// Exit code of `tools/read_archive.py` without its packages.
 const NO_PACKAGES: i32 = 77;
@@ -75,13 +75,45 @@ fn columns((_, table, stamps): &Recorded) -> Value {
 }
 
 #[test]
-fn duckdb_and_polars_read_every_value_to_the_bit_and_integers_as_integers() {
+fn each_reader_that_the_documents_name_reads_every_value_to_the_bit_and_integers_as_integers() {
     let place = tempfile::tempdir().unwrap();
-    let (from, archive) = (place.path().join("runs"), place.path().join("archive"));
-    every_kind(&from);
-    export(&[&from], &archive).exits(0);
+    let from = |name: &str| {
+        let folder = place.path().join(name);
+        fs::create_dir(&folder).unwrap();
+        folder
+    };
+    let (tables, unnamed, captures) = (from("tables"), from("unnamed"), from("captures"));
+    full(&tables, "a.csv", 400, 1);
+    sparse(&tables, "b.csv", 300, 3);
+    fs::write(unnamed.join("c.csv"), "time,power_W\n0,1\n1,\n2,1.5\n").unwrap();
+    capture(&captures, "run.mcap", 600, 3);
+    let all = place.path().join("all");
+    every_kind(&all);
+    for (number, (from, levels)) in [
+        (&tables, &["robot"][..]),
+        (&unnamed, &[]),
+        (&captures, &["fleet", "day", "robot"]),
+        (&all, &["fleet", "day", "robot"]),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let archive = place.path().join(format!("archive-{number}"));
+        let is_mixed = *from == all;
+        match is_mixed {
+            true => export_mixed(&[from], &archive).exits(0),
+            false => export(&[from], &archive).exits(0),
+        };
+        if !is_read(&archive, levels, is_mixed) {
+            return;
+        }
+    }
+}
+
+/// Compares what each reader finds in an archive with what was exported; false without packages.
+fn is_read(archive: &Path, levels: &[&str], is_mixed: bool) -> bool {
     let mut trials = Vec::new();
-    for path in listings(&archive).unwrap() {
+    for path in listings(archive).unwrap() {
         let listing = Listing::read(&path).unwrap();
         let recorded = recorded(Path::new(&listing.name));
         assert_eq!(listing.trials.len(), recorded.len());
@@ -93,18 +125,19 @@ fn duckdb_and_polars_read_every_value_to_the_bit_and_integers_as_integers() {
             }));
         }
     }
-    assert_eq!(trials.len(), parquet(&archive).len());
+    assert_eq!(trials.len(), parquet(archive).len());
     let kinds = fields().into_iter();
     let kinds: serde_json::Map<String, Value> = kinds
         .map(|field| (field.name.to_owned(), field.kind.name().into()))
         .collect();
-    let expected = place.path().join("expected.json");
-    let text = json!({ "trials": trials, "kinds": kinds }).to_string();
+    let expected = archive.with_extension("json");
+    let text = json!({ "trials": trials, "kinds": kinds, "levels": levels, "mixed": is_mixed })
+        .to_string();
     fs::write(&expected, text).unwrap();
     let tool = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../tools/read_archive.py");
     let ended = Command::new("python3")
         .arg(tool)
-        .arg(&archive)
+        .arg(archive)
         .arg(&expected)
         .output();
     let ended = ended.unwrap();
@@ -112,16 +145,17 @@ fn duckdb_and_polars_read_every_value_to_the_bit_and_integers_as_integers() {
     if ended.status.code() == Some(NO_PACKAGES) {
         assert!(std::env::var("CI").as_deref() != Ok("true"), "{message}");
         println!("{message}");
-        return;
+        return false;
     }
     println!("{}", String::from_utf8_lossy(&ended.stdout));
     assert!(ended.status.success(), "{message}");
+    true
 }
 
 #[test]
 fn a_captures_integers_are_those_of_its_samples_and_its_day_that_of_its_first() {
     let place = tempfile::tempdir().unwrap();
-    let path = crate::recordings::capture(place.path(), "run.mcap", 90, 2);
+    let path = capture(place.path(), "run.mcap", 90, 2);
     let mut runs = Vec::new();
     each_run(&path, |run| {
         runs.push(run);

@@ -7,12 +7,12 @@ use joulebus_dataset::archive::listings;
 use joulebus_dataset::trial::{Table, Trial};
 
 use crate::recordings::{capture, every_kind, full, sparse};
-use crate::{export, joulebus};
+use crate::{export_mixed, joulebus};
 
 /// A folder of an archive of the recordings in `from`.
 fn exported(from: &Path, place: &Path) -> PathBuf {
     let archive = place.join("archive");
-    export(&[from], &archive).exits(0);
+    export_mixed(&[from], &archive).exits(0);
     archive
 }
 

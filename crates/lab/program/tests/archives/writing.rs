@@ -1,13 +1,13 @@
 //! The folder: whole recordings or none, and nothing of others is touched.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use joulebus_dataset::archive::{fields, listings};
-use joulebus_testkit::{Child, run, says};
+use joulebus_testkit::{Child, Ended, run, says};
 
 use crate::recordings::{capture, every_kind, full, sparse};
-use crate::{LAB, export, files, joulebus, parquet};
+use crate::{LAB, export, export_mixed, files, joulebus, parquet};
 
 #[test]
 fn a_folder_with_other_files_is_refused_and_left_as_it_is() {
@@ -56,7 +56,7 @@ fn recordings_before_one_that_cannot_be_read_are_whole_and_of_it_nothing_is_read
     let run = capture(place.path(), "b.mcap", 300, 2);
     let bytes = fs::read(&run).unwrap();
     fs::write(&run, &bytes[..bytes.len() / 2]).unwrap();
-    export(&[&first, &run], &folder).exits(1);
+    export_mixed(&[&first, &run], &folder).exits(1);
     assert_eq!(listings(&folder).unwrap().len(), 1);
     assert_eq!(joulebus("data info", &[&folder]).code(), Some(0));
     assert_eq!(
@@ -72,14 +72,14 @@ fn an_export_killed_at_any_time_leaves_whole_recordings_and_the_next_one_finishe
     let from = place.path().join("runs");
     every_kind(&from);
     let whole = place.path().join("whole");
-    assert_eq!(export(&[&from], &whole).code(), Some(0));
+    assert_eq!(export_mixed(&[&from], &whole).code(), Some(0));
     for files_first in [1, 3, 6] {
         let folder = place.path().join(format!("killed-{files_first}"));
         let mut command = std::process::Command::new(LAB);
         command
             .arg("export")
             .arg(&from)
-            .args(["--to", "parquet"])
+            .args(["--mixed", "--to", "parquet"])
             .arg(&folder);
         let mut export_process = Child::spawn("export", command);
         while export_process.is_running()
@@ -104,7 +104,7 @@ fn an_export_killed_at_any_time_leaves_whole_recordings_and_the_next_one_finishe
             .collect();
         if !missing.is_empty() {
             let missing: Vec<&Path> = missing.iter().map(AsRef::as_ref).collect();
-            export(&missing, &folder).exits(0);
+            export_mixed(&missing, &folder).exits(0);
         }
         let contents = |archive: &Path| -> Vec<Vec<u8>> {
             let mut all: Vec<_> = parquet(archive)
@@ -142,7 +142,7 @@ fn the_same_recordings_give_the_same_bytes() {
     every_kind(&from);
     let [one, other] = ["one", "other"].map(|name| {
         let folder = place.path().join(name);
-        assert_eq!(export(&[&from], &folder).code(), Some(0));
+        assert_eq!(export_mixed(&[&from], &folder).code(), Some(0));
         let all = files(&folder).into_iter();
         let all = all.map(|path| {
             (
@@ -166,6 +166,68 @@ fn robots_and_days_are_partitions_of_their_own() {
     // A partition is read by itself.
     let ended = joulebus("data info --format json", &[&one]).exits(0);
     assert!(ended.text().contains("run.mcap"), "{}", ended.text());
+}
+
+#[test]
+fn what_no_recording_has_is_no_folder_and_an_archive_has_one_kind_unless_it_is_mixed() {
+    let place = tempfile::tempdir().unwrap();
+    let table = full(place.path(), "a.csv", 50, 1);
+    let unnamed = place.path().join("b.csv");
+    fs::write(&unnamed, "time,power_W\n0,1\n1,1.5\n2,1\n").unwrap();
+    let run = capture(place.path(), "run.mcap", 90, 2);
+    let folder = |name: &str| place.path().join(name);
+    export(&[&unnamed], &folder("unnamed")).exits(0);
+    assert!(folder("unnamed/000000-0000.parquet").exists());
+    export(&[&table], &folder("tables")).exits(0);
+    assert!(folder("tables/robot=7/000000-0000.parquet").exists());
+    for (archive, other, said) in [
+        ("tables", &unnamed, "neither fleet nor day nor robot"),
+        ("tables", &run, "fleet, day, robot"),
+        ("unnamed", &table, "have neither"),
+    ] {
+        let before = files(&folder(archive));
+        let refused = export(&[other], &folder(archive)).exits(2);
+        says(
+            &refused.errors(),
+            [
+                said,
+                "another folder",
+                "--map robot:=NAME",
+                "pandas and Dask",
+            ],
+        );
+        assert_eq!(files(&folder(archive)), before);
+        joulebus("data info", &[&folder(archive)]).exits(0);
+    }
+    // Nor is a shallow one made deeper afterwards.
+    export_mixed(&[&run], &folder("tables")).exits(2);
+    // The way out for a robot without a name, and for engines that read nulls.
+    let named = [
+        "export",
+        "--map",
+        "robot:=r1",
+        "b.csv",
+        "--to",
+        "parquet",
+        "tables",
+    ]
+    .map(|word| match word {
+        "b.csv" | "tables" => folder(word),
+        word => word.into(),
+    });
+    run_lab(named).exits(0);
+    assert!(folder("tables/robot=r1").exists());
+    export_mixed(&[&run, &table, &unnamed], &folder("mixed")).exits(0);
+    assert_eq!(
+        parquet(&folder("mixed/fleet=__HIVE_DEFAULT_PARTITION__")).len(),
+        2
+    );
+    export(&[&full(place.path(), "c.csv", 50, 2)], &folder("mixed")).exits(0);
+}
+
+/// Runs the program.
+fn run_lab(words: impl IntoIterator<Item = PathBuf>) -> Ended {
+    run(LAB, words)
 }
 
 #[test]

@@ -19,12 +19,12 @@ use bag::{Bag, convert, joulebus, text};
 /// Rows of a bag as imported, through the program.
 fn imported(bags: &[&Path]) -> Imported {
     let place = tempfile::tempdir().unwrap();
-    let mut files: Vec<File> = Vec::new();
+    let mut files: Vec<(String, File)> = Vec::new();
     for (bag, number) in bags.iter().zip(0..) {
         let out = place.path().join(format!("{number}.mcap"));
         let ended = convert(bag, &out);
         assert_eq!(ended.status.code(), Some(0), "{ended:?}");
-        files.push(File::open(out).unwrap());
+        files.push((number.to_string(), File::open(out).unwrap()));
     }
     import_files(&mut files, "bag", &Mapping::default()).unwrap()
 }
@@ -402,4 +402,14 @@ fn a_folder_of_mcap_files_is_one_recording() {
     assert_eq!(ended.status.code(), Some(0), "{ended:?}");
     let message = String::from_utf8(ended.stdout).unwrap();
     assert!(message.contains("45 rows of r1"), "{message}");
+    // A last file that a loss of power left empty is named, and the others are read.
+    fs::write(folder.join("bag_2.mcap"), "").unwrap();
+    let out = place.path().join("whole");
+    let ended = joulebus(&["import", &text(&folder), "-o", &text(&out)]);
+    assert_eq!(ended.status.code(), Some(3), "{ended:?}");
+    let message = String::from_utf8(ended.stdout).unwrap();
+    says(
+        &message,
+        ["45 rows of r1", "bag_2.mcap: byte 0: found an empty file"],
+    );
 }

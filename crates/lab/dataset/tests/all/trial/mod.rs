@@ -4,4 +4,5 @@ mod fleet;
 mod read;
 mod real;
 mod samples;
+mod text;
 mod truncation;

@@ -1,0 +1,227 @@
+//! Files of other programs, by their first bytes: what they are, and how they are converted.
+
+use std::fmt;
+use std::io::Read as _;
+use std::path::Path;
+
+/// Bytes at the beginning of a file that tell what it is.
+pub const HEAD_BYTES: u64 = 512;
+
+/// A kind of file that is not read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Foreign {
+    /// What it is, as in "found …".
+    pub what: &'static str,
+    /// How it becomes a file that is read.
+    pub remedy: &'static str,
+}
+
+impl Foreign {
+    /// What it is, for whoever reads other things than tables: with a remedy that applies to them.
+    pub fn of_any_contents(&self) -> String {
+        match self.remedy.contains("csv") {
+            true => self.what.to_owned(),
+            false => self.to_string(),
+        }
+    }
+}
+
+impl fmt::Display for Foreign {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "{}: {}", self.what, self.remedy)
+    }
+}
+
+/// Where a file has which bytes, what it is, and how it is converted. The first one applies.
+type Kind = (usize, &'static [u8], &'static str, &'static str);
+
+/// A file that captures and bags may be.
+pub const MCAP: &str = "an MCAP file";
+
+const MAT: &str = "in MATLAB `writetable(T, 'log.csv')` or `writematrix`; in Python `scipy.io.loadmat` or `mat73.loadmat`, \
+                   then `pandas.DataFrame(…).to_csv`";
+const PANDAS: &str = "in Python `pandas.read_feather('FILE').to_csv('log.csv', index=False)`";
+const PICKLE: &str = "reading it runs its code; only if you trust it, in Python `pandas.read_pickle('FILE').to_csv('log.csv')`, \
+                      or `torch.load` and `safetensors.torch.save_file`";
+const UTF8: &str = "save it as UTF-8: `iconv -f UTF-16 -t UTF-8 FILE > log.csv`";
+const LFS: &str = "the file itself was not downloaded: `git lfs pull`";
+const WEB: &str = "a page was downloaded instead of the file: use its raw or download link";
+const UNPACK: &str = "unpack it first";
+const TABLE: &str =
+    "in Python `pandas.read_excel('FILE').to_csv('log.csv', index=False)`, or save it as CSV";
+
+const KINDS: [Kind; 46] = [
+    (0, b"MATLAB 7.3 MAT-file", "a MATLAB file (v7.3, HDF5)", MAT),
+    (0, b"MATLAB 5.0 MAT-file", "a MATLAB file (v5 to v7)", MAT),
+    (
+        0,
+        b"\x89HDF\r\n\x1a\n",
+        "an HDF5 file",
+        "in Python `pandas.read_hdf` or `h5py`, then `to_csv`",
+    ),
+    (
+        0,
+        b"#ROSBAG V",
+        "a bag of ROS 1",
+        "`rosbags-convert --src FILE --dst bag` or `mcap convert FILE bag.mcap`, then `joulebus import`",
+    ),
+    (
+        0,
+        b"SQLite format 3\0",
+        "an SQLite file",
+        "a bag of rosbag2 (.db3) is read by `joulebus import`",
+    ),
+    (
+        0,
+        b"ULog\x01\x12\x35",
+        "a ULog of PX4",
+        "`ulog2csv FILE` of the package pyulog, then --map",
+    ),
+    (
+        0,
+        b"\xa3\x95\x80\x80",
+        "a DataFlash log of ArduPilot",
+        "`mavlogdump.py --format csv --types BAT FILE` of the package pymavlink",
+    ),
+    (
+        0,
+        b"WPILOG",
+        "a log of WPILib",
+        "export it as CSV with WPILib's DataLogTool, then --map",
+    ),
+    (0, b"ARROW1\0\0", "an Arrow or Feather file", PANDAS),
+    (
+        0,
+        b"\xff\xff\xff\xff",
+        "an Arrow stream",
+        "in Python `pyarrow.ipc.open_stream('FILE').read_pandas().to_csv('log.csv')`",
+    ),
+    (0, b"FEA1\0", "a Feather file", PANDAS),
+    (
+        0,
+        b"PAR1\x15",
+        "a Parquet file",
+        "in Python `pandas.read_parquet('FILE').to_csv('log.csv', index=False)`",
+    ),
+    (
+        0,
+        b"CDF\x01",
+        "a NetCDF file",
+        "in Python `xarray.open_dataset('FILE').to_dataframe().to_csv('log.csv')`",
+    ),
+    (
+        0,
+        b"CDF\x02",
+        "a NetCDF file",
+        "in Python `xarray.open_dataset('FILE').to_dataframe().to_csv('log.csv')`",
+    ),
+    (
+        0,
+        b"\x89MCAP0\r\n",
+        MCAP,
+        "`joulebus import` reads recordings of other programs",
+    ),
+    (0, b"\x93NUMPY", "a NumPy array", UNPACK),
+    (
+        0,
+        b"\x28\xb5\x2f\xfd",
+        "a file compressed by zstd",
+        "`zstd -d FILE`",
+    ),
+    (
+        0,
+        b"\x1f\x8b",
+        "a file compressed by gzip",
+        "`gzip -d FILE`",
+    ),
+    (
+        4,
+        b"1AY&SY",
+        "a file compressed by bzip2",
+        "`bzip2 -d FILE`",
+    ),
+    (0, b"\xfd7zXZ\0", "a file compressed by xz", "`xz -d FILE`"),
+    (
+        0,
+        b"\x04\x22\x4d\x18",
+        "a file compressed by LZ4",
+        "`lz4 -d FILE`",
+    ),
+    (0, b"7z\xbc\xaf\x27\x1c", "a 7z archive", UNPACK),
+    (0, b"Rar!\x1a\x07", "a RAR archive", UNPACK),
+    (257, b"ustar", "a tar archive", UNPACK),
+    (30, b"[Content_Types].xml", "an Excel file", TABLE),
+    (
+        0,
+        b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1",
+        "an Excel file",
+        TABLE,
+    ),
+    (0, b"PK\x03\x04", "a zip archive (.npz, .xlsx, …)", UNPACK),
+    (0, b"PK\x05\x06", "an empty zip archive", UNPACK),
+    (0, b"\x80\x02", "a pickle of Python", PICKLE),
+    (0, b"\x80\x03", "a pickle of Python", PICKLE),
+    (0, b"\x80\x04", "a pickle of Python", PICKLE),
+    (0, b"\x80\x05", "a pickle of Python", PICKLE),
+    (0, b"version https://git-lfs", "a pointer of Git LFS", LFS),
+    (0, b"\xff\xfe", "text in UTF-16", UTF8),
+    (0, b"\xfe\xff", "text in UTF-16", UTF8),
+    (0, b"%PDF-", "a PDF file", "save the table itself as CSV"),
+    (0, b"\x7fELF", "a program", "name the recording instead"),
+    (0, b"<!", "a web page", WEB),
+    (0, b"<html", "a web page", WEB),
+    (0, b"<?xml", "an XML file", "save the table itself as CSV"),
+    (0, b"{\"", "JSON", JSON),
+    (0, b"{\n", "JSON", JSON),
+    (0, b"{\r\n", "JSON", JSON),
+    (0, b"[{", "JSON", JSON),
+    (0, b"[[", "JSON", JSON),
+    (0, b"[\n", "JSON", JSON),
+];
+
+const JSON: &str = "in Python `pandas.read_json('FILE', lines=True).to_csv('log.csv', index=False)`; without `lines` for one list";
+
+/// What a file is that begins with `head`, if it is none of text or of an unknown kind. At least
+/// [`HEAD_BYTES`] are looked at, if the file has them. Whoever reads one of these kinds looks for
+/// it before.
+pub fn recognise(head: &[u8]) -> Option<Foreign> {
+    let found = KINDS
+        .iter()
+        .find(|(at, magic, ..)| head.get(*at..).is_some_and(|rest| rest.starts_with(magic)));
+    found.map(|(_, _, what, remedy)| Foreign { what, remedy })
+}
+
+/// What a file is, if it is of one of the kinds and can be read.
+pub fn of_file(path: &Path) -> Option<Foreign> {
+    let mut head = Vec::new();
+    let file = crate::open(path).ok()?;
+    file.take(HEAD_BYTES).read_to_end(&mut head).ok()?;
+    recognise(&head)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{KINDS, recognise};
+
+    #[test]
+    fn every_kind_is_told_from_its_first_bytes_and_no_table_of_text_is_one() {
+        for (at, magic, what, remedy) in KINDS {
+            // A kind further down may share the beginning of one above, never the other way.
+            let head = [vec![b' '; at], magic.to_vec(), vec![0; 8]].concat();
+            let found = recognise(&head).expect(what);
+            assert_eq!((found.what, found.remedy), (what, remedy));
+        }
+        for text in [
+            "",
+            "time,power_W\n0,1\n",
+            "# log\ntime,power_W\n",
+            "\u{feff}t;P_W\n",
+            "7,8",
+            "BZh",
+            "PAR1,1",
+            "[s],[W]",
+        ] {
+            assert_eq!(recognise(text.as_bytes()), None, "{text:?}");
+        }
+    }
+}

@@ -1,0 +1,302 @@
+//! Texts as other programs write them, and as a loss of power leaves them.
+
+use joulebus_dataset::inspect::{FindingKind, Limits, check_files};
+use joulebus_dataset::trial::{Column, ColumnMap, MappedColumn, Table, Trial, TrialError};
+use joulebus_testkit::trials::{Files, ROWS, csv, gzip, npy_f8};
+use joulebus_testkit::{cases, says};
+
+fn mapped(columns: &str) -> ColumnMap {
+    let columns = columns.split(',').filter(|column| *column != "-");
+    let columns: Vec<MappedColumn> = columns.map(|one| one.parse().unwrap()).collect();
+    ColumnMap::from(columns)
+}
+
+fn read(files: &Files, text: &str, columns: &str) -> Result<Trial, TrialError> {
+    let path = files.write("log.csv", text.as_bytes());
+    Table::only_of(path, &mapped(columns))?.into_trial()
+}
+
+#[test]
+fn times_separators_and_headers_of_other_programs_are_read() {
+    let files = Files::new();
+    // Mapping, the text, its first time, the second, the second power in W, and what is said.
+    for case in cases(
+        r#"
+        - | timestamp,power_W\n2026-04-07T10:30:00Z,4.5\n2026-04-07T10:30:00.5Z,4.6\n | 1775557800 | 0.5 | 4.6 | -
+        - | time,power_W\n2026-04-07 10:30:00,4.5\n2026-04-07 10:30:01,4.6\n | 1775557800 | 1 | 4.6 | -
+        - | time,power_W\n2026-04-07T12:30:00+02:00,4.5\n2026-04-07T12:30:01+02:00,4.6\n | 1775557800 | 1 | 4.6 | -
+        - | time,power_W\n23:59:59.5,4.5\n00:00:00.5,4.6\n | 86399.5 | 1 | 4.6 | pass midnight 1 times
+        - | time,power_W\n0 days 00:00:00.1,4.5\n0 days 00:00:00.2,4.6\n | 0.1 | 0.1 | 4.6 | -
+        - | timestamp,power_W\n1748899754000,4.5\n1748899754500,4.6\n | 1748899754 | 0.5 | 4.6 | read as milliseconds
+        - | Time,power_W\n1748899754000000,4.5\n1748899754500000,4.6\n | 1748899754 | 0.5 | 4.6 | as microseconds
+        - | %time,power_W\n1748899754000000000,4.5\n1748899754500000000,4.6\n | 1748899754 | 0.5 | 4.6 | as nanoseconds
+        time=at | at,power_W\n1748899754000,4.5\n1748899754500,4.6\n | 1748899754 | 0.5 | 4.6 | read as milliseconds
+        - | header.stamp.sec,header.stamp.nanosec,power_W\n7,500000000,4.5\n8,0,4.6\n | 7.5 | 0.5 | 4.6 | -
+        - | secs,nsecs,power_W\n7,500000000,4.5\n8,0,4.6\n | 7.5 | 0.5 | 4.6 | -
+        time=/b/stamp | /a/stamp/sec,/a/stamp/nanosec,/b/stamp/sec,/b/stamp/nanosec,power_W\n1,0,7,5,4.5\n1,0,8,5,4.6\n | 7 | 1 | 4.6 | -
+        - | __time,/bat/header/stamp/sec,/bat/header/stamp/nanosec,/bat/voltage,/bat/current\n1,0,0,2,1\n2,0,0,2,2.3\n | 1 | 1 | 4.6 | -
+        - | ,power_W\n2026-04-07 10:30:00,4.5\n2026-04-07 10:30:01,4.6\n | 1775557800 | 1 | 4.6 | -
+        - | Unnamed: 0,time,power_W\n0,1,4.5\n1,2,4.6\n | 1 | 1 | 4.6 | -
+        - | time;power_W\n0;4,5\n0,5;4,6\n | 0 | 0.5 | 4.6 | decimal comma
+        - | time;power_W\n0.0;4.5\n0.5;4.6\n | 0 | 0.5 | 4.6 | separated by ';'
+        - | time;power, W\n0,000;4,500\n0,500;4,600\n | 0 | 0.5 | 4.6 | decimal comma
+        - | time\tpower_W\n0\t4.5\n0.5\t4.6\n | 0 | 0.5 | 4.6 | separated by '\t'
+        - | sep=;\ntime;power_W\n0;4.5\n1;4.6\n | 0 | 1 | 4.6 | -
+        - | # a log\n# of a robot\ntime,power_W\n0,4.5\n1,4.6\n | 0 | 1 | 4.6 | -
+        - | # time,power_W\n0,4.5\n1,4.6\n | 0 | 1 | 4.6 | -
+        - | time,power_W\n0,4.5,\n1,4.6,\n | 0 | 1 | 4.6 | -
+        - | time,power_W,\n0,4.5\n1,4.6\n | 0 | 1 | 4.6 | -
+        voltage_V:=2 | time,Current(uA)\n0,2250000\n1,2300000\n | 0 | 1 | 4.6 | -
+        - | Timestamp(ms),power_uW\n0,4500000\n500,4600000\n | 0 | 0.5 | 4.6 | -
+        "#,
+    ) {
+        let [columns, text, first_s, step_s, power_w, said] = case.as_slice() else {
+            panic!("{case:?}");
+        };
+        let text = &text.replace("\\t", "\t");
+        let trial = read(&files, text, columns).unwrap_or_else(|error| panic!("{text}: {error}"));
+        let number = |text: &str| text.parse::<f64>().unwrap();
+        let times_s = trial.timestamp_s();
+        assert!(
+            (times_s[0] - number(first_s)).abs() < 1e-6,
+            "{text}: {times_s:?}"
+        );
+        assert!(
+            (times_s[1] - times_s[0] - number(step_s)).abs() < 1e-6,
+            "{text}: {times_s:?}"
+        );
+        let found = trial.column(Column::Power).unwrap()[1];
+        assert!((found - number(power_w)).abs() < 1e-9, "{text}: {found}");
+        assert!(
+            said == "-" || trial.notes().to_string().contains(said),
+            "{}",
+            trial.notes()
+        );
+        assert_eq!(
+            trial
+                .notes()
+                .ignored_columns
+                .iter()
+                .filter(|name| !name.contains("stamp"))
+                .count(),
+            0,
+            "{text}"
+        );
+    }
+}
+
+#[test]
+fn texts_that_can_mean_two_things_are_refused_with_the_way_out() {
+    let files = Files::new();
+    for case in cases(
+        r#"
+        - | timestamp,power_W\n2026-04-07,4.5\n2026-04-08,4.6\n | row 1 | "2026-04-07" | 2026-04-07T10:30:00.5Z
+        - | stamp,power_W\n12345678901,4.5\n12345678934,4.6\n | column stamp | --map time_ms=stamp | time_us | time_ns
+        - | stamp,power_W\n1500000000000,4.5\n1500033000000,4.6\n | --map time_ms=stamp
+        - | time,power_W\n1,4.5\n2026-04-07T10:30:00,4.6\n | row 2 | as in the first row
+        - | time;power_W\n0;4,500\n1;4,600\n | "4,500" | could separate thousands
+        - | time;power_W\n0;1.234,5\n1;4,6\n | "1.234,5" | could separate thousands
+        - | a.sec,a.nanosec,b.sec,b.nanosec,power_W\n1,0,1,0,4\n2,0,2,0,4\n | a.sec and b.sec | --map
+        voltage_V:=3 | time,voltage_V\n0,1\n1,1\n | no column for power
+        "#,
+    ) {
+        let [columns, text, parts @ ..] = case.as_slice() else {
+            panic!("{case:?}");
+        };
+        let error = read(&files, text, columns).unwrap_err().to_string();
+        says(&error, parts);
+    }
+}
+
+#[test]
+fn words_for_missing_values_are_no_values_and_a_whole_number_with_a_fraction_is_an_id() {
+    let files = Files::new();
+    for word in [
+        "NA",
+        "N/A",
+        "null",
+        "None",
+        "-",
+        "#N/A",
+        "-nan(ind)",
+        "NaN",
+        "nan",
+        "",
+        "<NA>",
+        "unavailable",
+    ] {
+        let text = format!("robot,time,power_W\n3.0,0,4.5\n3,1,{word}\n{word},2,4.5\n");
+        let trial = read(&files, &text, "-").unwrap_or_else(|error| panic!("{word}: {error}"));
+        assert_eq!(trial.robot_name(), Some("3"), "{word}");
+        assert!(trial.column(Column::Power).unwrap()[1].is_nan(), "{word}");
+        assert_eq!(trial.notes().unnamed_rows, 1, "{word}");
+    }
+    let trial = read(&files, "time,power_W\n0,1\n1,1\n", "robot:=r1").unwrap();
+    assert_eq!(trial.robot_name(), Some("r1"));
+}
+
+/// Four rows, of which two are before `broken`.
+fn around(broken: &str) -> String {
+    format!("time,power_W\n0,4.5\n1,4.6\n{broken}2,4.7\n3,4.8\n")
+}
+
+#[test]
+fn lines_that_are_no_rows_are_named_and_the_whole_rows_are_kept_on_request() {
+    let files = Files::new();
+    let head = "time,power_W\n0,4.5\n1,4.6\n2,4.7\n3,4.8\n";
+    let nul = "\0".repeat(4096);
+    for (name, text, row, what, in_front) in [
+        ("cut", format!("{head}4"), 5, "may be cut", 4),
+        ("nul", format!("{head}{nul}"), 5, "4096 NUL bytes", 4),
+        (
+            "nul within",
+            around(&format!("{nul}\n")),
+            3,
+            "4096 NUL bytes",
+            2,
+        ),
+        ("comment", around("# restarted\n"), 3, "a comment", 2),
+        ("header", around("time,power_W\n"), 3, "the header again", 2),
+        (
+            "merged",
+            around("1.5,1.7,4.6\n"),
+            3,
+            "found 3 fields, the header has 2",
+            2,
+        ),
+        ("word", around("1.5,off\n"), 3, "\"off\"", 2),
+        ("empty", around(",\n"), 3, "an empty line", 2),
+        (
+            "units",
+            head.replacen('\n', "\ns,W\n", 1),
+            1,
+            "units or words",
+            0,
+        ),
+    ] {
+        let path = files.write("broken.csv", text.as_bytes());
+        let error = Trial::read(&path).unwrap_err().to_string();
+        says(&error, ["broken.csv", &format!("row {row}")]);
+        if name != "word" {
+            says(&error, [what, "--whole-rows", "leave the file out"]);
+        }
+        let check = check_files(
+            &[path.clone()],
+            &ColumnMap::default(),
+            &Limits::default(),
+            3,
+        );
+        let finding = check.finding(FindingKind::NoRow).expect(name);
+        assert!(
+            finding.fault && finding.count == 1 && check.rows == 4,
+            "{name}: {check:?}"
+        );
+        says(
+            &finding.places[0].to_string(),
+            [what, &format!("row {row}")],
+        );
+        let whole = ColumnMap::default().whole_rows(true);
+        let trial = &Trial::read_mapped(&path, &whole).unwrap()[0];
+        assert_eq!(
+            trial.column(Column::Power),
+            Some([4.5, 4.6, 4.7, 4.8].as_slice()),
+            "{name}"
+        );
+        assert_eq!(trial.notes().left_out.lines, 1, "{name}");
+        assert_eq!(
+            trial.file_row(3),
+            if in_front == 4 { 4 } else { 5 },
+            "{name}"
+        );
+        says(
+            &trial.notes().to_string(),
+            ["1 lines that are no whole rows were left out", what],
+        );
+        let asked = check_files(&[path], &whole, &Limits::default(), 3);
+        assert!(
+            asked
+                .finding(FindingKind::NoRow)
+                .is_some_and(|one| one.accepted && !one.fault),
+            "{name}"
+        );
+    }
+}
+
+#[test]
+fn a_compressed_text_without_its_end_keeps_its_rows_on_request() {
+    let files = Files::new();
+    let rows: String = (0..500)
+        .map(|row| format!("{row},{}\n", row * row % 97))
+        .collect();
+    let whole = gzip(format!("time,power_W\n{rows}").as_bytes());
+    let path = files.write("cut.csv.gz", &whole[..whole.len() / 2]);
+    assert!(matches!(
+        Trial::read(&path),
+        Err(TrialError::Truncated { .. })
+    ));
+    let trials = Trial::read_mapped(&path, &ColumnMap::default().whole_rows(true)).unwrap();
+    assert!(
+        (50..500).contains(&trials[0].rows()),
+        "{}",
+        trials[0].rows()
+    );
+    assert_eq!(trials[0].notes().left_out.lines, 1);
+}
+
+#[test]
+fn a_text_of_which_most_lines_are_no_rows_is_refused_though_whole_rows_are_wanted() {
+    let files = Files::new();
+    let path = files.write("log.csv", b"time,power_W\n0,1\n1,1\nx,y,z\nx,y,z\nx,y,z\n");
+    let whole = ColumnMap::default().whole_rows(true);
+    assert!(matches!(
+        Trial::read_mapped(path, &whole),
+        Err(TrialError::FieldCount { row: 3, .. })
+    ));
+}
+
+#[test]
+fn files_of_other_programs_are_named_with_how_they_are_converted() {
+    let files = Files::new();
+    let tar = [vec![b'a'; 257], b"ustar\0".to_vec()].concat();
+    for (bytes, what, remedy) in [
+        (
+            &b"MATLAB 5.0 MAT-file, Platform: posix"[..],
+            "MATLAB",
+            "writematrix",
+        ),
+        (b"\x89HDF\r\n\x1a\n\0", "HDF5", "h5py"),
+        (
+            b"#ROSBAG V2.0\n\x45\0\0\0",
+            "bag of ROS 1",
+            "rosbags-convert",
+        ),
+        (b"ULog\x01\x12\x35\x01\0\0", "ULog", "ulog2csv"),
+        (b"ARROW1\0\0\x10\0\0\0", "Feather", "read_feather"),
+        (b"\x28\xb5\x2f\xfd\x04\x58", "zstd", "zstd -d"),
+        (b"BZh91AY&SY", "bzip2", "bzip2 -d"),
+        (b"\x80\x05\x95\xda\x28", "pickle", "only if you trust it"),
+        (
+            b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n",
+            "Git LFS",
+            "git lfs pull",
+        ),
+        (b"\xff\xfet\0i\0m\0e\0", "UTF-16", "iconv"),
+        (b"{\"time\": [0, 1]}", "JSON", "read_json"),
+        (b"<!DOCTYPE html>", "web page", "raw"),
+        (&tar, "tar", "unpack"),
+    ] {
+        for name in ["log.csv", "log.mat"] {
+            let error = Trial::read(files.write(name, bytes)).unwrap_err();
+            assert!(
+                matches!(error, TrialError::Kind { .. }),
+                "{what}: {error:?}"
+            );
+            says(&error.to_string(), [name, what, remedy]);
+        }
+        let error = Trial::read(files.write("log.csv.gz", &gzip(bytes))).unwrap_err();
+        says(&error.to_string(), [what, "in gzip"]);
+    }
+    // What is read is none of them.
+    Trial::read(files.write("log.csv", csv(&ROWS).as_bytes())).unwrap();
+    Trial::read(files.write("log", &npy_f8(&ROWS))).unwrap();
+}
