@@ -1,12 +1,17 @@
 #!/usr/bin/env python3
-"""Turns a terminal capture with colours into an SVG picture. Needs nothing but Python 3.9.
+"""Turns terminal captures with colours into an SVG picture: one, or several that follow each other.
+Needs nothing but Python 3.9.
 
     tmux new-session -d -s view -x 120 -y 40 'target/release/joulebus demo'
-    sleep 18; tmux capture-pane -t view -p -e | tools/ansi_svg.py > docs/live-view.svg
+    sleep 18; tmux capture-pane -t view -p -e > last; tools/ansi_svg.py last > docs/live-view.svg
+    tools/ansi_svg.py --seconds 2 first second last > moving.svg
+
+Of several, what is the same in all is drawn once. Who has asked the system for less motion sees the
+last one.
 """
 
+import argparse
 import re
-import sys
 import unicodedata
 from xml.sax.saxutils import escape
 
@@ -104,33 +109,67 @@ def placed(text, left):
     return f'x="{places}">{escape("".join(glyph for _, glyph in glyphs))}'
 
 
+def drawn(row, found):
+    """The SVG of a line."""
+    out, top = [], PAD + row * CELL_H
+    for column, text, (fg, bg, bold) in found:
+        x, wide = PAD + column * CELL_W, len(text) * CELL_W
+        if bg:
+            out.append(f'<rect x="{x:.1f}" y="{top}" width="{wide:.1f}" height="{CELL_H}" fill="{bg}"/>')
+        if text.strip():
+            weight = ' font-weight="bold"' if bold else ""
+            out.append(f'<text y="{top + 13}" fill="{fg}"{weight} {placed(text, x)}</text>')
+    return "\n".join(out)
+
+
+def motion(count, seconds):
+    """The style that shows one group after the other."""
+    if count == 1:
+        return ""
+    rules = ["g.f{visibility:hidden}"]
+    for number in range(count):
+        begin, end = 100 * number / count, 100 * (number + 1) / count
+        hidden = "" if number == 0 else "0%{visibility:hidden}"
+        after = "" if number == count - 1 else f"{end:.2f}%,100%{{visibility:hidden}}"
+        rules.append(f"@keyframes k{number}{{{hidden}{begin:.2f}%{{visibility:visible}}{after}}}")
+        rules.append(f"#f{number}{{animation:k{number} {count * seconds:g}s step-end infinite}}")
+    last = f"g.f{{animation:none!important}}#f{count - 1}{{visibility:visible}}"
+    rules.append(f"@media (prefers-reduced-motion:reduce){{{last}}}")
+    return f"<style>{''.join(rules)}</style>"
+
+
 def main():
-    lines = sys.stdin.read().rstrip("\n").split("\n")
-    style, rows, width = Style(), [], 0
-    for line in lines:
-        found, columns = runs(line, style)
-        rows.append(found)
-        width = max(width, columns)
-    w, h = width * CELL_W + 2 * PAD, len(rows) * CELL_H + 2 * PAD
+    arguments = argparse.ArgumentParser()
+    arguments.add_argument("captures", nargs="+")
+    arguments.add_argument("--seconds", type=float, default=2, help="time that each is shown")
+    given = arguments.parse_args()
+    frames, width = [], 0
+    for capture in given.captures:
+        with open(capture, encoding="utf-8") as file:
+            lines = file.read().rstrip("\n").split("\n")
+        style, frame = Style(), []
+        for row, line in enumerate(lines):
+            found, columns = runs(line, style)
+            frame.append(drawn(row, found))
+            width = max(width, columns)
+        frames.append(frame)
+    height = max(map(len, frames))
+    for frame in frames:
+        frame.extend([""] * (height - len(frame)))
+    w, h = width * CELL_W + 2 * PAD, height * CELL_H + 2 * PAD
+    same = [len({frame[row] for frame in frames}) == 1 for row in range(height)]
     out = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{w:.0f}" height="{h:.0f}" '
-        f'viewBox="0 0 {w:.0f} {h:.0f}">',
+        f'viewBox="0 0 {w:.0f} {h:.0f}">{motion(len(frames), given.seconds)}',
         f'<rect width="100%" height="100%" rx="8" fill="{BACKGROUND}"/>',
         f'<g font-family="ui-monospace, \'DejaVu Sans Mono\', Menlo, Consolas, monospace" '
         f'font-size="{FONT_PX}" font-variant-ligatures="none">',
     ]
-    for row, found in enumerate(rows):
-        top = PAD + row * CELL_H
-        for column, text, (fg, bg, bold) in found:
-            x, wide = PAD + column * CELL_W, len(text) * CELL_W
-            if bg:
-                out.append(
-                    f'<rect x="{x:.1f}" y="{top}" width="{wide:.1f}" height="{CELL_H}" fill="{bg}"/>'
-                )
-            if not text.strip():
-                continue
-            weight = ' font-weight="bold"' if bold else ""
-            out.append(f'<text y="{top + 13}" fill="{fg}"{weight} {placed(text, x)}</text>')
+    out += [line for line, is_same in zip(frames[0], same) if is_same and line]
+    if len(frames) > 1:
+        for number, frame in enumerate(frames):
+            changed = "\n".join(line for line, is_same in zip(frame, same) if not is_same and line)
+            out.append(f'<g class="f" id="f{number}">{changed}</g>')
     out.append("</g></svg>")
     print("\n".join(out))
 

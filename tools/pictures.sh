@@ -27,10 +27,15 @@ if [ -z "${JOULEBUS_BIN:-}" ]; then
 fi
 joulebus=$JOULEBUS_BIN/joulebus
 
-# The live view: a demo in a terminal of 120 columns, just before its end.
-tmux -L pictures new-session -d -s view -x 120 -y 40 "$joulebus demo --capture $work/demo.mcap"
-sleep 18
-tmux -L pictures capture-pane -t view -p -e | python3 tools/ansi_svg.py > docs/live-view.svg
+# The live view: a demo in a terminal of 120 columns, moving from its begin to just before its end.
+tmux -L pictures new-session -d -s view -x 120 -y 30 "$joulebus demo --capture $work/demo.mcap"
+frames=()
+for at in 01 02 03 04 05 06 07 08 09; do
+    sleep 2
+    tmux -L pictures capture-pane -t view -p -e > "$work/frame-$at"
+    frames+=("$work/frame-$at")
+done
+python3 tools/ansi_svg.py --seconds 1.5 "${frames[@]}" > docs/live-view.svg
 tmux -L pictures kill-server
 
 # Forecast and report: trained on every second trial, shown on held-out trials. The picture of the
