@@ -147,10 +147,8 @@ fn no_row(record: &ByteRecord, header: &ByteRecord, row: usize, cut: bool) -> Op
     } else if record.iter().all(<[u8]>::is_empty) {
         Some("an empty line".to_owned())
     } else if row == 1 && record.iter().all(is_text) && !record.iter().all(is_missing) {
-        let words = String::from_utf8_lossy(record.as_slice())
-            .chars()
-            .take(60)
-            .collect::<String>();
+        let words: Vec<_> = record.iter().map(String::from_utf8_lossy).collect();
+        let words = words.join(",").chars().take(60).collect::<String>();
         Some(format!("units or words instead of numbers ({words:?})"))
     } else if cut {
         let (found, expected) = (record.len(), header.len());
