@@ -188,10 +188,10 @@ impl Start {
                 },
             });
         }
-        if !meter.head.contains(&b'\n') {
-            if let Some(error) = meter.failed.take() {
-                return Err(explain(path, zipped, meter, 0, error.into()));
-            }
+        if !meter.head.contains(&b'\n')
+            && let Some(error) = meter.failed.take()
+        {
+            return Err(explain(path, zipped, meter, 0, error.into()));
         }
         if meter.head.len() as u64 >= MAX_ROW_BYTES && !meter.head.contains(&b'\n') {
             return Err(TrialError::RowTooLong {
@@ -315,7 +315,7 @@ fn is_missing(field: &[u8]) -> bool {
         "unavailable",
     ];
     let is_word = |word: &&str| field.eq_ignore_ascii_case(word.as_bytes());
-    field.is_empty() || WORDS.iter().any(|word| is_word(&word))
+    field.is_empty() || WORDS.iter().any(is_word)
 }
 
 /// How the times of a text are written.
