@@ -77,7 +77,7 @@ fn what_a_loss_of_power_left_is_named_and_its_whole_rows_are_kept_on_request() {
             ],
         );
     }
-    let analysed = output(["analyze", runs, "--native", "--whole-rows"]).exits(0);
+    let analysed = output(["analyze", runs, "--split", "time", "--whole-rows"]).exits(0);
     says(
         &stderr(&analysed),
         ["b.csv: 1 lines that are no whole rows were left out"],

@@ -72,7 +72,7 @@ impl Pickle {
             memo: HashMap::new(),
             encoded_bytes: 0,
         };
-        while machine.step()? {}
+        while machine.step().map_err(|error| machine.blamed(error))? {}
         let root = machine.pop()?;
         if let Some(left) = machine.stack.len().checked_sub(1) {
             return Err(machine.refuse("STOP", format!("leaves {} values over", left + 1)));
@@ -168,6 +168,18 @@ impl Machine<'_> {
             }
         }
         Ok(true)
+    }
+
+    /// The refusal of a foreign function before an opcode that is refused: it says more.
+    fn blamed(&self, error: PickleError) -> PickleError {
+        let foreign = self.values.iter().find_map(|value| match value {
+            Value::Foreign(foreign) => Some(foreign.refused()),
+            _ => None,
+        });
+        match error {
+            PickleError::Opcode { .. } => foreign.unwrap_or(error),
+            error => error,
+        }
     }
 
     fn protocol(&mut self) -> Result<(), PickleError> {

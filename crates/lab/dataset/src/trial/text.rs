@@ -147,10 +147,8 @@ fn no_row(record: &ByteRecord, header: &ByteRecord, row: usize, cut: bool) -> Op
     } else if record.iter().all(<[u8]>::is_empty) {
         Some("an empty line".to_owned())
     } else if row == 1 && record.iter().all(is_text) && !record.iter().all(is_missing) {
-        let words = String::from_utf8_lossy(record.as_slice())
-            .chars()
-            .take(60)
-            .collect::<String>();
+        let words: Vec<_> = record.iter().map(String::from_utf8_lossy).collect();
+        let words = words.join(",").chars().take(60).collect::<String>();
         Some(format!("units or words instead of numbers ({words:?})"))
     } else if cut {
         let (found, expected) = (record.len(), header.len());
@@ -190,10 +188,10 @@ impl Start {
                 },
             });
         }
-        if !meter.head.contains(&b'\n') {
-            if let Some(error) = meter.failed.take() {
-                return Err(explain(path, zipped, meter, 0, error.into()));
-            }
+        if !meter.head.contains(&b'\n')
+            && let Some(error) = meter.failed.take()
+        {
+            return Err(explain(path, zipped, meter, 0, error.into()));
         }
         if meter.head.len() as u64 >= MAX_ROW_BYTES && !meter.head.contains(&b'\n') {
             return Err(TrialError::RowTooLong {
@@ -317,7 +315,7 @@ fn is_missing(field: &[u8]) -> bool {
         "unavailable",
     ];
     let is_word = |word: &&str| field.eq_ignore_ascii_case(word.as_bytes());
-    field.is_empty() || WORDS.iter().any(|word| is_word(&word))
+    field.is_empty() || WORDS.iter().any(is_word)
 }
 
 /// How the times of a text are written.

@@ -102,7 +102,7 @@ fn attempts(canary: &str) -> Vec<(&'static str, Vec<u8>, &'static [&'static str]
         ),
         ("INST", b"\x80\x02(S'x'\nios\nsystem\n.".to_vec(), &["STRING", "0x53"]),
         ("OBJ", b"\x80\x02(N\x85o.".to_vec(), &["OBJ"]),
-        ("protocol 0", format!("cos\nsystem\n(S'{command}'\ntR.").into_bytes(), &["STRING"]),
+        ("protocol 0", format!("cos\nsystem\n(S'{command}'\ntR.").into_bytes(), &["os.system"]),
         ("EXT1", b"\x80\x02\x82\x01.".to_vec(), &["EXT1", "0x82"]),
         ("EXT2", b"\x80\x02\x83\x01\x00.".to_vec(), &["EXT2"]),
         ("EXT4", b"\x80\x02\x84\x01\x00\x00\x00.".to_vec(), &["EXT4"]),

@@ -181,7 +181,7 @@ fn lines_that_are_no_rows_are_named_and_the_whole_rows_are_kept_on_request() {
             says(&error, [what, "--whole-rows", "leave the file out"]);
         }
         let check = check_files(
-            &[path.clone()],
+            std::slice::from_ref(&path),
             &ColumnMap::default(),
             &Limits::default(),
             3,
