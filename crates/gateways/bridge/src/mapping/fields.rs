@@ -168,7 +168,7 @@ impl Standard {
 }
 
 /// States of charge that the worker takes.
-const SOC: std::ops::RangeInclusive<f32> = -0.05..=1.05;
+pub(crate) const SOC: std::ops::RangeInclusive<f32> = -0.05..=1.05;
 
 impl Fields {
     /// Reads the values of a document. An unusable value is passed to `refused` with its name, and

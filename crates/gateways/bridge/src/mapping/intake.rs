@@ -22,10 +22,8 @@ use joulebus_plausibility::{Expired, Source};
 use joulebus_publisher::{Charger, Judgement, RobotState};
 use joulebus_settings::ChargeReading;
 
+use crate::mapping::fields::SOC;
 use crate::mapping::observation::{Observation, PowerOf, PowerReading};
-
-/// States of charge that the worker takes.
-const SOC: std::ops::RangeInclusive<f32> = -0.05..=1.05;
 
 /// How long an observed value holds, ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -4,6 +4,7 @@
 use joulebus_ros_messages::{BatteryState, Message, RosError, RosType, Twist};
 
 use crate::mapping::account::{Account, Reason};
+use crate::mapping::fields::SOC;
 use crate::mapping::fields::product;
 use crate::mapping::observation::{Observation, PowerOf};
 use crate::mapping::topic::{Pattern, Template};
@@ -134,8 +135,8 @@ impl BatteryFields {
         });
         let soc = measured(state.percentage, "percentage");
         let soc = soc.map(|share| (f64::from(share) * self.percentage.size) as f32);
-        let is_share = |soc: f32| (0.0..=1.0).contains(&soc);
-        if soc.is_some_and(|soc| !is_share(soc)) {
+        // It is judged with the others of its robot, and in no sample.
+        if soc.is_some_and(|soc| !SOC.contains(&soc)) {
             refused(Reason::OutOfRange, "percentage");
         }
         let (charging, full) = match state.power_supply_status {
@@ -155,7 +156,7 @@ impl BatteryFields {
             power,
             voltage_v,
             current_a,
-            soc: soc.filter(|soc| is_share(*soc)),
+            soc,
             charging,
             full,
             ..Observation::default()
@@ -345,7 +346,11 @@ mod tests {
         };
         let (seen, refused) = read_battery(&route, &wrong);
         let seen = seen.unwrap();
-        assert_eq!((seen.voltage_v, seen.power, seen.soc), (None, None, None));
+        // A percentage is left out of samples with all others of its robot.
+        assert_eq!(
+            (seen.voltage_v, seen.power, seen.soc),
+            (None, None, Some(50.0))
+        );
         assert_eq!(seen.current_a, Some(2.0), "the others count");
         assert_eq!(
             refused,
