@@ -8,7 +8,8 @@ use joulebus_connect::ConnectError;
 use joulebus_wire::{Acknowledgement, AlarmCard, Level};
 
 use crate::{
-    AlarmChange, AlarmFeed, AlarmHistory, Change, Event, ReadError, SourceAlarms, Subscriber,
+    AlarmChange, AlarmFeed, AlarmHistory, Change, Event, ReadError, SourceAlarms, SourceChange,
+    Subscriber,
 };
 
 /// A raise or an end of an alarm, of a robot or of the worker.
@@ -16,8 +17,8 @@ use crate::{
 pub struct FleetAlarm {
     /// The robot; `None` for the worker.
     pub robot: Option<u32>,
-    /// Name of the [`joulebus_wire::Alarm`]; of sources `Implausible`; for the worker `WorkerGone` or `WorkerStale`.
-    /// [`AlarmCard::named`] has its meaning.
+    /// Name of the [`joulebus_wire::Alarm`]; of sources `Implausible`; for the worker `WorkerGone`
+    /// or `WorkerStale`. [`AlarmCard::named`] has its meaning.
     pub alarm: &'static str,
     /// Its level.
     pub level: Level,
@@ -50,6 +51,20 @@ impl From<AlarmChange> for FleetAlarm {
             at_ns: change.at_ns,
             raised_ns: change.raised_ns,
             acknowledged: change.acknowledged,
+        }
+    }
+}
+
+impl From<SourceChange> for FleetAlarm {
+    fn from(change: SourceChange) -> Self {
+        Self {
+            robot: Some(change.robot),
+            alarm: AlarmCard::IMPLAUSIBLE.name,
+            level: AlarmCard::IMPLAUSIBLE.level,
+            change: change.change,
+            at_ns: change.at_ns,
+            raised_ns: change.raised_ns,
+            acknowledged: None,
         }
     }
 }
@@ -96,7 +111,7 @@ impl FleetAlarms {
         if let Some(now) = now {
             self.set_worker(now, &mut each);
         }
-        self.sources.changes(&mut each);
+        self.sources.changes(|change| each(change.into()));
         self.feed.changes(|change| each(change.into()))
     }
 

@@ -75,6 +75,6 @@ pub use joulebus_config::Config;
 pub use joulebus_connect::{ConnectError, error};
 pub use joulebus_wire::{self as wire, Budgets, Diagnostics, Forecasts, PlanStates, Queries};
 pub use newest::ReadError;
-pub use source_alarms::SourceAlarms;
+pub use source_alarms::{SourceAlarms, SourceChange};
 pub use subscriber::{Event, Subscriber};
 pub use tracker::{Arrival, Counts, End, WorkerState};

@@ -5,14 +5,26 @@ use std::collections::BTreeMap;
 use joulebus_bus::clock;
 use joulebus_config::Config;
 use joulebus_connect::findings::implausible_robots;
-use joulebus_wire::AlarmCard;
 
-use crate::{Change, FleetAlarm};
+use crate::alarms::Change;
 
 /// Interval at which findings are looked for, ns.
 const LOOK_EVERY_NS: u64 = 1_000_000_000;
 
-/// The robots with the alarm [`AlarmCard::IMPLAUSIBLE`], from one look to the next.
+/// A raise or an end of the alarm of a robot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SourceChange {
+    /// The robot.
+    pub robot: u32,
+    /// The change.
+    pub change: Change,
+    /// When, monotonic ns.
+    pub at_ns: u64,
+    /// When it was raised, monotonic ns.
+    pub raised_ns: u64,
+}
+
+/// The robots with the alarm [`joulebus_wire::AlarmCard::IMPLAUSIBLE`], from one look to the next.
 #[derive(Debug, Clone)]
 pub struct SourceAlarms {
     config: Config,
@@ -33,7 +45,7 @@ impl SourceAlarms {
     }
 
     /// Looks once a second, and calls `each` for every raise and end. Does not wait.
-    pub fn changes(&mut self, mut each: impl FnMut(FleetAlarm)) {
+    pub fn changes(&mut self, mut each: impl FnMut(SourceChange)) {
         let now_ns = clock::monotonic_ns();
         if now_ns < self.look_at_ns {
             return;
@@ -41,14 +53,11 @@ impl SourceAlarms {
         self.look_at_ns = now_ns + LOOK_EVERY_NS;
         let found = implausible_robots(&self.config);
         let mut pass_on = |robot, change, raised_ns| {
-            each(FleetAlarm {
-                robot: Some(robot),
-                alarm: AlarmCard::IMPLAUSIBLE.name,
-                level: AlarmCard::IMPLAUSIBLE.level,
+            each(SourceChange {
+                robot,
                 change,
                 at_ns: now_ns,
                 raised_ns,
-                acknowledged: None,
             });
         };
         self.raised.retain(|robot, raised_ns| {

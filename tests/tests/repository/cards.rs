@@ -26,7 +26,7 @@ fn assert_says(file: &str, mark: &str, text: &str) {
         fs::write(&path, &new).unwrap();
     } else {
         let remedy = "run this test again with JOULEBUS_WRITE=1";
-        assert!(old == new, "{file} says something else of alarms: {remedy}");
+        assert!(old == new, "{file} says something else: {remedy}");
     }
 }
 
@@ -53,6 +53,16 @@ fn the_page_about_alarms_has_every_card() {
     }
     table.push('\n');
     assert_says("docs/alarms.md", "<!-- cards", &table);
+}
+
+#[test]
+fn the_page_about_bridges_has_the_table_of_findings() {
+    let source = "../crates/gateways/bridge/src/mapping/doors.rs";
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(source);
+    let source = fs::read_to_string(path).unwrap();
+    let (_, table) = source.split_once("const TABLE: &str = \"").unwrap();
+    let (table, _) = table.split_once("\";").unwrap();
+    assert_says("docs/bridges.md", "<!-- doors", table);
 }
 
 #[test]

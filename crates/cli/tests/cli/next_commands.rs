@@ -192,7 +192,7 @@ fn from_logs_with_names_of_their_own_to_a_worker() {
     }
 }
 
-/// Several robots in one file, a name with a space, a finding that is accepted, and a model at once.
+/// Several robots in one file, a name with a space, a finding that is accepted, a model at once.
 #[test]
 fn from_one_file_of_several_robots_to_a_trained_model_and_its_skill() {
     let mut home = Home::new();

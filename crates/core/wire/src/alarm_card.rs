@@ -35,7 +35,8 @@ impl AlarmCard {
         Self::all().find(|card| card.name.eq_ignore_ascii_case(name))
     }
 
-    /// A source finds what it reports implausible. Readers raise it; the worker knows nothing of it.
+    /// A source finds what it reports implausible. Readers raise it, and the worker knows nothing
+    /// of it.
     pub const IMPLAUSIBLE: Self = Self {
         name: "Implausible",
         level: Level::Warn,

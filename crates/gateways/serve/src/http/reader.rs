@@ -180,7 +180,8 @@ impl Work {
         };
         reading.turn_within(longest, || board.borrow_mut())?;
         let alarms = &mut self.alarms;
-        self.source_alarms.changes(|change| alarms.add(change));
+        self.source_alarms
+            .changes(|change| alarms.add(change.into()));
         match self.alarm_feed.changes(|change| alarms.add(change.into())) {
             // The next call may succeed, as with forecasts.
             Ok(()) | Err(ReadError::Receive(_)) => {}
