@@ -207,7 +207,7 @@ fn what_a_source_finds_implausible_is_an_alarm_on_the_page_and_in_metrics() {
     let line = metrics
         .lines()
         .find(|line| line.contains("alarm=\"Implausible\""));
-    assert!(line.is_some_and(|line| line.ends_with(" 1")), "{metrics}");
+    assert!(line.is_some_and(|line| line.ends_with(" 1.0")), "{metrics}");
     let cards = get_json(&address, "/api/v1/alarms/cards");
     let mut cards = cards.as_array().unwrap().iter();
     assert!(cards.any(|card| card["alarm"] == "Implausible"));
