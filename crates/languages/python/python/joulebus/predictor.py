@@ -103,6 +103,12 @@ class Predictor(_native.Predictor):
             setattr(self, name, value)
         return self
 
+    def __sklearn_tags__(self) -> Any:
+        # What scikit-learn asks an estimator for from 1.6 on, and refuses it without; only scikit-learn calls it.
+        from sklearn.utils import RegressorTags, Tags, TargetTags
+
+        return Tags(estimator_type="regressor", target_tags=TargetTags(required=True), regressor_tags=RegressorTags())
+
     def __reduce__(self) -> tuple[Any, ...]:
         return _restored, (type(self), self.get_params(), self.to_bytes(), getattr(self, "epochs_", None))
 
