@@ -207,7 +207,10 @@ fn ids_are_shown_as_ranges_and_not_without_end() {
     for (ids, shown) in [
         (&[7][..], "7".to_owned()),
         (&[0, 1, 2, 5, 7, 8], "0-2, 5, 7-8".to_owned()),
-        (&[u32::MAX - 1, u32::MAX], "4294967294-4294967295".to_owned()),
+        (
+            &[u32::MAX - 1, u32::MAX],
+            "4294967294-4294967295".to_owned(),
+        ),
         (&odd, {
             let first: Vec<String> = odd[..16].iter().map(u32::to_string).collect();
             format!("{} and 84 more", first.join(", "))

@@ -126,7 +126,11 @@ fn only_model_files_reads_pickles() {
     let words = ["pickle", "STACK_GLOBAL", "_rebuild_tensor"];
     for member in members().iter().filter(|it| it.name != "model-files") {
         // It says what a file is that nobody reads.
-        let found = places(&member.directory.join("src"), &words, &["files/src/foreign.rs"]);
+        let found = places(
+            &member.directory.join("src"),
+            &words,
+            &["files/src/foreign.rs"],
+        );
         assert_eq!(found, Vec::<String>::new());
     }
 }

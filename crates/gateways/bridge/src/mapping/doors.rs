@@ -64,7 +64,7 @@ fn robot(step: u64, planted: &str) -> [f64; 4] {
 
 fn document(fields: &Fields, document: &Value, account: &mut Account) -> Observation {
     let seen = fields.read(document, |reason, name| {
-        account.count("topic", reason, name)
+        account.count("topic", reason, name);
     });
     account.came("topic", "r7", &fields.came(&seen));
     seen
