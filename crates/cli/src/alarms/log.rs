@@ -1,5 +1,5 @@
-//! The alarms of the robots in the worker's log: a line for each raise and each end, and one for many
-//! robots of which the same is true at once, as when their source or link is gone.
+//! The alarms of the robots in the worker's log: a line for each raise and each end, and one for
+//! many robots of which the same is true at once, as when their source or link is gone.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};

@@ -21,13 +21,28 @@ use crate::liveness::presence::Need;
 use crate::membership::{Membership, remove_unused};
 use crate::os::files::effective_uid;
 use crate::os::fork;
-use crate::ports::places::is_own;
 use crate::preflight::{PORT_BYTES, PROCESS_BYTES, check_free, check_left};
 use crate::{Domain, FilesRemoved, Housekeeping, JoinError, SweepReport, WorkerLock};
 
 /// Timeout of retries of creating a node.
 const NODE_LIMIT: Duration = Duration::from_secs(2);
 const NODE_AGAIN_AFTER: Duration = Duration::from_millis(10);
+
+/// Names of the members that have places of their own in every service: the worker with its
+/// threads, recorders, and links.
+const OWN: [&str; 7] = [
+    "worker",
+    "checkpointer",
+    "queries",
+    "alarm-log",
+    "recorder",
+    "link",
+    "link-journal",
+];
+
+pub(crate) fn is_own(name: &str) -> bool {
+    OWN.contains(&name)
+}
 
 /// Membership in a domain. Dropping it and all ports leaves the domain; the last member to leave
 /// removes all its files.

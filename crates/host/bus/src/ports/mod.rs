@@ -1,7 +1,7 @@
 //! Ports: how a member opens a service.
 
 mod degradation;
-pub(crate) mod places;
+mod places;
 mod poll;
 mod query;
 mod reader;

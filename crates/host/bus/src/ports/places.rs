@@ -7,23 +7,8 @@ use joulebus_wire::Service;
 
 use super::service::OpenError;
 use crate::Bus;
+use crate::bus::is_own;
 use crate::ipc::Ipc;
-
-/// Names of the members that have places of their own: the worker with its threads, recorders, and
-/// links.
-const OWN: [&str; 7] = [
-    "worker",
-    "checkpointer",
-    "queries",
-    "alarm-log",
-    "recorder",
-    "link",
-    "link-journal",
-];
-
-pub(crate) fn is_own(name: &str) -> bool {
-    OWN.contains(&name)
-}
 
 /// Whether the bus may keep the port that it has just made, one of those on `nodes`, where others
 /// than the product's own may have `places`.
