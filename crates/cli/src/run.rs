@@ -27,7 +27,8 @@ use crate::service_manager::ServiceManager;
     joulebus run --record run.mcap\n  \
     joulebus run --standby        serves when the link of this host permits it: docs/scale.md\n\n\
     A fleet has one worker; a second one exits and reports the pid of the first. Each raise and each end \
-    of a robot's alarm is one line of the log on stderr; --log-format json makes each an object. Under \
+    of a robot's alarm is one line of the log on stderr, and one for more than eight robots at once; \
+    --log-format json makes each an object. Under \
     systemd (Type=notify) it says when it is ready, and with WatchdogSec= that it works. Times in the \
     report are in µs. Exit code 3 if a recording lost messages or stopped.")]
 pub(crate) struct Args {

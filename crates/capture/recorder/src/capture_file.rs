@@ -97,6 +97,12 @@ impl Write for CaptureFile {
             }
             Err(error) if error.kind() == io::ErrorKind::Interrupted => Err(error),
             ended => {
+                // A file that another process has cut is not made longer again.
+                let flushed_bytes = self.flushed_bytes.load(Ordering::Relaxed);
+                let found = disk::found_at(&self.path).ok().flatten();
+                if found.is_some_and(|(_, bytes)| bytes < flushed_bytes) {
+                    return ended;
+                }
                 if let Err(error) = self
                     .file
                     .set_len(self.flushed_bytes.load(Ordering::Relaxed))

@@ -83,6 +83,8 @@ pub(crate) struct Files {
     sequences: Sequences,
     /// Finished files with their statistics.
     done: Vec<(PathBuf, Written)>,
+    /// Files that other processes have taken away, and how.
+    taken: Vec<(PathBuf, &'static str)>,
     /// Lost messages by topic.
     lost: BTreeMap<String, u64>,
     parts: u32,
@@ -120,6 +122,7 @@ impl Files {
             open: None,
             sequences: Sequences::default(),
             done: Vec::new(),
+            taken: Vec::new(),
             lost: BTreeMap::new(),
             parts: 0,
             has_begun: false,
@@ -222,6 +225,7 @@ impl Files {
             for (topic, count) in written.by_topic {
                 *self.lost.entry(topic).or_default() += count;
             }
+            self.taken.push((open.path, harm));
             return Ok(());
         }
         self.done.push((open.path, written));
@@ -235,6 +239,11 @@ impl Files {
             all.push((open.path.clone(), open.writer.written()));
         }
         all
+    }
+
+    /// Files that other processes have removed, replaced or cut.
+    pub(crate) fn taken(&self) -> &[(PathBuf, &'static str)] {
+        &self.taken
     }
 
     /// Lost messages by topic, without those of the open file.
@@ -682,6 +691,7 @@ mod tests {
                 continue;
             }
             assert_eq!((lost, written.messages), (2, 1), "{harm}");
+            assert_eq!(files.taken(), [(path.clone(), harm)]);
             assert_eq!(last, folder.path().join("run_1.mcap"), "{harm}");
             let read = joulebus_capture_format::Reader::open(&last).unwrap();
             assert_eq!(read.map(Result::unwrap).count(), 1, "{harm}");

@@ -30,6 +30,9 @@ pub struct Lost {
 pub struct Summary {
     /// Files with their statistics.
     pub files: Vec<(PathBuf, Written)>,
+    /// Files that other processes have removed, replaced or cut while they were recorded, and which
+    /// of it: their messages are among the lost.
+    pub taken: Vec<(PathBuf, &'static str)>,
     /// Losses by topic; topics without losses are omitted.
     pub lost: BTreeMap<String, Lost>,
     /// Memory buffer of a snapshot that was not written; none for other recordings.
@@ -135,6 +138,7 @@ impl Shared {
     pub(super) fn note_files(&self, files: &Files) {
         let mut summary = self.summary.lock().unwrap_or_else(PoisonError::into_inner);
         summary.files = files.written();
+        summary.taken = files.taken().to_vec();
         summary.kept = files.kept();
     }
 

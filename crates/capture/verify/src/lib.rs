@@ -89,10 +89,11 @@ impl Verifier {
     }
 
     /// Of a recording whose answers about plans were computed by the rules of this number
-    /// ([`joulebus_wire::ANSWER_RULES`]): those of other rules are counted, and not compared.
+    /// ([`joulebus_wire::ANSWER_RULES`]), `None` if by several: those of other rules are counted,
+    /// and not compared.
     #[must_use]
-    pub fn with_answer_rules(mut self, number: u32) -> Self {
-        self.queries.has_other_rules = number != ANSWER_RULES;
+    pub fn with_answer_rules(mut self, number: Option<u32>) -> Self {
+        self.queries.has_other_rules = number != Some(ANSWER_RULES);
         self
     }
 

@@ -154,13 +154,14 @@ const MAX_LINES: usize = 8;
 /// Ranges of robots that a line names.
 const MAX_RANGES: usize = 16;
 
-/// The changes of one look: of few robots a line each, of many one line.
+/// The changes of one look, in the order of their ticks: of few robots a line each, of many one
+/// line. What persons do has a line each.
 fn log_all(changes: &mut [AlarmChange]) {
-    let key = |change: &AlarmChange| (change.alarm.name(), change.change.name());
+    let key = |change: &AlarmChange| (change.at_ns, change.alarm.name(), change.change.name());
     changes.sort_by_key(|change| (key(change), change.robot));
     for alike in changes.chunk_by(|a, b| key(a) == key(b)) {
         match alike {
-            [first, ..] if alike.len() > MAX_LINES => {
+            [first, ..] if alike.len() > MAX_LINES && first.change != Change::Acknowledged => {
                 let ids: Vec<u32> = alike.iter().map(|change| change.robot).collect();
                 log_many(first, alike.len(), &ranges(&ids));
             }

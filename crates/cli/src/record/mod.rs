@@ -145,7 +145,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     others.end();
     let summary = recorder.finish();
     let duration_s = (clock::monotonic_ns() - began_ns) as f64 * 1e-9;
-    let (failed, lost) = (summary.failure.is_some(), summary.messages_lost() > 0);
+    let lost = summary.messages_lost() > 0 || !summary.taken.is_empty();
+    let failed = summary.failure.is_some();
     args.report(&RecordReport::new(&summary, duration_s), output)?;
     if failed {
         return Ok(Outcome::Failed);

@@ -53,9 +53,13 @@ impl RecorderProcess {
             })
         });
         let lines = process.stderr.take().map(pass_on);
-        let recorder = Self { process, report };
+        let mut recorder = Self { process, report };
         let records = lines.is_some_and(|lines| lines.recv_timeout(START_LIMIT).is_ok());
-        anyhow::ensure!(records, "the recorder does not record");
+        if !records {
+            // It may wait for a disk that never answers; the worker does not.
+            let _ = recorder.process.kill();
+            anyhow::bail!("the recorder does not record");
+        }
         Ok(recorder)
     }
 

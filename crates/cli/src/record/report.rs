@@ -18,6 +18,8 @@ pub(super) struct RecordReport {
     bytes: u64,
     /// Messages by topic; topics of single robots are omitted.
     topics: BTreeMap<String, u64>,
+    /// Files that other processes have taken away: "removed", "replaced" or "cut".
+    taken: BTreeMap<String, &'static str>,
     /// Messages lost by topic; topics without losses are omitted.
     lost: BTreeMap<String, Lost>,
     messages_lost: u64,
@@ -77,6 +79,11 @@ impl RecordReport {
             messages: summary.messages(),
             bytes: summary.bytes(),
             topics,
+            taken: summary
+                .taken
+                .iter()
+                .map(|(path, how)| (path.display().to_string(), *how))
+                .collect(),
             lost: lost.collect(),
             messages_lost: summary.messages_lost(),
             kept: summary.kept.map(|kept| Kept {
@@ -110,6 +117,9 @@ impl fmt::Display for RecordReport {
         )?;
         for (topic, count) in &self.topics {
             writeln!(out, "  {topic}: {count}")?;
+        }
+        for (path, how) in &self.taken {
+            writeln!(out, "  {path} was {how} by another process")?;
         }
         for (topic, lost) in &self.lost {
             let (overwritten, unwritten) = (lost.overwritten, lost.unwritten);

@@ -56,6 +56,18 @@ impl Files {
         })
     }
 
+    /// Number of the rules by which the answers in all files were computed; `None` if they differ,
+    /// as where a recording went on after an update.
+    pub(super) fn answer_rules(&self) -> Option<u32> {
+        let rules = self.attachments.answer_rules();
+        let mut others = self.paths.iter().skip(1);
+        let differs = |path: &PathBuf| {
+            // One that cannot be opened has no answers.
+            Reader::open(path).is_ok_and(|reader| reader.attachments().answer_rules() != rules)
+        };
+        (!others.any(differs)).then_some(rules)
+    }
+
     /// The config attached to the capture, or the given one instead. The attached models lie in the
     /// returned directory.
     pub(super) fn config(

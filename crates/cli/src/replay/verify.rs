@@ -35,7 +35,7 @@ pub(super) fn verify(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let models = load_models(&config)?;
     // A signal ends the computation, and would leave it.
     drop(unpacked);
-    let rules = files.attachments.answer_rules();
+    let rules = files.answer_rules();
     let verifier = Verifier::new(config.settings().clone(), models)?;
     let mut verifier = verifier.with_answer_rules(rules);
     let begun = Instant::now();

@@ -250,7 +250,9 @@ fn a_recorder_whose_file_is_removed_says_so_goes_on_and_exits_with_3() {
     let next = fleet.path("run_1.mcap");
     eventually("the next part", || next.exists());
     let ended = recorder.end(Signal::TERM).exits(3);
-    let files = json(&ended)["files"].to_string();
+    let report = json(&ended);
+    assert_eq!(report["taken"][&text(&file)], "removed");
+    let files = report["files"].to_string();
     assert!(
         files.contains("run_1.mcap") && !files.contains("run.mcap"),
         "{files}"

@@ -96,7 +96,8 @@ const CASES: &[(i32, &str)] = &[
     (2, "data convert TRIAL"),
     (0, "data simulate NEW"),
     (2, "data simulate"),
-    (0, "export TRIAL CAPTURE --to parquet NEW"),
+    (0, "export TRIAL CAPTURE --to parquet NEW --mixed"),
+    (2, "export TRIAL CAPTURE --to parquet NEW"),
     (1, "export JUNK --to parquet NEW"),
     (1, "export CUT --to parquet NEW"),
     (1, "export TRIAL --to parquet THERE"),
@@ -140,7 +141,7 @@ const CASES: &[(i32, &str)] = &[
     (2, "calibrate TRIAL --false-alarms 1/day"),
     (2, "calibrate TRIAL --false-alarms 1/year"),
     (2, "calibrate CAPTURE --false-alarms 1/day -o THERE"),
-    (1, "calibrate JUNK --false-alarms 1/day"),
+    (2, "calibrate JUNK --false-alarms 1/day"),
     (
         1,
         "calibrate CAPTURE --false-alarms 1/day --robots 20 -o NEW",

@@ -49,6 +49,8 @@ const OF_WORKER: usize = 2;
 const RECORDERS: usize = 2;
 /// Links that a host can have at once.
 const LINKS: usize = 1;
+/// Views that read what is sent for recorders: questions, the journal, samples.
+const VIEWS: usize = 4;
 /// Maximum number of frames that a journal lists, whatever the limits: 160 KiB.
 const MAX_LISTED: usize = 4_096;
 
@@ -123,7 +125,7 @@ impl Limits {
             Flow::Sources => Shape {
                 publishers: self.max_sources + SPARE,
                 // The worker, and recorders.
-                subscribers: 1 + RECORDERS + LINKS + SPARE,
+                subscribers: 1 + RECORDERS + LINKS + VIEWS,
                 buffer: self.sample_frames,
                 borrowed: 1,
                 history: 0,
@@ -138,7 +140,7 @@ impl Limits {
             },
             Flow::Recorders { queued, history } => Shape {
                 publishers: 1 + SPARE,
-                subscribers: RECORDERS + LINKS + SPARE,
+                subscribers: RECORDERS + LINKS + VIEWS,
                 buffer: queued,
                 borrowed: 1,
                 history,
@@ -152,7 +154,7 @@ impl Limits {
     pub const fn open_places(&self, flow: Flow) -> usize {
         match flow {
             Flow::Planners { .. } => self.max_planners + SPARE,
-            Flow::Sources | Flow::Recorders { .. } => SPARE,
+            Flow::Sources | Flow::Recorders { .. } => VIEWS,
         }
     }
 

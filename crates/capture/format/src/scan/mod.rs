@@ -167,7 +167,7 @@ impl<R: Read + Seek> Scan<R> {
             not_mcap = Some(ScanError::NotMcap { found });
             failed = Some(resume::Failure {
                 from: 0,
-                search_from: 1,
+                search_from: 0,
                 next: Some(MAGIC_BYTES),
             });
         }

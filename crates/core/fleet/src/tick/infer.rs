@@ -42,7 +42,8 @@ pub(crate) fn infer_open(
     batch.infer(&context.model);
     let possible = context.possible();
     for (slot, network_w) in batch.forecasts() {
-        let mut forecast_w = network_w;
+        let is_number = context.members.is_some() || possible.is_near(network_w);
+        let mut forecast_w = if is_number { network_w } else { f32::NAN };
         if let (Some(members), true) = (&context.members, network_w.is_finite()) {
             let window = lanes::get(columns.windows, slot);
             let online = lanes::get(columns.online, slot);

@@ -130,7 +130,7 @@ impl RosSink {
         let mut statuses = vec![worker_status((&self.fleet, &self.name), worker, counts)];
         let implausible = self.shared.intake().judgement().records();
         statuses.extend(self.robots.iter().map(|(robot, name)| {
-            let row = board.rows.get(&robot).filter(|_| board.is_reliable);
+            let row = board.rows.get(&robot).filter(|_| board.link == Link::Live);
             let mut status = row.map_or_else(
                 || unknown_status(name, board.link.name()),
                 |row| {

@@ -141,11 +141,12 @@ impl Access {
             return peer;
         }
         let stated = headers.get_all("x-forwarded-for").iter();
-        let stated = stated.filter_map(|value| value.to_str().ok());
-        let stated = stated.flat_map(|value| value.split(',')).map(str::trim);
-        let known: Vec<Option<IpAddr>> = stated.map(|text| text.parse().ok()).collect();
+        let stated = stated.flat_map(|value| value.to_str().unwrap_or("?").split(','));
+        let address = |text: &str| text.trim().parse().ok();
+        let known: Vec<Option<IpAddr>> = stated.map(address).collect();
         // What stands before something that is no address, anyone may have written.
         let known = known.into_iter().rev().map_while(|address| address);
+        let known = known.map(|address: IpAddr| address.to_canonical());
         let mut clients = known.filter(|address| !is_proxy(address));
         clients.next().map_or(peer, Peer::Address)
     }
@@ -347,6 +348,7 @@ mod tests {
             ("127.0.0.1", "1.2.3.4, 10.1.1.1", "10.1.1.1"),
             ("127.0.0.1", "10.1.1.1, 10.0.0.9", "10.1.1.1"),
             ("127.0.0.1", "10.1.1.1, nobody", "127.0.0.1"),
+            ("127.0.0.1", "::ffff:10.1.1.1", "10.1.1.1"),
             ("127.0.0.1", "", "127.0.0.1"),
             ("10.1.1.2", "10.1.1.1", "10.1.1.2"),
         ] {

@@ -2,7 +2,7 @@
 //! closed for another.
 //!
 //! A connection without a request is idle, and so is one whose request's body still arrives. If all
-//! slots are taken, the connection that has been idle longest is closed for the new one. Idle
+//! slots are taken, the oldest connection that is idle is closed for the new one. Idle
 //! connections therefore keep nobody out, and only streams and requests in progress keep their
 //! slots. Beside these there is a reserve, where only `/healthz` and `/readyz` are answered.
 
@@ -97,7 +97,9 @@ impl Connections {
         let is_idle = |connection: &Connection| connection.busy.load(Ordering::Relaxed) == 0;
         let is_reserved = !make_room(&mut open.usual, MAX_CONNECTIONS, is_idle);
         if is_reserved {
-            make_room(&mut open.reserved, RESERVED, |_| true);
+            // Who has not asked yet before who waits for an answer, which is made at once.
+            let _ = make_room(&mut open.reserved, RESERVED, is_idle)
+                || make_room(&mut open.reserved, RESERVED, |_| true);
         }
         open.number += 1;
         let number = open.number;
@@ -309,13 +311,16 @@ mod tests {
         assert!(!is_open(&places[0]) && !is_open(&places[1]));
         assert!([&first, &second].map(is_open) == [true; 2]);
         busy.extend([&first, &second].map(|place| Busy::new(&place.connection)));
-        // All are busy: what comes now is for the health alone, and never keeps the next out.
-        let mut last = enter();
-        for _ in 0..3 * RESERVED {
-            assert!(last.connection.is_reserved);
-            last = enter();
-        }
-        assert_eq!(connections.lock().reserved.len(), 1);
+        // All are busy: what comes now is for the health alone, and never keeps the next out. Who
+        // has not asked gives way first.
+        let asked = enter();
+        let asking = Busy::new(&asked.connection);
+        let last: Vec<Place> = (0..3 * RESERVED).map(|_| enter()).collect();
+        assert!(last.iter().all(|place| place.connection.is_reserved));
+        let reserved = |place: &Place| connections.lock().reserved.contains_key(&place.number);
+        assert!(reserved(&asked) && reserved(&last[last.len() - 1]) && !reserved(&last[0]));
+        assert_eq!(connections.lock().reserved.len(), RESERVED);
+        drop((asking, asked));
         // A body that drips keeps nobody out.
         let dripping = Receiving::new(&places[7].connection);
         let usual = enter();

@@ -162,7 +162,7 @@ impl HttpServer {
                 token,
                 cookie: cookie_name(config.fleet()),
                 hosts: options.allow_host.clone(),
-                proxies: options.proxy.clone(),
+                proxies: options.proxy.iter().map(IpAddr::to_canonical).collect(),
             },
             rates: Mutex::default(),
             connections: Arc::default(),
@@ -267,7 +267,7 @@ async fn accept_at_address(
     // This limits unsent bytes and their delay. The connection also works without.
     let _ = stream.set_nodelay(true);
     let _ = rustix::net::sockopt::set_socket_send_buffer_size(&stream, SEND_BUFFER_BYTES);
-    Ok((stream, Peer::Address(peer.ip())))
+    Ok((stream, Peer::Address(peer.ip().to_canonical())))
 }
 
 async fn accept_at_socket(
@@ -341,7 +341,8 @@ async fn respond(
         true => Err(ApiError::busy("all connections are taken: try again")),
         false => shared.check(&request, peer),
     };
-    let response = match checked {
+    let closes = connection.is_reserved;
+    let mut response = match checked {
         Err(refusal) => {
             shared.refused.fetch_add(1, Ordering::Relaxed);
             if is_page && refusal.status == StatusCode::UNAUTHORIZED {
@@ -361,6 +362,11 @@ async fn respond(
             }
         }
     };
+    if closes {
+        // The next request may find a slot where all is answered.
+        let close = HeaderValue::from_static("close");
+        response.headers_mut().insert(header::CONNECTION, close);
+    }
     finish(response, busy)
 }
 

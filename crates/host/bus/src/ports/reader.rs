@@ -11,7 +11,7 @@ use iceoryx2::service::port_factory::PortFactory as _;
 use joulebus_wire::{Channel, Flow};
 
 use super::degradation::Failures;
-use super::places::{is_admitted, taken};
+use super::places::Places;
 use super::repair::Repair;
 use super::service::{self, Factory, OpenError};
 use crate::ipc::Ipc;
@@ -59,16 +59,21 @@ impl<C: Channel> Reader<C> {
             });
             nodes
         };
+        let places = Places {
+            bus,
+            service,
+            open: Some(limits.open_places(C::FLOW)),
+            nodes,
+        };
         let create = || {
-            let subscriber = subscribe::<C>(&factory, shape.buffer, &failures)?;
-            match is_admitted(bus, limits.open_places(C::FLOW), &nodes()) {
-                true => Ok(subscriber),
-                false => Err(SubscriberCreateError::ExceedsMaxSupportedSubscribers),
-            }
+            places.enter(
+                || subscribe::<C>(&factory, shape.buffer, &failures),
+                || SubscriberCreateError::ExceedsMaxSupportedSubscribers,
+            )
         };
         let subscriber =
             service::create(bus, create, is_full).map_err(|reason| match is_full(&reason) {
-                true => taken(bus, service, &nodes()),
+                true => places.refused(reason),
                 false => OpenError::port(service, reason),
             })?;
         // A failed connection is only counted, above.

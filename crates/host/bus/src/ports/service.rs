@@ -378,7 +378,8 @@ pub enum OpenError {
     /// All places that planners and views may have are taken.
     #[error(
         "service {service:?}: all {allowed} places for planners and views are taken, by {holders}; \
-         end one of them, or raise `readers.max_planners` for all processes of the fleet"
+         end one of them (of what planners read there are more with a greater \
+         `readers.max_planners`, for all processes of the fleet)"
     )]
     Places {
         /// The service.

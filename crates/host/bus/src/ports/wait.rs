@@ -14,7 +14,7 @@ use joulebus_wire::{Service, WakeEvent};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
-use super::places::{is_admitted, taken};
+use super::places::Places;
 use super::service::{self, OpenError, need, open_event};
 use crate::ipc::Ipc;
 use crate::liveness::kept::Kept;
@@ -143,16 +143,21 @@ impl Waiter {
             });
             nodes
         };
+        let places = Places {
+            bus,
+            service,
+            open: places,
+            nodes,
+        };
         let create = || {
-            let listener = factory.listener_builder().create()?;
-            match places.is_none_or(|places| is_admitted(bus, places, &nodes())) {
-                true => Ok(listener),
-                false => Err(ListenerCreateError::ExceedsMaxSupportedListeners),
-            }
+            places.enter(
+                || factory.listener_builder().create(),
+                || ListenerCreateError::ExceedsMaxSupportedListeners,
+            )
         };
         let listener =
             service::create(bus, create, is_full).map_err(|reason| match is_full(&reason) {
-                true => taken(bus, service, &nodes()),
+                true => places.refused(reason),
                 false => OpenError::port(service, reason),
             })?;
         let need = need(bus, &factory, Some(listener.id().value()));

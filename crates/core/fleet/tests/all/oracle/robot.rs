@@ -102,6 +102,7 @@ impl Run {
         self.unread += 1;
         self.history.pass();
         let forecasts = self.predict(by, self.command, 0.0, 0.0);
+        let forecasts = forecasts.filter(|one| one.learns || !one.is_absurd);
         let forecast_w = forecasts.map(|forecasts| possible(by.platform, forecasts.forecast_w));
         (self.forecast_w, self.forecasts) = (forecast_w, None);
         self.forecast_w.is_some()
