@@ -92,6 +92,8 @@ pub enum Severity {
 pub enum Source {
     /// A table, an archive or a capture, read by a verb of joulebus.
     Recording,
+    /// A recording whose current is turned already.
+    TurnedRecording,
     /// A bag, read by `joulebus import`.
     Bag,
     /// A bridge's file.
@@ -152,6 +154,9 @@ impl Finding {
             (Remedy::Turn, Source::Recording) => {
                 "turn the sign with --current discharge-negative".to_owned()
             }
+            (Remedy::Turn, Source::TurnedRecording) => {
+                "turn the sign with --current discharge-positive".to_owned()
+            }
             (Remedy::Turn, Source::Bag) => {
                 "state the other sign with --current discharge-positive or discharge-negative"
                     .to_owned()
@@ -160,7 +165,7 @@ impl Finding {
                 "turn the sign: negate = true in the field `{quantity}`, or current = \"discharge-positive\" of the battery"
             ),
             (Remedy::Turn, Source::Program) => format!("publish {quantity} with the other sign"),
-            (Remedy::State(unit), Source::Recording) => {
+            (Remedy::State(unit), Source::Recording | Source::TurnedRecording) => {
                 format!("state the unit, --map {quantity}_{unit}={column}, or correct the file")
             }
             (Remedy::State(_), Source::Bag) => {
@@ -190,7 +195,7 @@ impl Finding {
             (Remedy::Expire, _) => {
                 "record what the robot executes, 0 where it stopped by itself".to_owned()
             }
-            (Remedy::Name, Source::Recording) => {
+            (Remedy::Name, Source::Recording | Source::TurnedRecording) => {
                 format!("name its column with --map {quantity}=COLUMN")
             }
             (Remedy::Name, Source::Bag) => "name its topic in a mapping file".to_owned(),
@@ -198,14 +203,14 @@ impl Finding {
                 "correct its topic or `at` in the bridge's file".to_owned()
             }
             (Remedy::Name, Source::Program) => format!("publish {quantity}"),
-            (Remedy::Limits, Source::Recording | Source::Bag) => {
+            (Remedy::Limits, Source::Recording | Source::TurnedRecording | Source::Bag) => {
                 "correct the values, or state another platform's limits".to_owned()
             }
             (Remedy::Limits, _) => "correct the values or the platform's limits".to_owned(),
             (Remedy::Sensor, _) => "check the sensor and its driver".to_owned(),
         };
         match source {
-            Source::Recording | Source::Bag => {
+            Source::Recording | Source::TurnedRecording | Source::Bag => {
                 format!("{remedy}; if it is right, --accept {accept}")
             }
             Source::Bridge => format!("{remedy}; if it is right, accept = [\"{accept}\"]"),

@@ -50,6 +50,7 @@ pub struct Trial {
     period_ns: u64,
     columns: Columns,
     sources: Vec<SourceColumn>,
+    is_turned: bool,
     notes: TrialNotes,
 }
 
@@ -84,6 +85,7 @@ impl Trial {
             sources,
             left_out,
             understood,
+            is_turned,
         } = table;
         for column in &mut columns {
             if column
@@ -109,6 +111,7 @@ impl Trial {
             period_ns,
             columns,
             sources,
+            is_turned,
             notes: TrialNotes::default(),
         };
         trial.notes = TrialNotes {
@@ -175,6 +178,11 @@ impl Trial {
     /// The columns of a CSV that were read; empty for other formats, which state their units.
     pub fn sources(&self) -> &[SourceColumn] {
         &self.sources
+    }
+
+    /// Whether the sign of the current was turned when it was read.
+    pub(crate) const fn is_turned(&self) -> bool {
+        self.is_turned
     }
 
     /// Quality notes on the trial.

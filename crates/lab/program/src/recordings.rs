@@ -69,11 +69,15 @@ impl ColumnArguments {
         options
     }
 
-    /// The same for a platform's recordings: what is not given is as in the config.
+    /// How a platform's recordings are read: what is not given is as in the config.
     ///
     /// # Errors
     /// The config states what no option allows.
-    pub(crate) fn or_configured(&self, config: &Config, platform: usize) -> anyhow::Result<Self> {
+    pub(crate) fn or_configured(
+        &self,
+        config: &Config,
+        platform: usize,
+    ) -> anyhow::Result<ColumnMap> {
         let stated = config.recordings(platform);
         let refused = |key, error| {
             let name = &config.settings().platforms[platform].name;
@@ -81,15 +85,16 @@ impl ColumnArguments {
                 "platform {name}: `recordings.{key}`: {error}"
             )))
         };
-        let mut own = self.clone();
-        if let Some(map) = stated.map.filter(|_| own.map.is_empty()) {
+        let mut own = self.map();
+        if let Some(map) = stated.map.filter(|_| self.map.is_empty()) {
             let columns = map.split(',').map(str::parse);
             let columns = columns.collect::<Result<_, _>>();
-            own.map = columns.map_err(|error: MapError| refused("map", error.to_string()))?;
+            let columns = columns.map_err(|error: MapError| refused("map", error.to_string()))?;
+            own = own.configured(columns);
         }
-        if let Some(sign) = stated.current.filter(|_| own.current.is_none()) {
+        if let Some(sign) = stated.current.filter(|_| self.current.is_none()) {
             let sign = Sign::from_str(&sign, false).map_err(|error| refused("current", error))?;
-            own.current = Some(sign);
+            own = own.configured_discharge_negative(sign == Sign::DischargeNegative);
         }
         Ok(own)
     }
@@ -140,7 +145,7 @@ impl Recordings {
     /// # Errors
     /// As [`ColumnArguments::or_configured`].
     pub(crate) fn map_of(&self, config: &Config, platform: usize) -> anyhow::Result<ColumnMap> {
-        Ok(self.columns.or_configured(config, platform)?.map())
+        self.columns.or_configured(config, platform)
     }
 }
 

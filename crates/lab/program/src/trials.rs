@@ -88,7 +88,7 @@ impl TrialFiles {
     /// # Errors
     /// As [`ColumnArguments::or_configured`].
     pub(crate) fn map_of(&self, config: &Config, platform: usize) -> anyhow::Result<ColumnMap> {
-        Ok(self.columns.or_configured(config, platform)?.map())
+        self.columns.or_configured(config, platform)
     }
 
     /// True if an id or a platform is given.

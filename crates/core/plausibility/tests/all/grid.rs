@@ -375,6 +375,7 @@ fn findings_name_the_option_of_each_source() {
     use joulebus_plausibility::Source;
     let remedy = |source| found[0].remedy(source, Some("p"));
     assert!(remedy(Source::Recording).contains("--current discharge-negative"));
+    assert!(remedy(Source::TurnedRecording).contains("--current discharge-positive"));
     assert!(remedy(Source::Recording).contains("--accept sign"));
     assert!(remedy(Source::Bridge).contains("negate = true"));
     assert!(!remedy(Source::Program).contains("--accept"));

@@ -303,6 +303,7 @@ fn assemble(path: &Path, head: &Head, values: Values) -> Result<Table, TrialErro
         sources: head.sources.clone(),
         left_out: head.left_out.clone(),
         understood: head.understood.clone(),
+        is_turned: false,
         ..Table::default()
     };
     let Values {

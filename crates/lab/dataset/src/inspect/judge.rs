@@ -77,6 +77,10 @@ fn implausible(from: Source, trial: &Trial, finding: Finding) -> Implausible {
         None if !trial.sources().is_empty() => "power".to_owned(),
         None => column.name().to_owned(),
     });
+    let from = match from {
+        Source::Recording if trial.is_turned() => Source::TurnedRecording,
+        from => from,
+    };
     let remedy = finding.remedy(from, name.as_deref());
     let place = Place {
         file: trial.path().to_owned(),

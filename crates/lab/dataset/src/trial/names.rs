@@ -4,7 +4,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use super::table::Column;
+use super::table::{Column, Table};
 
 /// The quantity of a file's column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -376,7 +376,10 @@ impl fmt::Display for MappedColumn {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ColumnMap {
     columns: Vec<MappedColumn>,
+    /// Whether the columns are those of a config.
+    is_configured: bool,
     turned: bool,
+    turned_as_configured: bool,
     whole_rows: bool,
 }
 
@@ -407,6 +410,26 @@ impl ColumnMap {
         Self { turned, ..self }
     }
 
+    /// Takes the columns from a platform's config. A file that has none of them is read without.
+    #[must_use]
+    pub fn configured(self, columns: Vec<MappedColumn>) -> Self {
+        Self {
+            columns,
+            is_configured: true,
+            ..self
+        }
+    }
+
+    /// Takes the sign of the current from a platform's config. Captures and archives, which
+    /// joulebus wrote, are never turned by it.
+    #[must_use]
+    pub fn configured_discharge_negative(self, turned_as_configured: bool) -> Self {
+        Self {
+            turned_as_configured,
+            ..self
+        }
+    }
+
     /// Leaves out lines of a CSV that are no whole rows, instead of refusing the file.
     #[must_use]
     pub fn whole_rows(self, whole_rows: bool) -> Self {
@@ -419,8 +442,31 @@ impl ColumnMap {
     }
 
     /// Whether the current is negative while the battery discharges.
-    pub(crate) const fn turns(&self) -> bool {
+    pub(super) const fn turns(&self) -> bool {
         self.turned
+    }
+
+    /// Turns the tables of a file that joulebus did not write, if a config says so.
+    pub(super) fn turn_as_configured(&self, tables: &mut [Table]) {
+        if self.turned_as_configured {
+            tables.iter_mut().for_each(Table::turn);
+        }
+    }
+
+    /// The map for a file with these columns: of another layout than the config's it names none.
+    pub(super) fn of_file(&self, names: &[String]) -> Self {
+        let has_pairs = !self.time_pairs(names).is_empty();
+        let is_there = |(quantity, name): (Quantity, &str)| {
+            (quantity == Quantity::Time && has_pairs) || names.iter().any(|found| found == name)
+        };
+        if !self.is_configured || self.named().next().is_none() || self.named().any(is_there) {
+            return self.clone();
+        }
+        Self {
+            columns: Vec::new(),
+            turned_as_configured: false,
+            ..self.clone()
+        }
     }
 
     /// Whether the caller names the column of a quantity.

@@ -35,9 +35,7 @@ impl Table {
     /// Same as [`Table::read_robots`], and for a mapped column that the file lacks.
     pub fn read_mapped(path: impl AsRef<Path>, map: &ColumnMap) -> Result<Vec<Self>, TrialError> {
         let mut tables = Self::read_as_recorded(path.as_ref(), map)?;
-        if map.turns() {
-            tables.iter_mut().for_each(Self::turn);
-        }
+        tables.iter_mut().for_each(|table| table.apply_sign(map));
         Ok(tables)
     }
 
@@ -64,7 +62,9 @@ impl Table {
         if head.starts_with(crate::npy::MAGIC) || named_npy {
             let file_bytes = file.metadata().map_err(io)?.len();
             let whole = head.as_slice().chain(BufReader::new(file));
-            npy::read(path, whole, file_bytes)
+            let mut tables = npy::read(path, whole, file_bytes)?;
+            map.turn_as_configured(&mut tables);
+            Ok(tables)
         } else if head.starts_with(MCAP_MAGIC) {
             capture::read(path)
         } else if head.starts_with(archive::MAGIC) {

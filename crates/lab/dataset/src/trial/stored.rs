@@ -20,7 +20,7 @@ pub struct Stored {
 enum Place {
     File(ColumnMap),
     /// Number of the trial in the listing, from 0.
-    Listed(Arc<Listing>, usize, bool),
+    Listed(Arc<Listing>, usize, ColumnMap),
 }
 
 impl Stored {
@@ -40,7 +40,7 @@ impl Stored {
         let listing = Arc::new(archive::open(path)?);
         let trials = 0..listing.trials.len();
         let each =
-            trials.map(|number| stored(Place::Listed(Arc::clone(&listing), number, map.turns())));
+            trials.map(|number| stored(Place::Listed(Arc::clone(&listing), number, map.clone())));
         Ok(each.collect())
     }
 
@@ -62,11 +62,9 @@ impl Stored {
     pub fn read_again(&self) -> Result<Trial, TrialError> {
         match &self.place {
             Place::File(map) => Table::only_of(&self.path, map)?.into_trial(),
-            Place::Listed(listing, number, turns) => {
+            Place::Listed(listing, number, map) => {
                 let mut table = archive::listed(&self.path, listing, *number)?;
-                if *turns {
-                    table.turn();
-                }
+                table.apply_sign(map);
                 table.into_trial()
             }
         }

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::error::TrialError;
 use super::limits::{MAX_ROBOTS, MAX_ROWS};
+use super::names::ColumnMap;
 
 /// A column of a trial, without robot and time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -150,6 +151,8 @@ pub struct Table {
     pub(crate) left_out: LeftOut,
     /// How the text of a CSV was understood, where that is not usual.
     pub(crate) understood: Vec<String>,
+    /// Whether the sign of its current was turned.
+    pub(crate) is_turned: bool,
 }
 
 /// Lines of a CSV that are no whole rows, and were left out on request.
@@ -296,9 +299,18 @@ impl Table {
         self.columns[column as usize].as_deref()
     }
 
+    /// Turns the sign of the current if the caller says that it is negative while the battery
+    /// discharges. What a config says is for files that joulebus did not write.
+    pub fn apply_sign(&mut self, map: &ColumnMap) {
+        if map.turns() {
+            self.turn();
+        }
+    }
+
     /// Turns the sign of the current, and of a power that has its sign: one that was made of it, or
     /// that is positive where the current is.
     pub(super) fn turn(&mut self) {
+        self.is_turned = true;
         let [power, current] = [Column::Power, Column::Current].map(|column| self.column(column));
         let agrees = match (power, current) {
             (Some(power), Some(current)) => {

@@ -121,6 +121,7 @@ pub(super) fn read(
     if let Some(first) = tables.first_mut() {
         (first.left_out, first.understood) = (left_out, understood);
     }
+    layout.map.turn_as_configured(&mut tables);
     Ok(tables)
 }
 
@@ -626,6 +627,8 @@ struct Layout {
     columns: Vec<(Column, Source, f64, String)>,
     /// Whether power is voltage times current.
     by_product: bool,
+    /// The map as it applies to this file.
+    map: ColumnMap,
 }
 
 impl Layout {
@@ -646,6 +649,7 @@ impl Layout {
                 found: shown(),
             });
         }
+        let map = map.of_file(&names);
         let pairs = map.time_pairs(&names);
         let absent = map.named().filter(|(quantity, name)| {
             let is_pair = *quantity == Quantity::Time && !pairs.is_empty();
@@ -765,6 +769,7 @@ impl Layout {
             time_name,
             columns,
             by_product,
+            map,
         };
         // An index that a program wrote in front of the table is no column that anybody misses.
         let is_index = |at: usize, name: &str| name.is_empty() || (at == 0 && name == "Unnamed: 0");

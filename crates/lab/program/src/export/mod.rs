@@ -96,7 +96,8 @@ fn one(
         report.bytes += bytes;
     };
     if is_capture(file) {
-        return each_run(file, |run| -> anyhow::Result<()> {
+        return each_run(file, |mut run| -> anyhow::Result<()> {
+            run.table.apply_sign(map);
             let fleet = Some(run.fleet.as_str());
             add(adding.trial(fleet, &run.table, Some(&run.stamps))?);
             Ok(())

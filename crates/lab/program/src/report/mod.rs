@@ -92,7 +92,7 @@ fn evaluate(args: &Args) -> anyhow::Result<(Document, Vec<Judged>)> {
         .map_or(0, |ids| *ids.start());
     let place = kind.and_then(|kind| settings.platforms.iter().position(|one| one == kind));
     let map = match place {
-        Some(place) => args.columns.or_configured(&config, place)?.map(),
+        Some(place) => args.columns.or_configured(&config, place)?,
         None => args.columns.map(),
     };
     let accept = args.accept.or_configured(&config, place)?;

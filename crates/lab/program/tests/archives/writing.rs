@@ -4,10 +4,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use joulebus_dataset::archive::{fields, listings};
+use joulebus_dataset::trial::{Column, ColumnMap, Table};
 use joulebus_testkit::{Child, Ended, run, says};
 
 use crate::recordings::{capture, every_kind, full, sparse};
-use crate::{LAB, export, export_mixed, files, joulebus, parquet};
+use crate::{LAB, export, export_as, export_mixed, files, joulebus, parquet};
 
 #[test]
 fn a_folder_with_other_files_is_refused_and_left_as_it_is() {
@@ -287,4 +288,40 @@ fn parquet_files_that_no_listing_names_are_kept() {
     fs::remove_file(folder.join("_joulebus/000000.recording")).unwrap();
     export(&[&three], &folder).exits(0);
     assert!(kept.iter().all(|file| file.exists()), "{kept:?}");
+}
+
+/// What joulebus wrote has joulebus's sign: only the caller turns it.
+#[test]
+fn a_capture_is_turned_if_the_caller_says_so_and_never_by_a_config() {
+    let place = tempfile::tempdir().unwrap();
+    let run = capture(place.path(), "a.mcap", 300, 1);
+    let read = |path: &Path, map: &ColumnMap| -> Vec<f64> {
+        let tables = Table::read_mapped(path, map).unwrap();
+        let currents = tables.iter().filter_map(|one| one.column(Column::Current));
+        currents.flatten().copied().collect()
+    };
+    let sum = |values: Vec<f64>| {
+        values
+            .into_iter()
+            .filter(|one| !one.is_nan())
+            .fold(0.0, |sum, one| sum + one)
+    };
+    let own = ColumnMap::default();
+    let original = sum(read(&run, &own));
+    assert!(original > 0.0);
+    for (number, options, sign) in [
+        (0, &[][..], 1.0),
+        (1, &["--current", "discharge-negative"][..], -1.0),
+    ] {
+        let folder = place.path().join(format!("archive{number}"));
+        export_as(options, &[&run], &folder).exits(0);
+        let listing = listings(&folder).unwrap().remove(0);
+        assert_eq!(sum(read(&listing, &own)), sign * original);
+        let configured = own.clone().configured_discharge_negative(true);
+        assert_eq!(sum(read(&listing, &configured)), sign * original);
+        let told = own.clone().discharge_negative(true);
+        assert_eq!(sum(read(&listing, &told)), -sign * original);
+    }
+    let configured = own.configured_discharge_negative(true);
+    assert_eq!(sum(read(&run, &configured)), original);
 }

@@ -300,3 +300,35 @@ fn files_of_other_programs_are_named_with_how_they_are_converted() {
     Trial::read(files.write("log.csv", csv(&ROWS).as_bytes())).unwrap();
     Trial::read(files.write("log", &npy_f8(&ROWS))).unwrap();
 }
+
+/// What a config says is for the files of the platform's own program: not for converted ones.
+#[test]
+fn configured_columns_and_signs_are_for_files_that_have_them() {
+    let files = Files::new();
+    let columns = "power_W=p,current_A=i"
+        .split(',')
+        .map(|one| one.parse().unwrap());
+    let map = ColumnMap::default()
+        .configured(columns.collect())
+        .configured_discharge_negative(true);
+    let read = |text: &str, map: &ColumnMap| {
+        let path = files.write("log.csv", text.as_bytes());
+        Table::only_of(path, map)
+    };
+    let theirs = read("time,p,i\n0,-4.5,-1\n1,-4.6,-1\n", &map).unwrap();
+    let ours = read(
+        "timestamp_s,power_mW,current_mA\n0,4500,1000\n1,4600,1000\n",
+        &map,
+    )
+    .unwrap();
+    for table in [theirs, ours] {
+        assert_eq!(table.column(Column::Power), Some(&[4500.0, 4600.0][..]));
+        assert_eq!(table.column(Column::Current), Some(&[1000.0, 1000.0][..]));
+    }
+    // One of them is missing: it is a broken file of that program.
+    let error = read("time,p\n0,4.5\n1,4.6\n", &map).unwrap_err();
+    says(&error.to_string(), ["mapped: current=i"]);
+    // Columns that the caller names must be there.
+    let told = mapped("power_W=p");
+    assert!(read("time,power_W\n0,4.5\n1,4.6\n", &told).is_err());
+}
