@@ -177,7 +177,6 @@ impl Finding {
                     "percent" => "%",
                     "mmps" => "mm/s",
                     "degps" => "deg/s",
-                    "" => "share",
                     other => other,
                 };
                 format!("state the unit in the field: {quantity} = {{ at = …, unit = \"{unit}\" }}")

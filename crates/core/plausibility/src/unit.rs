@@ -273,7 +273,7 @@ impl Magnitudes<'_> {
                 number(column.greatest),
                 number(column.greatest * 100.0)
             );
-            self.finding(Quantity::Soc, what, allowed.to_owned(), "")
+            self.finding(Quantity::Soc, what, allowed.to_owned(), "share")
         })
     }
 }

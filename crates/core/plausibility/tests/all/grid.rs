@@ -380,3 +380,14 @@ fn findings_name_the_option_of_each_source() {
     assert!(remedy(Source::Bridge).contains("negate = true"));
     assert!(!remedy(Source::Program).contains("--accept"));
 }
+
+/// The units that remedies name are those that --map takes.
+#[test]
+fn a_share_that_was_divided_is_stated_as_a_share() {
+    let rows = each(Recording::USUAL.rows(), |seen| seen.soc /= 100.0);
+    let found = judged(Known::default(), &rows);
+    let soc = found.iter().find(|one| one.quantity == Some(Quantity::Soc));
+    let source = joulebus_plausibility::Source::Recording;
+    let remedy = soc.unwrap().remedy(source, Some("charge"));
+    assert!(remedy.contains("--map soc_share=charge"), "{remedy}");
+}

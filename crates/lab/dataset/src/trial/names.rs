@@ -146,7 +146,7 @@ const SPELLINGS: [Spelling; 14] = [
         name: "soc",
         layout: &["soc"],
         others: &["soc", "state_of_charge", "battery_soc"],
-        units: &[("percent", 0.01), ("pct", 0.01), ("", 1.0)],
+        units: &[("percent", 0.01), ("pct", 0.01), ("share", 1.0), ("", 1.0)],
     },
     Spelling {
         quantity: of(Column::X),
@@ -707,6 +707,11 @@ mod tests {
             let found = map.positions(of(Column::Power), &names);
             let found: Vec<_> = found.iter().map(|one| (one.position, one.factor)).collect();
             assert_eq!(found, [(1, factor)], "{mapping}");
+        }
+        // The units that remedies name.
+        for (mapping, factor) in [("soc=charge", 0.01), ("soc_share=charge", 1.0)] {
+            let mapped: MappedColumn = mapping.parse().expect(mapping);
+            assert_eq!(mapped.factor, factor, "{mapping}");
         }
         let constant: MappedColumn = "voltage_V:=3.0".parse().expect("a constant");
         let map = ColumnMap::from(vec![constant]);
