@@ -1,6 +1,7 @@
 //! Names of columns in a CSV: the published layout's, usual spellings in several units, and those
 //! that the caller maps.
 
+use std::f64::consts::PI;
 use std::fmt;
 use std::str::FromStr;
 
@@ -35,8 +36,19 @@ const fn of(column: Column) -> Quantity {
     Quantity::Column(column)
 }
 
-const MPS: &[(&str, f64)] = &[("mps", 1.0), ("m_s", 1.0), ("", 1.0)];
-const RADPS: &[(&str, f64)] = &[("radps", 1.0), ("rad_s", 1.0), ("", 1.0)];
+const MPS: &[(&str, f64)] = &[
+    ("mps", 1.0),
+    ("m_s", 1.0),
+    ("mmps", 1e-3),
+    ("cmps", 1e-2),
+    ("", 1.0),
+];
+const RADPS: &[(&str, f64)] = &[
+    ("radps", 1.0),
+    ("rad_s", 1.0),
+    ("degps", PI / 180.0),
+    ("", 1.0),
+];
 const METRE: &[(&str, f64)] = &[("m", 1.0), ("", 1.0)];
 
 /// Every quantity; the units of voltage, current and power have to be in the name, except where
@@ -709,7 +721,14 @@ mod tests {
             assert_eq!(found, [(1, factor)], "{mapping}");
         }
         // The units that remedies name.
-        for (mapping, factor) in [("soc=charge", 0.01), ("soc_share=charge", 1.0)] {
+        for (mapping, factor) in [
+            ("soc=charge", 0.01),
+            ("soc_share=charge", 1.0),
+            ("v_mmps=a", 1e-3),
+            ("v_cmps=a", 1e-2),
+            ("v=a_mmps", 1e-3),
+            ("omega_degps=a", PI / 180.0),
+        ] {
             let mapped: MappedColumn = mapping.parse().expect(mapping);
             assert_eq!(mapped.factor, factor, "{mapping}");
         }
