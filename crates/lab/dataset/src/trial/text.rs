@@ -1,6 +1,7 @@
 //! The table as CSV with a header, plain or compressed.
 
 use std::io::{self, ErrorKind, Read};
+use std::ops::RangeInclusive;
 use std::path::Path;
 
 use csv::ByteRecord;
@@ -325,6 +326,8 @@ struct Times {
     form: Option<TimeForm>,
     /// Whether they are numbers of a unit that their size tells, when all are known.
     is_epoch: bool,
+    /// Whether they are whole numbers, and nothing states their unit.
+    is_unstated: bool,
 }
 
 impl Times {
@@ -376,7 +379,9 @@ impl Times {
         }
         if is_first && form == TimeForm::Number && !states_unit {
             self.is_epoch = time_s.abs() >= EPOCHS[0].1 * MIN_EPOCH_S;
+            self.is_unstated = true;
         }
+        self.is_unstated &= time_s.fract() == 0.0;
         match is_time(time_s) || (self.is_epoch && time_s.is_finite()) {
             true => Ok(time_s),
             false => Err(cell.refuse(name, String::from_utf8_lossy(text), many_seconds(name))),
@@ -391,20 +396,26 @@ impl Times {
         name: &str,
         understood: &mut Vec<String>,
     ) -> Result<(), TrialError> {
+        let steps = tables.iter().filter_map(|table| {
+            let pairs = table.timestamp_s.windows(2);
+            let steps = pairs.map(|pair| pair[1] - pair[0]);
+            let mut steps: Vec<f64> = steps.filter(|step| *step > 0.0).collect();
+            let middle = steps.len().checked_sub(1)? / 2;
+            Some(*steps.select_nth_unstable_by(middle, f64::total_cmp).1)
+        });
+        let step = steps.reduce(f64::min).unwrap_or_default();
+        // millis() of an Arduino at 50 to 500 Hz.
+        if self.is_unstated && !self.is_epoch && EITHER_S.contains(&step) {
+            let row = Cell { path, row: 1 };
+            let found = format!("whole numbers that are usually {step} apart");
+            return Err(row.refuse(name, found, either(name)));
+        }
         if self.is_epoch {
             let all = || {
                 tables
                     .iter()
                     .flat_map(|table| table.timestamp_s.iter().copied())
             };
-            let steps = tables.iter().filter_map(|table| {
-                let pairs = table.timestamp_s.windows(2);
-                let steps = pairs.map(|pair| pair[1] - pair[0]);
-                let mut steps: Vec<f64> = steps.filter(|step| *step > 0.0).collect();
-                let middle = steps.len().checked_sub(1)? / 2;
-                Some(*steps.select_nth_unstable_by(middle, f64::total_cmp).1)
-            });
-            let step = steps.reduce(f64::min).unwrap_or_default();
             let of_unit = |per_second: f64| {
                 let mut times_s = all().map(|time| time / per_second);
                 step / per_second <= MAX_STEP_S
@@ -448,6 +459,16 @@ const MIN_EPOCH_S: f64 = 8.6e8;
 const MAX_EPOCH_S: f64 = 4e9;
 /// Longer steps are those of another unit.
 const MAX_STEP_S: f64 = 3600.0;
+
+/// Steps of whole numbers that may be seconds or milliseconds.
+const EITHER_S: RangeInclusive<f64> = 2.0..=20.0;
+
+fn either(name: &str) -> String {
+    format!(
+        "a unit that is stated, because these can be seconds or milliseconds: --map time_s={name}, or --map \
+         time_ms={name}"
+    )
+}
 
 fn many_seconds(name: &str) -> String {
     format!(

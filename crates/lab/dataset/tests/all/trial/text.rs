@@ -44,6 +44,10 @@ fn times_separators_and_headers_of_other_programs_are_read() {
         - | sep=;\ntime;power_W\n0;4.5\n1;4.6\n | 0 | 1 | 4.6 | -
         - | # a log\n# of a robot\ntime,power_W\n0,4.5\n1,4.6\n | 0 | 1 | 4.6 | -
         - | # time,power_W\n0,4.5\n1,4.6\n | 0 | 1 | 4.6 | -
+        time_s=t | t,power_W\n0,4.5\n10,4.6\n | 0 | 10 | 4.6 | -
+        time_ms=t | t,power_W\n0,4.5\n10,4.6\n | 0 | 0.01 | 4.6 | -
+        - | t_s,power_W\n0,4.5\n10,4.6\n | 0 | 10 | 4.6 | -
+        - | t,power_W\n0,4.5\n1,4.6\n | 0 | 1 | 4.6 | -
         - | time,power_W\n0,4.5,\n1,4.6,\n | 0 | 1 | 4.6 | -
         - | time,power_W,\n0,4.5\n1,4.6\n | 0 | 1 | 4.6 | -
         voltage_V:=2 | time,Current(uA)\n0,2250000\n1,2300000\n | 0 | 1 | 4.6 | -
@@ -98,6 +102,8 @@ fn texts_that_can_mean_two_things_are_refused_with_the_way_out() {
         - | time;power_W\n0;1.234,5\n1;4,6\n | "1.234,5" | could separate thousands
         - | a.sec,a.nanosec,b.sec,b.nanosec,power_W\n1,0,1,0,4\n2,0,2,0,4\n | a.sec and b.sec | --map
         voltage_V:=3 | time,voltage_V\n0,1\n1,1\n | no column for power
+        - | t,power_W\n7,4.5\n17,4.6\n27,4.7\n | column t | 10 apart | --map time_s=t | --map time_ms=t
+        time=at | at,power_W\n0,4.5\n2,4.6\n4,4.7\n | column at | 2 apart | --map time_s=at
         "#,
     ) {
         let [columns, text, parts @ ..] = case.as_slice() else {
