@@ -112,29 +112,44 @@ pub(super) fn parse(text: &str) -> Option<(TimeForm, f64)> {
 
 /// Seconds of a day.
 pub(super) const DAY_S: f64 = 86_400.0;
+/// Rows may be written so much too late, s.
+const LATE_S: f64 = 600.0;
 
-/// Adds a day where times of day fall by more than half a day. Returns the days added.
-pub(super) fn over_midnight(times_s: &mut [f64]) -> usize {
-    if times_s.iter().any(|time_s| *time_s >= DAY_S) {
-        return 0;
-    }
-    let (mut days, mut before_s) = (0, f64::NAN);
-    for time_s in times_s {
-        let step_s = *time_s - before_s;
-        before_s = *time_s;
-        if step_s < -DAY_S / 2.0 {
-            days += 1;
-        } else if step_s > DAY_S / 2.0 && days > 0 {
-            days -= 1;
+/// Times of day in the order of a file, and how often they passed midnight.
+#[derive(Debug)]
+pub(super) struct Midnights {
+    pub(super) days: usize,
+    before_s: f64,
+}
+
+impl Default for Midnights {
+    fn default() -> Self {
+        Self {
+            days: 0,
+            before_s: f64::NAN,
         }
-        *time_s += days as f64 * DAY_S;
     }
-    days
+}
+
+impl Midnights {
+    /// The time with a day for each midnight before it: there times fall by more than half a day. A
+    /// row that was written late, minutes after a midnight, belongs to the day before.
+    pub(super) fn take(&mut self, time_s: f64) -> f64 {
+        let step_s = time_s - self.before_s;
+        // Of a day, with a leap second: a time that elapsed may be longer.
+        if step_s < -DAY_S / 2.0 && self.before_s < DAY_S + 1.0 {
+            self.days += 1;
+        } else if step_s > DAY_S - LATE_S && self.days > 0 {
+            self.days -= 1;
+        }
+        self.before_s = time_s;
+        time_s + self.days as f64 * DAY_S
+    }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::{TimeForm, over_midnight, parse};
+    use super::{Midnights, TimeForm, parse};
 
     #[test]
     fn times_are_read_as_people_and_programs_write_them() {
@@ -181,16 +196,27 @@ mod tests {
 
     #[test]
     fn times_of_day_go_on_after_midnight() {
-        let mut times_s = [86_399.0, 86_400.0 - 0.1, 0.1, 86_399.95, 0.2, 1.0];
-        assert_eq!(over_midnight(&mut times_s), 1);
-        let expected = [86_399.0, 86_399.9, 86_400.1, 86_399.95, 86_400.2, 86_401.0];
-        let same = times_s
-            .iter()
-            .zip(expected)
-            .all(|(one, other)| (one - other).abs() < 1e-6);
-        assert!(same, "{times_s:?}");
-        // It went back by less than half a day, or had more than a day.
-        assert_eq!(over_midnight(&mut [30_000.0, 20_000.0]), 0);
-        assert_eq!(over_midnight(&mut [90_000.0, 0.0]), 0);
+        let days = |times_s: &[f64]| -> Vec<f64> {
+            let mut midnights = Midnights::default();
+            times_s
+                .iter()
+                .map(|time_s| (midnights.take(*time_s) - time_s) / 86_400.0)
+                .collect()
+        };
+        for (times_s, expected) in [
+            (
+                &[86_399.0, 86_399.9, 0.1, 86_399.95, 0.2, 1.0][..],
+                &[0.0, 0.0, 1.0, 0.0, 1.0, 1.0][..],
+            ),
+            // It pauses for more than half a day.
+            (&[86_399.0, 600.0, 47_400.0], &[0.0, 1.0, 1.0]),
+            // A leap second.
+            (&[86_399.0, 86_400.0, 0.0, 1.0], &[0.0, 0.0, 1.0, 1.0]),
+            // It went back by less than half a day, or had more than a day.
+            (&[30_000.0, 20_000.0], &[0.0, 0.0]),
+            (&[90_000.0, 0.0], &[0.0, 0.0]),
+        ] {
+            assert_eq!(days(times_s), expected, "{times_s:?}");
+        }
     }
 }

@@ -10,7 +10,7 @@ use joulebus_files::foreign;
 
 use super::TrialError;
 use super::limits::{FREE_TEXT_BYTES, MAX_EXPANSION, MAX_ROW_BYTES, MAX_TEXT_BYTES};
-use super::moment::{self, TimeForm};
+use super::moment::{self, Midnights, TimeForm};
 use super::names::{ColumnMap, Found, Quantity, accepted};
 use super::table::{Cell, Column, LeftOut, SourceColumn, Table, Tables, check_value, is_time};
 
@@ -328,6 +328,8 @@ struct Times {
     is_epoch: bool,
     /// Whether they are whole numbers, and nothing states their unit.
     is_unstated: bool,
+    /// Of times of day, over all robots.
+    midnights: Midnights,
 }
 
 impl Times {
@@ -383,6 +385,7 @@ impl Times {
         }
         self.is_unstated &= time_s.fract() == 0.0;
         match is_time(time_s) || (self.is_epoch && time_s.is_finite()) {
+            true if form == TimeForm::Clock => Ok(self.midnights.take(time_s)),
             true => Ok(time_s),
             false => Err(cell.refuse(name, String::from_utf8_lossy(text), many_seconds(name))),
         }
@@ -434,15 +437,11 @@ impl Times {
             }
             understood.push(format!("{name} is read as {unit} since 1970"));
         }
-        if self.form == Some(TimeForm::Clock) {
-            for table in tables {
-                let days = moment::over_midnight(&mut table.timestamp_s);
-                if days > 0 {
-                    understood.push(format!(
-                        "the times of {name} have no date and pass midnight {days} times"
-                    ));
-                }
-            }
+        let days = self.midnights.days;
+        if days > 0 {
+            understood.push(format!(
+                "the times of {name} have no date and pass midnight {days} times"
+            ));
         }
         Ok(())
     }

@@ -338,3 +338,14 @@ fn configured_columns_and_signs_are_for_files_that_have_them() {
     let told = mapped("power_W=p");
     assert!(read("time,power_W\n0,4.5\n1,4.6\n", &told).is_err());
 }
+
+/// A robot whose first row is after midnight has the same day as the others.
+#[test]
+fn midnight_is_that_of_the_file_and_not_of_each_robot() {
+    let files = Files::new();
+    let text = "robot,time,power_W\na,23:59:58,4\na,23:59:59,4\na,00:00:00,4\nb,00:00:01,4\nb,00:00:02,4\n";
+    let path = files.write("log.csv", text.as_bytes());
+    let tables = Table::read_robots(path).unwrap();
+    assert_eq!(tables[0].timestamp_s(), [86_398.0, 86_399.0, 86_400.0]);
+    assert_eq!(tables[1].timestamp_s(), [86_401.0, 86_402.0]);
+}
