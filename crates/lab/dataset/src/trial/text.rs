@@ -72,7 +72,7 @@ pub(super) fn read(
                 let meter = reader.get_ref();
                 let cut = meter.ended && !meter.ends_in_line_break();
                 let cut = cut && (map.leaves_out() || record.len() < header.len());
-                match no_row(&record, &header, cell.row, cut) {
+                match no_row(&record, &header, layout.robot, cell.row, cut) {
                     Some(what) => Err(TrialError::Line {
                         path: path.to_owned(),
                         row: cell.row,
@@ -127,7 +127,13 @@ pub(super) fn read(
 }
 
 /// What a line is that is no row.
-fn no_row(record: &ByteRecord, header: &ByteRecord, row: usize, cut: bool) -> Option<String> {
+fn no_row(
+    record: &ByteRecord,
+    header: &ByteRecord,
+    robot: Option<usize>,
+    row: usize,
+    cut: bool,
+) -> Option<String> {
     let nul_bytes = record.as_slice().iter().filter(|byte| **byte == 0).count();
     let first = record.get(0).unwrap_or_default();
     let is_comment = |field: &[u8]| {
@@ -144,7 +150,8 @@ fn no_row(record: &ByteRecord, header: &ByteRecord, row: usize, cut: bool) -> Op
         ))
     } else if record == header {
         Some("the header again: a second recording was appended".to_owned())
-    } else if is_comment(first) {
+    } else if is_comment(first) && (robot != Some(0) || record.len() != header.len()) {
+        // A robot may be named #3.
         Some("a comment".to_owned())
     } else if record.iter().all(<[u8]>::is_empty) {
         Some("an empty line".to_owned())

@@ -349,3 +349,13 @@ fn midnight_is_that_of_the_file_and_not_of_each_robot() {
     assert_eq!(tables[0].timestamp_s(), [86_398.0, 86_399.0, 86_400.0]);
     assert_eq!(tables[1].timestamp_s(), [86_401.0, 86_402.0]);
 }
+
+#[test]
+fn a_robot_may_have_a_name_that_begins_as_a_comment() {
+    let files = Files::new();
+    let text = "robot_id,time,power_W\n#3,0,4.5\n#3,1,4.6\n";
+    let path = files.write("log.csv", text.as_bytes());
+    assert_eq!(Table::read(path).unwrap().robot_name(), Some("#3"));
+    let error = read(&files, &format!("{text}# the end\n"), "-").unwrap_err();
+    says(&error.to_string(), ["row 3", "a comment"]);
+}
