@@ -292,8 +292,10 @@ impl Numbers {
         }
         let comma = text.split_once(',').filter(|_| self.separator != b',');
         let (whole, fraction) = comma.ok_or(ALLOWED)?;
+        let digits = whole.trim_start_matches(['-', '+']);
+        // Thousands have one to three digits in front of them, and no zero first.
         let is_fraction =
-            fraction.len() != 3 || matches!(whole.trim_start_matches(['-', '+']), "0" | "");
+            fraction.len() != 3 || !(1..=3).contains(&digits.len()) || digits.starts_with('0');
         if text.contains('.') || !(is_fraction || self.decimal_comma == Some(true)) {
             return Err("a number with a point; a comma could separate thousands here");
         }

@@ -40,6 +40,8 @@ fn times_separators_and_headers_of_other_programs_are_read() {
         - | time;power_W\n0;4,5\n0,5;4,6\n | 0 | 0.5 | 4.6 | decimal comma
         - | time;power_W\n0.0;4.5\n0.5;4.6\n | 0 | 0.5 | 4.6 | separated by ';'
         - | time;power, W\n0,000;4,500\n0,500;4,600\n | 0 | 0.5 | 4.6 | decimal comma
+        - | time;power_W\n00,250;4,500\n00,750;4,600\n | 0.25 | 0.5 | 4.6 | decimal comma
+        - | time;power_W\n1775557800,000;4,500\n1775557800,500;4,600\n | 1775557800 | 0.5 | 4.6 | decimal comma
         - | time\tpower_W\n0\t4.5\n0.5\t4.6\n | 0 | 0.5 | 4.6 | separated by '\t'
         - | sep=;\ntime;power_W\n0;4.5\n1;4.6\n | 0 | 1 | 4.6 | -
         - | # a log\n# of a robot\ntime,power_W\n0,4.5\n1,4.6\n | 0 | 1 | 4.6 | -
