@@ -185,9 +185,12 @@ const JSON: &str = "in Python `pandas.read_json('FILE', lines=True).to_csv('log.
 /// [`HEAD_BYTES`] are looked at, if the file has them. Whoever reads one of these kinds looks for
 /// it before.
 pub fn recognise(head: &[u8]) -> Option<Foreign> {
-    let found = KINDS
-        .iter()
-        .find(|(at, magic, ..)| head.get(*at..).is_some_and(|rest| rest.starts_with(magic)));
+    // The length of a safetensors header may have the bytes of a short one.
+    let is_model = head.get(8..).is_some_and(|rest| rest.starts_with(b"{\""));
+    let found = KINDS.iter().find(|(at, magic, ..)| {
+        let is_length = is_model && magic.len() == 2 && !magic.is_ascii();
+        !is_length && head.get(*at..).is_some_and(|rest| rest.starts_with(magic))
+    });
     found.map(|(_, _, what, remedy)| Foreign { what, remedy })
 }
 
@@ -210,6 +213,10 @@ mod tests {
             let head = [vec![b' '; at], magic.to_vec(), vec![0; 8]].concat();
             let found = recognise(&head).expect(what);
             assert_eq!((found.what, found.remedy), (what, remedy));
+        }
+        for length in [b"\x80\x02", b"\x80\x05", b"\x1f\x8b"] {
+            let model = [&length[..], &[0; 6], b"{\"__metadata__\":"].concat();
+            assert_eq!(recognise(&model), None, "{length:x?}");
         }
         for text in [
             "",
