@@ -282,6 +282,16 @@ fn shared(one: &str, other: &str) -> usize {
     one.iter().zip(&other).take_while(|(a, b)| a == b).count()
 }
 
+/// Whether the namespaces of two topics differ first in a number: `/r1` and `/r2`.
+fn is_of_another_number(one: &str, other: &str) -> bool {
+    let (one, other) = (folders(one), folders(other));
+    let mut pairs = one.iter().zip(&other);
+    let letters = |part: &str| part.replace(|letter: char| letter.is_ascii_digit(), "");
+    pairs
+        .find(|(one, other)| one != other)
+        .is_some_and(|(one, other)| letters(one) == letters(other))
+}
+
 /// The topics of a recording by their kinds.
 struct Search<'a> {
     batteries: Vec<&'a str>,
@@ -319,17 +329,18 @@ impl<'a> Search<'a> {
     }
 
     /// The topics with the longest namespace in common with a battery, none of which is nearer to
-    /// another one. Of one battery all are.
+    /// another one. Of one battery all are, but those of a robot with another number.
     fn nearest(
         &self,
         topics: &[&str],
         usual: &str,
         battery: &str,
     ) -> Result<Option<String>, ImportError> {
-        if self.batteries.len() == 1 {
-            return only(topics, usual, battery);
-        }
+        let is_alone = self.batteries.len() == 1;
         let is_ours = |topic: &&str| {
+            if is_alone {
+                return !is_of_another_number(battery, topic);
+            }
             let depth = shared(battery, topic);
             let mut others = self.batteries.iter();
             let at_root = folders(battery).is_empty() && folders(topic).is_empty();

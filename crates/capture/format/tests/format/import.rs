@@ -324,6 +324,27 @@ fn a_battery_goes_with_the_topics_of_its_longest_namespace() {
 }
 
 #[test]
+fn a_battery_alone_goes_with_its_own_robot() {
+    let velocity = |commands: &[&str]| {
+        let imported = bag_of(&["/r1/battery"], commands).import("").unwrap();
+        let unusable: Vec<_> = imported
+            .unusable
+            .iter()
+            .map(|one| one.topic.clone())
+            .collect();
+        (imported.robots[0].rows[2].v_mps, unusable)
+    };
+    let r2 = "/r2/cmd_vel";
+    assert_eq!(velocity(&["/r1/cmd_vel", r2]), (1.0, vec![r2.to_owned()]));
+    assert_eq!(velocity(&[r2, "/cmd_vel"]), (2.0, vec![r2.to_owned()]));
+    let (foreign, unusable) = velocity(&[r2]);
+    assert!(foreign.is_nan(), "{foreign}");
+    assert_eq!(unusable, [r2]);
+    // Parts of one robot.
+    assert_eq!(velocity(&["/base_controller/cmd_vel"]), (1.0, Vec::new()));
+}
+
+#[test]
 fn channels_of_one_topic_in_one_file_are_one() {
     let mut bag = Bag::new();
     let state = "sensor_msgs/msg/BatteryState";
