@@ -1,5 +1,6 @@
 //! Mapping of topics to robots, and their interpretation.
 
+use std::collections::BTreeSet;
 use std::str::FromStr;
 
 use joulebus_plausibility::COMMAND_HOLDS_S;
@@ -232,21 +233,22 @@ pub(super) fn choose(
             current_unit_a: 1.0,
         });
     }
-    let first = robots
-        .first()
-        .map(|robot: &RobotMapping| robot.name.clone());
-    if robots.len() > 1
-        && robots
-            .iter()
-            .all(|robot| Some(&robot.name) == first.as_ref())
-    {
-        rename(&mut robots);
+    let names: BTreeSet<String> = robots
+        .iter()
+        .map(|robot: &RobotMapping| robot.name.clone())
+        .collect();
+    for name in names {
+        let same = robots.iter_mut().filter(|robot| robot.name == name);
+        let mut same: Vec<&mut RobotMapping> = same.collect();
+        if same.len() > 1 {
+            rename(&mut same);
+        }
     }
     Ok(robots)
 }
 
 /// Names robots of one namespace by what their own adds to it: that of battery and command.
-fn rename(robots: &mut [RobotMapping]) {
+fn rename(robots: &mut [&mut RobotMapping]) {
     let own = |robot: &RobotMapping| -> Vec<String> {
         let battery = folders(&robot.battery);
         let command = robot.command.as_deref().or(robot.odometry.as_deref());
@@ -256,7 +258,7 @@ fn rename(robots: &mut [RobotMapping]) {
             .map(|part| (*part).to_owned())
             .collect()
     };
-    let all: Vec<Vec<String>> = robots.iter().map(own).collect();
+    let all: Vec<Vec<String>> = robots.iter().map(|robot| own(robot)).collect();
     let is_same = |at: &usize| {
         all.iter()
             .all(|one| one.get(*at).is_some() && one.get(*at) == all[0].get(*at))

@@ -345,6 +345,14 @@ fn a_battery_alone_goes_with_its_own_robot() {
 }
 
 #[test]
+fn robots_of_one_namespace_beside_another_get_names_of_their_own() {
+    let batteries = ["/fleet/r1/battery", "/fleet/r2/battery", "/dock/battery"];
+    let imported = bag_of(&batteries, &[]).import("").unwrap();
+    let names: Vec<_> = imported.robots.iter().map(|one| &*one.name).collect();
+    assert_eq!(names, ["r1", "r2", "dock"]);
+}
+
+#[test]
 fn channels_of_one_topic_in_one_file_are_one() {
     let mut bag = Bag::new();
     let state = "sensor_msgs/msg/BatteryState";
