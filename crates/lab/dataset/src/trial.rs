@@ -50,6 +50,7 @@ pub struct Trial {
     period_ns: u64,
     columns: Columns,
     sources: Vec<SourceColumn>,
+    time_name: Option<String>,
     is_turned: bool,
     notes: TrialNotes,
 }
@@ -85,6 +86,7 @@ impl Trial {
             sources,
             left_out,
             understood,
+            time_name,
             is_turned,
         } = table;
         for column in &mut columns {
@@ -111,6 +113,7 @@ impl Trial {
             period_ns,
             columns,
             sources,
+            time_name,
             is_turned,
             notes: TrialNotes::default(),
         };
@@ -178,6 +181,11 @@ impl Trial {
     /// The columns of a CSV that were read; empty for other formats, which state their units.
     pub fn sources(&self) -> &[SourceColumn] {
         &self.sources
+    }
+
+    /// The name of a CSV's column with the time as a number.
+    pub(crate) fn time_name(&self) -> Option<&str> {
+        self.time_name.as_deref()
     }
 
     /// Whether the sign of the current was turned when it was read.

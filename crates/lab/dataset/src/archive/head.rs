@@ -28,6 +28,9 @@ pub struct Head {
     /// The columns of a CSV that were read.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sources: Vec<SourceColumn>,
+    /// Name of the CSV's column with the time as a number.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_name: Option<String>,
     /// Lines of a CSV that were left out.
     #[serde(default, skip_serializing_if = "LeftOut::is_none")]
     pub left_out: LeftOut,

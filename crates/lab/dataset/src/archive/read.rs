@@ -301,6 +301,7 @@ fn assemble(path: &Path, head: &Head, values: Values) -> Result<Table, TrialErro
         no_final_line_break: head.no_final_line_break,
         unnamed_rows: head.unnamed_rows,
         sources: head.sources.clone(),
+        time_name: head.time_name.clone(),
         left_out: head.left_out.clone(),
         understood: head.understood.clone(),
         is_turned: false,

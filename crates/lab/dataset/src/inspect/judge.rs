@@ -81,7 +81,8 @@ fn implausible(from: Source, trial: &Trial, finding: Finding) -> Implausible {
         Source::Recording if trial.is_turned() => Source::TurnedRecording,
         from => from,
     };
-    let remedy = finding.remedy(from, name.as_deref());
+    let named = name.as_deref().or_else(|| trial.time_name());
+    let remedy = finding.remedy(from, named);
     let place = Place {
         file: trial.path().to_owned(),
         row: None,

@@ -151,6 +151,8 @@ pub struct Table {
     pub(crate) left_out: LeftOut,
     /// How the text of a CSV was understood, where that is not usual.
     pub(crate) understood: Vec<String>,
+    /// Name of the column with the time as a number, in a CSV.
+    pub(crate) time_name: Option<String>,
     /// Whether the sign of its current was turned.
     pub(crate) is_turned: bool,
 }
@@ -335,6 +337,11 @@ impl Table {
                 }
             }
         }
+    }
+
+    /// The name of a CSV's column with the time as a number.
+    pub fn time_name(&self) -> Option<&str> {
+        self.time_name.as_deref()
     }
 
     /// The columns of a CSV that were read.

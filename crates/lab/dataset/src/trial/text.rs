@@ -118,6 +118,8 @@ pub(super) fn read(
     }
     for table in &mut tables {
         table.sources.clone_from(&start.sources);
+        let is_number = times.form == Some(TimeForm::Number);
+        table.time_name = is_number.then(|| layout.time_name.clone());
     }
     if let Some(first) = tables.first_mut() {
         (first.left_out, first.understood) = (left_out, understood);

@@ -283,6 +283,7 @@ impl Adding<'_> {
             no_final_line_break: table.no_final_line_break(),
             unnamed_rows: table.unnamed_rows(),
             sources: table.sources().to_vec(),
+            time_name: table.time_name().map(str::to_owned),
             left_out: table.left_out().clone(),
             understood: table.understood().to_vec(),
         };

@@ -172,3 +172,20 @@ fn columns_without_a_unit_are_refused_with_both_readings() {
     let path = files.write("milli.csv", table(1.0).as_bytes());
     assert_eq!(errors(&path, &ColumnMap::default()), []);
 }
+
+#[test]
+fn the_remedy_of_a_time_in_another_unit_names_its_column() {
+    let files = Files::new();
+    let mut text = "clock,power_W\n".to_owned();
+    for row in 0..100 {
+        let row = f64::from(row);
+        text += &format!("{:.1},{}\n", 33.3 * row, 4.0 + (0.7 * row).sin());
+    }
+    let path = files.write("log.csv", text.as_bytes());
+    let map = ColumnMap::from(vec!["time=clock".parse().unwrap()]);
+    let trial = Trial::read_mapped(&path, &map).unwrap().remove(0);
+    let found = judge(&trial, &Limits::default());
+    let unit = found.iter().find(|one| one.finding.quantity.is_none());
+    let remedy = &unit.unwrap().remedy;
+    assert!(remedy.contains("--map time_ms=clock"), "{remedy}");
+}
