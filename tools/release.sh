@@ -39,7 +39,7 @@ say() { echo "release: $*" >&2; }
 skip() {
     echo "SKIPPED: tools/release.sh: $1" >&2
     if [ "${CI:-}" = true ]; then exit 1; fi
-    touch "$work/$step.skipped"
+    touch "$RELEASE_SKIPPED"
 }
 
 profile=dist built='' again='' one='' chosen=()
@@ -136,12 +136,12 @@ make_wheels() { # processor
 }
 make_wheel() {
     make_wheels x86_64
-    [ -e "$work/$step.skipped" ] || tools/release/check_wheel.sh "$dist" "$version" >&2
+    [ -e "$RELEASE_SKIPPED" ] || tools/release/check_wheel.sh "$dist" "$version" >&2
 }
 make_wheel-aarch64() {
     make_wheels aarch64
     # No Python for it is here: what can be read of the wheels without one.
-    [ -e "$work/$step.skipped" ] || tools/release/check_wheel.sh "$dist" "$version" --foreign aarch64
+    [ -e "$RELEASE_SKIPPED" ] || tools/release/check_wheel.sh "$dist" "$version" --foreign aarch64
 }
 
 make_sdist() {
@@ -169,6 +169,8 @@ make_sums() {
 
 if [ -n "$one" ]; then
     step=$one
+    # Also for the scripts of this step.
+    export RELEASE_SKIPPED=$work/$step.skipped
     "make_$step"
     exit
 fi
