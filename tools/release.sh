@@ -62,7 +62,8 @@ arch=$(uname -m)
 SOURCE_DATE_EPOCH=${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct 2>/dev/null || date +%s)}
 export SOURCE_DATE_EPOCH
 from=${built:-$target/$profile}
-mkdir -p "$work" "$dist"
+made=$work/made/$version
+mkdir -p "$made" "$dist"
 
 need_programs() { [ -x "$from/joulebus" ] || fail "$from has no programs: tools/release.sh programs"; }
 five_minutes() { "$root/tools/release/five_minutes.sh" "$@"; }
@@ -163,7 +164,8 @@ make_sbom() {
 }
 
 make_sums() {
-    (cd "$dist" && find . -maxdepth 1 -type f ! -name SHA256SUMS -printf '%P\n' | LC_ALL=C sort | xargs -r sha256sum >SHA256SUMS && sha256sum --quiet --check SHA256SUMS)
+    # Other versions' artefacts may lie beside them.
+    (cd "$dist" && cat "$made"/* | { grep -vx SHA256SUMS || true; } | LC_ALL=C sort -u | xargs -r sha256sum >SHA256SUMS && sha256sum --quiet --check SHA256SUMS)
     sed "s/^/  /" "$dist/SHA256SUMS" >&2
 }
 
@@ -178,7 +180,7 @@ fi
 # Sources and options, by which a step has passed.
 inputs=$({ git rev-parse HEAD && git diff HEAD && git status --porcelain && echo "$profile $built $arch $version"; } | sha256sum | cut -d' ' -f1)
 passed() { # on these inputs, and what it made is still there
-    [ "$(head -n 1 "$work/$step.passed" 2>/dev/null)" = "$inputs" ] && (cd "$dist" && tail -n +2 "$work/$step.passed" | xargs -r ls) >/dev/null 2>&1
+    [ "$(cat "$work/$step.passed" 2>/dev/null)" = "$inputs" ] && (cd "$dist" && xargs -r ls <"$made/$step") >/dev/null 2>&1
 }
 for step in "${chosen[@]}"; do
     if [ -z "$again" ] && [ "$step" != sums ] && passed; then
@@ -192,6 +194,7 @@ for step in "${chosen[@]}"; do
     options=(--profile "$profile")
     [ -z "$built" ] || options+=(--programs "$built")
     tools/release.sh "${options[@]}" --one "$step" || fail "step $step failed after $((SECONDS - begun)) s"
-    [ -e "$work/$step.skipped" ] || { echo "$inputs" && find "$dist" -type f -newer "$work/begun" -printf '%P\n'; } >"$work/$step.passed"
+    find "$dist" -type f -newer "$work/begun" -printf '%P\n' >"$made/$step"
+    [ -e "$work/$step.skipped" ] || echo "$inputs" >"$work/$step.passed"
     say "$step: done after $((SECONDS - begun)) s"
 done
