@@ -39,7 +39,7 @@ say() { echo "release: $*" >&2; }
 skip() {
     echo "SKIPPED: tools/release.sh: $1" >&2
     if [ "${CI:-}" = true ]; then exit 1; fi
-    touch "$work/$step.skipped"
+    touch "$RELEASE_SKIPPED"
 }
 
 profile=dist built='' again='' one='' chosen=()
@@ -62,7 +62,8 @@ arch=$(uname -m)
 SOURCE_DATE_EPOCH=${SOURCE_DATE_EPOCH:-$(git log -1 --format=%ct 2>/dev/null || date +%s)}
 export SOURCE_DATE_EPOCH
 from=${built:-$target/$profile}
-mkdir -p "$work" "$dist"
+made=$work/made/$version
+mkdir -p "$made" "$dist"
 
 need_programs() { [ -x "$from/joulebus" ] || fail "$from has no programs: tools/release.sh programs"; }
 five_minutes() { "$root/tools/release/five_minutes.sh" "$@"; }
@@ -136,12 +137,12 @@ make_wheels() { # processor
 }
 make_wheel() {
     make_wheels x86_64
-    [ -e "$work/$step.skipped" ] || tools/release/check_wheel.sh "$dist" "$version" >&2
+    [ -e "$RELEASE_SKIPPED" ] || tools/release/check_wheel.sh "$dist" "$version" >&2
 }
 make_wheel-aarch64() {
     make_wheels aarch64
     # No Python for it is here: what can be read of the wheels without one.
-    [ -e "$work/$step.skipped" ] || tools/release/check_wheel.sh "$dist" "$version" --foreign aarch64
+    [ -e "$RELEASE_SKIPPED" ] || tools/release/check_wheel.sh "$dist" "$version" --foreign aarch64
 }
 
 make_sdist() {
@@ -163,12 +164,15 @@ make_sbom() {
 }
 
 make_sums() {
-    (cd "$dist" && find . -maxdepth 1 -type f ! -name SHA256SUMS -printf '%P\n' | LC_ALL=C sort | xargs -r sha256sum >SHA256SUMS && sha256sum --quiet --check SHA256SUMS)
+    # Other versions' artefacts may lie beside them.
+    (cd "$dist" && cat "$made"/* | { grep -vx SHA256SUMS || true; } | LC_ALL=C sort -u | xargs -r sha256sum >SHA256SUMS && sha256sum --quiet --check SHA256SUMS)
     sed "s/^/  /" "$dist/SHA256SUMS" >&2
 }
 
 if [ -n "$one" ]; then
     step=$one
+    # Also for the scripts of this step.
+    export RELEASE_SKIPPED=$work/$step.skipped
     "make_$step"
     exit
 fi
@@ -176,7 +180,7 @@ fi
 # Sources and options, by which a step has passed.
 inputs=$({ git rev-parse HEAD && git diff HEAD && git status --porcelain && echo "$profile $built $arch $version"; } | sha256sum | cut -d' ' -f1)
 passed() { # on these inputs, and what it made is still there
-    [ "$(head -n 1 "$work/$step.passed" 2>/dev/null)" = "$inputs" ] && (cd "$dist" && tail -n +2 "$work/$step.passed" | xargs -r ls) >/dev/null 2>&1
+    [ "$(cat "$work/$step.passed" 2>/dev/null)" = "$inputs" ] && (cd "$dist" && xargs -r ls <"$made/$step") >/dev/null 2>&1
 }
 for step in "${chosen[@]}"; do
     if [ -z "$again" ] && [ "$step" != sums ] && passed; then
@@ -190,6 +194,7 @@ for step in "${chosen[@]}"; do
     options=(--profile "$profile")
     [ -z "$built" ] || options+=(--programs "$built")
     tools/release.sh "${options[@]}" --one "$step" || fail "step $step failed after $((SECONDS - begun)) s"
-    [ -e "$work/$step.skipped" ] || { echo "$inputs" && find "$dist" -type f -newer "$work/begun" -printf '%P\n'; } >"$work/$step.passed"
+    find "$dist" -type f -newer "$work/begun" -printf '%P\n' >"$made/$step"
+    [ -e "$work/$step.skipped" ] || echo "$inputs" >"$work/$step.passed"
     say "$step: done after $((SECONDS - begun)) s"
 done

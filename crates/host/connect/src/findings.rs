@@ -20,9 +20,12 @@ const MAX_BYTES: u64 = 1 << 20;
 const MAX_FINDINGS: usize = 4_000;
 /// What a line begins with.
 const ROBOT: &str = "robot ";
+/// What the name of a file that is being written ends with. No other's does: `.` is in no source's part.
+const DRAFT: &str = ".new";
 
+/// What a file is called first. No name of a fleet has a `.`, and the default root is that of several.
 fn beginning(config: &Config) -> String {
-    format!("findings-{}-", config.fleet())
+    format!("findings-{}.", config.fleet())
 }
 
 /// The findings of one source. They end with it.
@@ -67,7 +70,8 @@ impl FindingsFile {
         if text.is_empty() {
             remove(&self.path)?;
         } else {
-            let draft = self.path.with_extension("new");
+            let mut draft = self.path.clone().into_os_string();
+            draft.push(DRAFT);
             fs::write(&draft, &text)?;
             fs::rename(&draft, &self.path)?;
         }
@@ -102,7 +106,7 @@ pub fn implausible_robots(config: &Config) -> BTreeSet<u32> {
     let of_fleet = entries.filter(|entry| {
         let name = entry.file_name();
         let name = name.to_string_lossy();
-        name.starts_with(&beginning) && !name.contains('.')
+        name.starts_with(&beginning) && !name.ends_with(DRAFT)
     });
     of_fleet.flat_map(|entry| robots(&entry.path())).collect()
 }
@@ -127,14 +131,27 @@ fn robots(path: &Path) -> Vec<u32> {
 mod tests {
     use super::*;
 
+    fn config(folder: &Path, fleet: &str) -> Config {
+        let text = format!(
+            "[fleet]\nname = {fleet:?}\n[domain]\nroot = {folder:?}\n[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n"
+        );
+        Config::parse(&text, Path::new(".")).expect("a config")
+    }
+
+    #[test]
+    fn a_fleet_does_not_read_another_whose_name_begins_as_its_own() {
+        let folder = tempfile::tempdir().expect("a temporary directory");
+        let [lab, other] = ["lab", "lab-2"].map(|fleet| config(folder.path(), fleet));
+        let mut findings = FindingsFile::new(&other, "bridge");
+        findings.say([(7, "sign")]).expect("written");
+        assert_eq!(implausible_robots(&lab), BTreeSet::new());
+        assert_eq!(implausible_robots(&other), BTreeSet::from([7]));
+    }
+
     #[test]
     fn findings_are_read_while_their_source_lives() {
         let folder = tempfile::tempdir().expect("a temporary directory");
-        let text = format!(
-            "[fleet]\nname = \"lab\"\n[domain]\nroot = {:?}\n[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n",
-            folder.path()
-        );
-        let config = Config::parse(&text, Path::new(".")).expect("a config");
+        let config = config(folder.path(), "lab");
         let found = || implausible_robots(&config).into_iter().collect::<Vec<_>>();
         assert_eq!(found(), []);
         let (mut one, mut other) = (
