@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use std::{fmt, fs};
 
 use joulebus_config::Config;
+use joulebus_wire::fnv1a;
 
 /// A file is written again after this time, so that readers know that its source lives.
 const AGAIN: Duration = Duration::from_secs(3);
@@ -42,7 +43,10 @@ impl FindingsFile {
     pub fn new(config: &Config, source: &str) -> Self {
         let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "-_".contains(letter);
         let plain = source.chars().map(|c| if is_plain(c) { c } else { '_' });
-        let name: String = beginning(config).chars().chain(plain.take(64)).collect();
+        let plain: String = plain.take(64).collect();
+        // What is legible may be another source's as well.
+        let hash = fnv1a(source.bytes());
+        let name = format!("{}{plain}-{hash:016x}", beginning(config));
         Self {
             path: config.root().join(name),
             written: String::new(),
@@ -146,6 +150,21 @@ mod tests {
         findings.say([(7, "sign")]).expect("written");
         assert_eq!(implausible_robots(&lab), BTreeSet::new());
         assert_eq!(implausible_robots(&other), BTreeSet::from([7]));
+    }
+
+    #[test]
+    fn sources_whose_names_look_alike_have_a_file_each() {
+        let folder = tempfile::tempdir().expect("a temporary directory");
+        let config = config(folder.path(), "lab");
+        let long = "a".repeat(64);
+        let names = ["a/b", "a b", "a_b", &long, &format!("{long}a")];
+        let mut files = names.map(|name| FindingsFile::new(&config, name));
+        for (robot, file) in (0..).zip(&mut files) {
+            file.say([(robot, "sign")]).expect("written");
+        }
+        assert_eq!(implausible_robots(&config), (0..5).collect());
+        files[2].say::<&str>([]).expect("removed");
+        assert_eq!(implausible_robots(&config), BTreeSet::from([0, 1, 3, 4]));
     }
 
     #[test]
