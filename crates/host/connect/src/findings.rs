@@ -10,14 +10,17 @@ use std::time::{Duration, Instant};
 use std::{fmt, fs};
 
 use joulebus_config::Config;
+use joulebus_wire::fnv1a;
 
 /// A file is written again after this time, so that readers know that its source lives.
 const AGAIN: Duration = Duration::from_secs(3);
 /// A file that is older is of a source that was killed.
 const EXPIRES: Duration = Duration::from_secs(15);
-/// Maximum size of a file, bytes, and of findings in one.
+/// Maximum size of a file, bytes, of lines in one, and of letters that say what was found: so all
+/// lines are read.
 const MAX_BYTES: u64 = 1 << 20;
-const MAX_FINDINGS: usize = 4_000;
+const MAX_LINES: usize = 16_000;
+const MAX_LETTERS: usize = 10;
 /// What a line begins with.
 const ROBOT: &str = "robot ";
 /// What the name of a file that is being written ends with. No other's does: `.` is in no source's part.
@@ -42,7 +45,10 @@ impl FindingsFile {
     pub fn new(config: &Config, source: &str) -> Self {
         let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "-_".contains(letter);
         let plain = source.chars().map(|c| if is_plain(c) { c } else { '_' });
-        let name: String = beginning(config).chars().chain(plain.take(64)).collect();
+        let plain: String = plain.take(64).collect();
+        // What is legible may be another source's as well.
+        let hash = fnv1a(source.bytes());
+        let name = format!("{}{plain}-{hash:016x}", beginning(config));
         Self {
             path: config.root().join(name),
             written: String::new(),
@@ -50,22 +56,29 @@ impl FindingsFile {
         }
     }
 
-    /// Says what is implausible now: robots, and what was found. Call it every second.
+    /// Says what is implausible now: robots, and the kind of what was found, in a word. Call it
+    /// every second. Returns how many lines are too many for the file, when that is news.
     ///
     /// # Errors
     /// The file cannot be written; the next call tries again.
     pub fn say<F: fmt::Display>(
         &mut self,
         found: impl IntoIterator<Item = (u32, F)>,
-    ) -> io::Result<()> {
-        let lines = found.into_iter().take(MAX_FINDINGS).map(|(robot, found)| {
+    ) -> io::Result<usize> {
+        let lines = found.into_iter().map(|(robot, found)| {
             let found = found.to_string().replace(char::is_control, " ");
+            let found: String = found.chars().take(MAX_LETTERS).collect();
             format!("{ROBOT}{robot}: {found}\n")
         });
-        let text: String = lines.collect();
+        let lines: BTreeSet<String> = lines.collect();
+        let cut = lines.len().saturating_sub(MAX_LINES);
+        let mut text: String = lines.into_iter().take(MAX_LINES).collect();
+        if cut > 0 {
+            text.push_str(&format!("and {cut} more\n"));
+        }
         let is_due = self.at.is_none_or(|at| at.elapsed() >= AGAIN);
         if text == self.written && (text.is_empty() || !is_due) {
-            return Ok(());
+            return Ok(0);
         }
         if text.is_empty() {
             remove(&self.path)?;
@@ -75,9 +88,9 @@ impl FindingsFile {
             fs::write(&draft, &text)?;
             fs::rename(&draft, &self.path)?;
         }
-        self.written = text;
         self.at = Some(Instant::now());
-        Ok(())
+        let is_news = std::mem::replace(&mut self.written, text) != self.written;
+        Ok(if is_news { cut } else { 0 })
     }
 }
 
@@ -112,17 +125,19 @@ pub fn implausible_robots(config: &Config) -> BTreeSet<u32> {
 }
 
 fn robots(path: &Path) -> Vec<u32> {
-    let read = || -> io::Result<String> {
+    let read = || -> io::Result<Vec<u8>> {
         let file = fs::File::open(path)?;
         let modified = file.metadata()?.modified()?;
-        let mut text = String::new();
+        let mut text = Vec::new();
         if modified.elapsed().is_ok_and(|age| age <= EXPIRES) {
-            file.take(MAX_BYTES).read_to_string(&mut text)?;
+            file.take(MAX_BYTES).read_to_end(&mut text)?;
         }
         Ok(text)
     };
     // One that was removed meanwhile has none.
     let text = read().unwrap_or_default();
+    // One cut letter loses no other line.
+    let text = String::from_utf8_lossy(&text);
     let robot = |line: &str| line.strip_prefix(ROBOT)?.split_once(':')?.0.parse().ok();
     text.lines().filter_map(robot).collect()
 }
@@ -146,6 +161,36 @@ mod tests {
         findings.say([(7, "sign")]).expect("written");
         assert_eq!(implausible_robots(&lab), BTreeSet::new());
         assert_eq!(implausible_robots(&other), BTreeSet::from([7]));
+    }
+
+    #[test]
+    fn sources_whose_names_look_alike_have_a_file_each() {
+        let folder = tempfile::tempdir().expect("a temporary directory");
+        let config = config(folder.path(), "lab");
+        let long = "a".repeat(64);
+        let names = ["a/b", "a b", "a_b", &long, &format!("{long}a")];
+        let mut files = names.map(|name| FindingsFile::new(&config, name));
+        for (robot, file) in (0..).zip(&mut files) {
+            file.say([(robot, "sign")]).expect("written");
+        }
+        assert_eq!(implausible_robots(&config), (0..5).collect());
+        files[2].say::<&str>([]).expect("removed");
+        assert_eq!(implausible_robots(&config), BTreeSet::from([0, 1, 3, 4]));
+    }
+
+    #[test]
+    fn long_and_foreign_text_loses_no_robot_and_what_is_cut_is_said() {
+        let folder = tempfile::tempdir().expect("a temporary directory");
+        let config = config(folder.path(), "lab");
+        let mut file = FindingsFile::new(&config, "bridge");
+        let many = |count: u32| (0..count).map(|robot| (robot, "\u{1F916}".repeat(300)));
+        assert_eq!(file.say(many(MAX_LINES as u32)).expect("written"), 0);
+        assert_eq!(implausible_robots(&config).len(), MAX_LINES);
+        assert_eq!(file.say(many(MAX_LINES as u32 + 7)).expect("written"), 7);
+        let text = fs::read_to_string(&file.path).expect("text");
+        assert!(text.ends_with("and 7 more\n") && (text.len() as u64) < MAX_BYTES);
+        fs::write(&file.path, b"robot 7: \xf0\x9f\nrobot 3: sign\n").expect("written");
+        assert_eq!(implausible_robots(&config), BTreeSet::from([3, 7]));
     }
 
     #[test]

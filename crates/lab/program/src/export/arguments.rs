@@ -17,7 +17,7 @@ use crate::recordings::ColumnArguments;
     exported, in their order; a partition of it (DIR/fleet=a/day=2026-11-22) file by file. Further exports into DIR \
     add to it. Captures of any length need little memory; a temporary file in TMPDIR has their samples meanwhile.\n\n\
     Exit codes: 1 if something cannot be read or written: whole recordings before it are in DIR; 2 for wrong usage, \
-    such as a folder with other files.")]
+    such as a folder with other files; 3 if lines were left out because they are no whole rows.")]
 pub(crate) struct Args {
     /// Recordings (.npy, .csv, .csv.gz), captures (.mcap), directories (searched recursively), or
     /// patterns in quotes: 'runs/**/*.npy'

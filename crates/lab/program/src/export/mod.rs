@@ -33,6 +33,8 @@ struct ExportReport {
     rows: u64,
     /// Bytes of their files.
     bytes: u64,
+    /// Lines that are no whole rows.
+    left_out_lines: usize,
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
@@ -63,6 +65,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         trials: 0,
         rows: 0,
         bytes: 0,
+        left_out_lines: 0,
     };
     if report.recordings_before > 0 {
         let (before, folder) = (report.recordings_before, &report.folder);
@@ -81,7 +84,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         report.recordings += 1;
     }
     output.report(&report)?;
-    Ok(Outcome::Done)
+    Ok(Outcome::unless_lost(report.left_out_lines > 0))
 }
 
 /// Adds the trials of a recording.
@@ -91,6 +94,7 @@ fn one(
     adding: &mut Adding<'_>,
     report: &mut ExportReport,
 ) -> anyhow::Result<()> {
+    let mut left_out_lines = 0;
     let mut add = |(rows, bytes): (u64, u64)| {
         report.rows += rows;
         report.bytes += bytes;
@@ -104,8 +108,14 @@ fn one(
         });
     }
     for table in Table::read_mapped(file, map)? {
+        let left_out = table.left_out();
+        if !left_out.is_none() {
+            say(&format!("warning: {}: {left_out}", file.display()));
+            left_out_lines += left_out.lines;
+        }
         add(adding.trial(None, &table, None)?);
     }
+    report.left_out_lines += left_out_lines;
     Ok(())
 }
 
@@ -130,11 +140,16 @@ impl fmt::Display for ExportReport {
             trials,
             rows,
             bytes,
+            left_out_lines,
         } = self;
         let all = recordings_before + recordings;
         writeln!(
             out,
             "{recordings} recordings, {trials} trials, {rows} rows in {bytes} bytes: {folder} has {all} recordings"
-        )
+        )?;
+        match left_out_lines {
+            0 => Ok(()),
+            lines => writeln!(out, "{lines} lines that are no whole rows were left out"),
+        }
     }
 }

@@ -325,3 +325,19 @@ fn a_capture_is_turned_if_the_caller_says_so_and_never_by_a_config() {
     let configured = own.configured_discharge_negative(true);
     assert_eq!(sum(read(&run, &configured)), original);
 }
+
+#[test]
+fn lines_that_are_left_out_are_counted_and_the_exit_code_says_so() {
+    let place = tempfile::tempdir().unwrap();
+    let path = place.path().join("cut.csv");
+    fs::write(
+        &path,
+        "timestamp_s,power_mW\n0,4500\n1,4600\n2,4700\n3,\0\0\n",
+    )
+    .unwrap();
+    let folder = place.path().join("archive");
+    let ended = export_as(&["--whole-rows"], &[&path], &folder).exits(3);
+    assert_eq!(ended.json()["left_out_lines"], 1);
+    assert_eq!(ended.json()["rows"], 3);
+    says(&ended.errors(), ["cut.csv", "1 lines", "NUL"]);
+}
