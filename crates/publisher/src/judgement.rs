@@ -77,7 +77,8 @@ impl Judgement {
             ..Observation::at(now_ns as f64 * 1e-9)
         });
         let count = robot.judge.observations();
-        if count.is_multiple_of(EVERY) {
+        // Not all robots of a frame in the same one.
+        if (count + u64::from(state.robot)).is_multiple_of(EVERY) {
             self.judge(state.robot);
         }
     }
@@ -170,6 +171,24 @@ mod tests {
             "{news:?}"
         );
         assert_eq!(judgement.records()[0].robot, 7);
+    }
+
+    #[test]
+    fn robots_of_one_frame_are_judged_in_different_ones() {
+        let mut judgement = Judgement::new(Source::Bridge, Vec::new());
+        let mut first_told = BTreeMap::new();
+        for step in 0..400 {
+            for robot in 0..4 {
+                let mut state = RobotState::new(robot);
+                state.power_w = Some(40.0);
+                judgement.take(&state, Some(96.0), step * 100_000_000);
+                if !judgement.take_news().is_empty() {
+                    first_told.entry(robot).or_insert(step);
+                }
+            }
+        }
+        let steps: std::collections::BTreeSet<_> = first_told.values().collect();
+        assert_eq!((first_told.len(), steps.len()), (4, 4), "{first_told:?}");
     }
 
     #[test]

@@ -68,6 +68,12 @@ def test_a_dead_fleet_is_cleared_by_its_owner():
     assert not left()
 
 
+def test_a_fleet_that_does_not_start_says_why():
+    with pytest.raises(joulebus.ConnectError, match="the demo's fleet does not start: (?s:.*)OverflowError"):
+        joulebus.demo(1, seed=-1)
+    assert not left()
+
+
 def test_a_number_of_robots_that_is_none_is_refused():
     with pytest.raises(ValueError, match="robots is 0, allowed are 1 to 100000"):
         joulebus.demo(0)

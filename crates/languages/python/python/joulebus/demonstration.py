@@ -46,7 +46,7 @@ class Demo:
 
     def _started(self, seed: int) -> subprocess.Popen[bytes]:
         # The same package, wherever this process has it from.
-        arguments = (str(self._root), len(self.robots), seed)
+        arguments = (str(self._root), len(self.robots), seed, os.getpid())
         code = f"import sys; sys.path[:] = {sys.path!r}; from joulebus.demonstration import play; play{arguments!r}"
         with open(self._root / "log", "wb") as log:
             # A session of its own: Ctrl-C reaches this process alone, which then ends the other.
@@ -140,7 +140,7 @@ def _removed(root: Path) -> None:
             shutil.rmtree(root, ignore_errors=True)
 
 
-def play(folder: str, robots: int, seed: int) -> None:
+def play(folder: str, robots: int, seed: int, parent: int) -> None:
     """The other process: runs worker and robots until its standard input says so, or its parent is dead."""
     root, config = Path(folder), Path(folder, "demo.toml")
     try:
@@ -151,7 +151,9 @@ def play(folder: str, robots: int, seed: int) -> None:
         finally:
             worker.stop()
     finally:
-        _removed(root)
+        # A living parent still reads the log, and removes all of it itself.
+        if os.getppid() != parent:
+            _removed(root)
 
 
 def _drive(publisher: Publisher, robots: _native.DemoRobots, ids: np.ndarray) -> None:
