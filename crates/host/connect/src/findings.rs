@@ -23,10 +23,12 @@ const MAX_LINES: usize = 16_000;
 const MAX_LETTERS: usize = 10;
 /// What a line begins with.
 const ROBOT: &str = "robot ";
-/// What the name of a file that is being written ends with. No other's does: `.` is in no source's part.
+/// What the name of a file that is being written ends with. No other's does: `.` is in no source's
+/// part.
 const DRAFT: &str = ".new";
 
-/// What a file is called first. No name of a fleet has a `.`, and the default root is that of several.
+/// What a file is called first. No name of a fleet has a `.`, and the default root is that of
+/// several.
 fn beginning(config: &Config) -> String {
     format!("findings-{}.", config.fleet())
 }

@@ -453,6 +453,14 @@ impl ColumnMap {
         self.whole_rows
     }
 
+    /// Turns the sign of a table's current if the caller says that it is negative while the battery
+    /// discharges. What a config says is for files that joulebus did not write.
+    pub fn apply_sign(&self, table: &mut Table) {
+        if self.turns() {
+            table.turn();
+        }
+    }
+
     /// Whether the current is negative while the battery discharges.
     pub(super) const fn turns(&self) -> bool {
         self.turned

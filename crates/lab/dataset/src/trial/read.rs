@@ -35,7 +35,7 @@ impl Table {
     /// Same as [`Table::read_robots`], and for a mapped column that the file lacks.
     pub fn read_mapped(path: impl AsRef<Path>, map: &ColumnMap) -> Result<Vec<Self>, TrialError> {
         let mut tables = Self::read_as_recorded(path.as_ref(), map)?;
-        tables.iter_mut().for_each(|table| table.apply_sign(map));
+        tables.iter_mut().for_each(|table| map.apply_sign(table));
         Ok(tables)
     }
 

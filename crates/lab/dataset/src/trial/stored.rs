@@ -64,7 +64,7 @@ impl Stored {
             Place::File(map) => Table::only_of(&self.path, map)?.into_trial(),
             Place::Listed(listing, number, map) => {
                 let mut table = archive::listed(&self.path, listing, *number)?;
-                table.apply_sign(map);
+                map.apply_sign(&mut table);
                 table.into_trial()
             }
         }

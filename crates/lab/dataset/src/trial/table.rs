@@ -8,7 +8,6 @@ use serde::{Deserialize, Serialize};
 
 use super::error::TrialError;
 use super::limits::{MAX_ROBOTS, MAX_ROWS};
-use super::names::ColumnMap;
 
 /// A column of a trial, without robot and time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -299,14 +298,6 @@ impl Table {
     /// `None` if the file has no such column.
     pub fn column(&self, column: Column) -> Option<&[f64]> {
         self.columns[column as usize].as_deref()
-    }
-
-    /// Turns the sign of the current if the caller says that it is negative while the battery
-    /// discharges. What a config says is for files that joulebus did not write.
-    pub fn apply_sign(&mut self, map: &ColumnMap) {
-        if map.turns() {
-            self.turn();
-        }
     }
 
     /// Turns the sign of the current, and of a power that has its sign: one that was made of it, or

@@ -101,7 +101,7 @@ fn one(
     };
     if is_capture(file) {
         return each_run(file, |mut run| -> anyhow::Result<()> {
-            run.table.apply_sign(map);
+            map.apply_sign(&mut run.table);
             let fleet = Some(run.fleet.as_str());
             add(adding.trial(fleet, &run.table, Some(&run.stamps))?);
             Ok(())
