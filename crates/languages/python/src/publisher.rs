@@ -1,6 +1,6 @@
 //! A source of samples, from arrays.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, VecDeque};
 use std::ffi::CString;
 use std::path::PathBuf;
 use std::sync::Mutex;
@@ -26,6 +26,8 @@ pub(crate) struct PublisherPort {
     /// What it has warned of: once each.
     warned: Mutex<BTreeSet<(u32, &'static str)>>,
     judgement: Mutex<Judgement>,
+    /// What is implausible and not told yet: a send may fail, and a warning may be an error.
+    untold: Mutex<VecDeque<String>>,
 }
 
 #[pymethods]
@@ -42,6 +44,7 @@ impl PublisherPort {
             thread,
             warned: Mutex::default(),
             judgement: Mutex::new(Judgement::new(Source::Program, vec![Kind::Constant])),
+            untold: Mutex::default(),
         })
     }
 
@@ -56,7 +59,7 @@ impl PublisherPort {
     ) -> PyResult<(usize, usize, u64)> {
         self.thread.check_process()?;
         let robots = robots(ids, columns)?;
-        let implausible = self.judge(&robots);
+        self.judge(&robots);
         let send = move |port: &mut Option<Port>| {
             let port = port.as_mut().ok_or_else(closed)?;
             let intended_ns = intended_ns.unwrap_or_else(clock::monotonic_ns);
@@ -68,7 +71,7 @@ impl PublisherPort {
             let message = CString::new(format!("the worker was not woken: {error}"))?;
             PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &message, 2)?;
         }
-        for news in implausible {
+        while let Some(news) = self.next_untold() {
             let message = CString::new(format!("implausible: {news}"))?;
             PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &message, 2)?;
         }
@@ -106,17 +109,23 @@ impl PublisherPort {
 }
 
 impl PublisherPort {
-    /// What is implausible in these states for the first time.
-    fn judge(&self, robots: &[RobotState]) -> Vec<String> {
+    /// Judges these states; news wait until they are told.
+    fn judge(&self, robots: &[RobotState]) {
         let now_ns = clock::monotonic_ns();
-        let Ok(mut judgement) = self.judgement.lock() else {
-            return Vec::new();
+        let (Ok(mut judgement), Ok(mut untold)) = (self.judgement.lock(), self.untold.lock())
+        else {
+            return;
         };
         let new = robots
             .iter()
             .filter(|state| state.power_w.is_some() && !state.held);
         new.for_each(|state| judgement.take(state, state.soc, now_ns));
-        judgement.take_news()
+        untold.extend(judgement.take_news());
+    }
+
+    /// Without a lock afterwards: a warning runs Python, which may publish.
+    fn next_untold(&self) -> Option<String> {
+        self.untold.lock().ok()?.pop_front()
     }
 }
 
