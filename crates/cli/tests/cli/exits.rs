@@ -97,7 +97,6 @@ const CASES: &[(i32, &str)] = &[
     (0, "data simulate NEW"),
     (2, "data simulate"),
     (0, "export TRIAL CAPTURE --to parquet NEW --mixed"),
-    (2, "export TRIAL CAPTURE --to parquet NEW"),
     (1, "export JUNK --to parquet NEW"),
     (1, "export CUT --to parquet NEW"),
     (1, "export TRIAL --to parquet THERE"),
