@@ -143,6 +143,7 @@ describe("a fleet of 20 robots", () => {
         assert.ok(meaning.length > 20, meaning);
         for (const reach of ["hover", "focus"]) {
           await named[reach]();
+          await tip.waitFor();
           assert.equal(await tip.textContent(), meaning);
           const box = await tip.boundingBox();
           assert.ok(box.x >= 0 && box.x + box.width <= WIDE.width && box.y > 0, JSON.stringify(box));

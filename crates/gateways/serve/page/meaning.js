@@ -26,6 +26,6 @@ function show({ target }) {
 
 export function explainNames() {
   for (const event of ["pointerover", "focusin"]) document.addEventListener(event, show);
-  for (const event of ["focusout", "scroll"]) document.addEventListener(event, hide, { capture: true, passive: true });
+  for (const event of ["focusout", "wheel"]) document.addEventListener(event, hide, { capture: true, passive: true });
   document.addEventListener("keydown", ({ key }) => key === "Escape" && hide());
 }
