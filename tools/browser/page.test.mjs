@@ -139,11 +139,13 @@ describe("a fleet of 20 robots", () => {
       const heads = page.locator("#grid thead th");
       for (let at = 0; at < await heads.count(); at += 1) {
         const named = heads.nth(at).locator("xpath=descendant-or-self::*[@data-meaning]");
+        // A narrow list leaves columns out.
+        if (!(await named.isVisible())) continue;
         const meaning = await named.getAttribute("data-meaning");
         assert.ok(meaning.length > 20, meaning);
         for (const reach of ["hover", "focus"]) {
           await named[reach]();
-          await tip.waitFor();
+          await tip.waitFor({ timeout: 10_000 });
           assert.equal(await tip.textContent(), meaning);
           const box = await tip.boundingBox();
           assert.ok(box.x >= 0 && box.x + box.width <= WIDE.width && box.y > 0, JSON.stringify(box));
