@@ -5,7 +5,7 @@ use std::fs;
 use std::os::unix::fs::{FileTypeExt as _, symlink};
 use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Output};
 
 use rustix::fs::{CWD, FileType, Mode, mknodat};
 
@@ -75,6 +75,25 @@ fn special_files(fleet: &Fleet) -> (Vec<(PathBuf, &'static str)>, UnixListener) 
     (files, socket)
 }
 
+/// What a verb ends with, whose words in capitals are files: the one that is tried, a capture and a
+/// trial.
+fn called(fleet: &Fleet, verb: &str, [tried, capture, trial]: [&Path; 3]) -> Output {
+    let word = |word: &str| match word {
+        "X" => tried.to_owned(),
+        "CAPTURE" => capture.to_owned(),
+        "TRIAL" => trial.to_owned(),
+        "FLEET" => fleet.config(),
+        "MODEL" => PathBuf::from(MODEL),
+        "OUT" => fleet.path("out"),
+        "OUT.onnx" => fleet.path("out.onnx"),
+        word => PathBuf::from(word),
+    };
+    let mut command = joulebus(verb.split_whitespace().map(word));
+    // Waiting for a pipe would never end.
+    command.current_dir(fleet.path(""));
+    Program::start(command).wait()
+}
+
 #[test]
 fn files_that_are_not_regular_are_refused_as_input_of_every_verb() {
     let fleet = Fleet::new();
@@ -83,20 +102,7 @@ fn files_that_are_not_regular_are_refused_as_input_of_every_verb() {
     let trial = fleet.recording("trial.csv", 100);
     for verb in READERS {
         for (special, kind) in &specials {
-            let word = |word: &str| match word {
-                "X" => special.clone(),
-                "CAPTURE" => whole.clone(),
-                "TRIAL" => trial.clone(),
-                "FLEET" => fleet.config(),
-                "MODEL" => PathBuf::from(MODEL),
-                "OUT" => fleet.path("out"),
-                "OUT.onnx" => fleet.path("out.onnx"),
-                word => PathBuf::from(word),
-            };
-            let mut command = joulebus(verb.split_whitespace().map(word));
-            // Waiting for a pipe would never end.
-            command.current_dir(fleet.path(""));
-            let ended = Program::start(command).wait();
+            let ended = called(&fleet, verb, [special, &whole, &trial]);
             let (said, shown) = (stderr(&ended), special.display());
             // A replay of several files plays the readable ones, and reports the others at its end.
             let codes = if verb.contains("CAPTURE X") {
@@ -127,18 +133,7 @@ fn what_a_file_of_another_kind_is_says_every_verb_that_reads_recordings_or_model
         .filter(|verb| others.iter().all(|other| !verb.contains(other)));
     let mut asked = 0;
     for verb in doors {
-        let word = |word: &str| match word {
-            "X" => pointer.clone(),
-            "TRIAL" => trial.clone(),
-            "FLEET" => fleet.config(),
-            "MODEL" => PathBuf::from(MODEL),
-            "OUT" => fleet.path("out"),
-            "OUT.onnx" => fleet.path("out.onnx"),
-            word => PathBuf::from(word),
-        };
-        let mut command = joulebus(verb.split_whitespace().map(word));
-        command.current_dir(fleet.path(""));
-        let ended = Program::start(command).wait();
+        let ended = called(&fleet, verb, [&pointer, Path::new("CAPTURE"), &trial]);
         let told = String::from_utf8_lossy(&ended.stdout).into_owned() + &stderr(&ended);
         assert!((1..=3).contains(&code(&ended)), "{verb}: {told}");
         assert!(
