@@ -81,7 +81,7 @@ MUTATIONS = [
     ("planners do not notice ends nor silence", "consumer/src/tracker.rs",
      "let changed = telling != self.told;", "let changed = telling != self.told && self.told != Told::Nothing;"),
     ("a failed flush stays in the file", "capture/recorder/src/capture_file.rs",
-     ".set_len(self.flushed_bytes.load(Ordering::Relaxed))", ".set_len(self.bytes)"),
+     "self.file.set_len(flushed_bytes)", "self.file.set_len(self.bytes)"),
     ("the journal states other times", "predictor-worker/src/journal.rs",
      "taken_ns: now_ns,", "taken_ns: now_ns / 2,"),
     ("robots without a sample take an account's place", "fleet/src/fleet/membership.rs",

@@ -103,10 +103,7 @@ impl Write for CaptureFile {
                 if found.is_some_and(|(_, bytes)| bytes < flushed_bytes) {
                     return ended;
                 }
-                if let Err(error) = self
-                    .file
-                    .set_len(self.flushed_bytes.load(Ordering::Relaxed))
-                {
+                if let Err(error) = self.file.set_len(flushed_bytes) {
                     let path = self.path.display();
                     tracing::warn!(%error, "{path} ends with half a chunk");
                 }
