@@ -295,3 +295,28 @@ fn the_debian_package_has_every_program_and_unit_and_names_files_that_exist() {
         assert!(text.starts_with("#!/bin/sh\nset -e\n"), "{script}");
     }
 }
+
+/// A test that reads an ignored file passes here and fails in a clean clone. Ignored below
+/// `crates` are only what Python and maturin make.
+#[test]
+fn no_file_that_a_test_may_read_is_ignored_by_git() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let verb = "ls-files --others --ignored --exclude-standard --directory crates tests tools";
+    let listed = Command::new("git")
+        .args(verb.split(' '))
+        .current_dir(root)
+        .output();
+    let listed = listed.unwrap();
+    assert!(
+        listed.status.success(),
+        "{}",
+        String::from_utf8_lossy(&listed.stderr)
+    );
+    let listed = String::from_utf8(listed.stdout).unwrap();
+    let made = |path: &&str| !path.ends_with("__pycache__/") && !path.ends_with(".so");
+    let found: Vec<&str> = listed.lines().filter(made).collect();
+    assert!(
+        found.is_empty(),
+        "{found:?}: change .gitignore or move them"
+    );
+}
