@@ -109,6 +109,7 @@ pub(crate) fn check_card(card: &ModelCard, feature_set: FeatureSet) -> Result<()
         feature_set: range_set,
         min,
         max,
+        ..
     } = card.training_range;
     if range_set != feature_set {
         let allowed = feature_set.name();

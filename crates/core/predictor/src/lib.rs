@@ -36,6 +36,7 @@ mod parameters;
 mod persistence;
 mod reading_age;
 mod rollout;
+mod seen_power;
 pub mod simd;
 
 pub use card::{
@@ -53,3 +54,4 @@ pub use parameters::{HIDDEN, Layer, Normalisation, Parameters};
 pub use persistence::Persistence;
 pub use reading_age::{ReadingAge, missing_steps};
 pub use rollout::{RolloutStart, Rollouts};
+pub use seen_power::SeenPower;

@@ -95,6 +95,7 @@ pub fn card(feature_set: FeatureSet) -> ModelCard {
             feature_set,
             min,
             max,
+            seen: None,
         },
         residual: ResidualStats {
             std_w: 0.1,

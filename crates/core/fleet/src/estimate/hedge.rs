@@ -31,11 +31,8 @@
 
 use std::f32::consts::{LN_2, LOG2_E};
 
-/// ln 3.
-const LN_3: f32 = 1.098_612_3;
-
-/// Members: the last reading, the network, the stack.
-pub(crate) const MEMBERS: usize = 3;
+/// Members: the last reading, the network, the confident and the sceptical stack.
+pub(crate) const MEMBERS: usize = 4;
 
 /// The memory λ: an error's weight halves every 231 readings.
 pub(crate) const MEMORY: f32 = 0.997;
@@ -46,19 +43,20 @@ const ERROR_MAX: f32 = 1e6;
 /// loss.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Hedge {
-    /// Discounted squared error of the last reading and of the network, relative to the stack's.
-    pub above: [f32; 2],
+    /// Discounted squared error of the last reading, the network and the sceptical stack, relative
+    /// to the confident stack's.
+    pub above: [f32; MEMBERS - 1],
     /// Δ; 0 before the first error.
     pub cost: f32,
-    /// Whether all three members take part, or the last reading and the stack.
-    pub of_three: bool,
+    /// Whether all members take part, or the last reading and one stack.
+    pub of_all: bool,
 }
 
 impl Hedge {
     /// ln K.
     #[inline(always)]
     pub(crate) fn log(&self) -> f32 {
-        if self.of_three { LN_3 } else { LN_2 }
+        if self.of_all { 2.0 * LN_2 } else { LN_2 }
     }
 
     /// Not negative, 1 in all.
@@ -67,7 +65,7 @@ impl Hedge {
         let rate = self.log() / self.cost;
         let raw = self.losses().map(|loss| exp(-rate * loss));
         // The best has a loss of 0 and a raw weight of 1.
-        let share = 1.0 / ((raw[0] + raw[1]) + raw[2]);
+        let share = 1.0 / sum(&raw);
         raw.map(|raw| raw * share)
     }
 
@@ -83,15 +81,25 @@ impl Hedge {
         self.above = [
             MEMORY * self.above[0] + (loss[0] - loss[2]),
             MEMORY * self.above[1] + (loss[1] - loss[2]),
+            MEMORY * self.above[2] + (loss[3] - loss[2]),
         ];
     }
 
     /// Loss of each member, relative to the best one's.
     #[inline(always)]
     fn losses(&self) -> [f32; MEMBERS] {
-        let [last, network] = self.above;
-        let least = last.min(network).min(0.0);
-        [last - least, network - least, -least]
+        let [last, network, sceptic] = self.above;
+        let least = last.min(network).min(sceptic).min(0.0);
+        [last - least, network - least, -least, sceptic - least]
+    }
+
+    /// The confident stack's part of both stacks' weight.
+    #[inline(always)]
+    pub(crate) fn confidence(&self) -> f32 {
+        let above = self.above[2];
+        let raw = exp(-(self.log() / self.cost) * above.abs());
+        let larger = 1.0 / (1.0 + raw);
+        if above >= 0.0 { larger } else { raw * larger }
     }
 
     /// −(λ/η) ln Σ w exp(−η ℓ / λ), from the losses themselves: a weight may underflow and
@@ -101,30 +109,31 @@ impl Hedge {
         const BACK: f32 = 1.0 / MEMORY;
         let rate = self.log() / self.cost;
         // 1/η: divisions take longer than anything else here.
-        let per_log = if self.of_three {
-            1.0 / LN_3
-        } else {
-            1.0 / LN_2
-        };
+        let per_log = if self.of_all { 0.5 / LN_2 } else { 1.0 / LN_2 };
         let before = self.losses();
         let after = [
             before[0] + loss[0] * BACK,
             before[1] + loss[1] * BACK,
             before[2] + loss[2] * BACK,
+            before[3] + loss[3] * BACK,
         ];
-        let least = after[0].min(after[1]).min(after[2]);
-        let sum = |losses: [f32; MEMBERS], least: f32| {
-            let raw = losses.map(|loss| exp(-rate * (loss - least)));
-            (raw[0] + raw[1]) + raw[2]
+        let least = (after[0].min(after[1])).min(after[2].min(after[3]));
+        let mixed = |losses: [f32; MEMBERS], least: f32| {
+            sum(&losses.map(|loss| exp(-rate * (loss - least))))
         };
-        let shrunk = ln_ratio(sum(after, least), sum(before, 0.0));
+        let shrunk = ln_ratio(mixed(after, least), mixed(before, 0.0));
         MEMORY * (least - shrunk * (self.cost * per_log))
     }
 }
 
 #[inline(always)]
 pub(crate) fn dot(a: &[f32; MEMBERS], b: &[f32; MEMBERS]) -> f32 {
-    (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
+    (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3])
+}
+
+#[inline(always)]
+fn sum(of: &[f32; MEMBERS]) -> f32 {
+    (of[0] + of[1]) + (of[2] + of[3])
 }
 
 /// e^x for x ≤ 0, within 3e-7 of it; 2e-35 below −80. The same bits on every machine, and without
@@ -149,12 +158,13 @@ fn exp(x: f32) -> f32 {
     series * f32::from_bits(power)
 }
 
-/// The natural logarithm of a / b, both from 1 to 3, within 4e-7: 2 artanh((a − b) / (a + b)).
+/// The natural logarithm of a / b, both from 1 to 4, within 6e-7: 2 artanh((a − b) / (a + b)).
 #[inline(always)]
 fn ln_ratio(a: f32, b: f32) -> f32 {
     let s = (a - b) / (a + b);
     let q = s * s;
-    let small = 1.0 / 13.0 + q * (1.0 / 15.0 + q * (1.0 / 17.0 + q * (1.0 / 19.0)));
+    let tiny = 1.0 / 19.0 + q * (1.0 / 21.0 + q * (1.0 / 23.0 + q * (1.0 / 25.0)));
+    let small = 1.0 / 13.0 + q * (1.0 / 15.0 + q * (1.0 / 17.0 + q * tiny));
     let series = 1.0
         + q * (1.0 / 3.0
             + q * (1.0 / 5.0 + q * (1.0 / 7.0 + q * (1.0 / 9.0 + q * (1.0 / 11.0 + q * small)))));
@@ -219,11 +229,15 @@ mod tests {
         }
     }
 
-    fn fresh(of_three: bool, start: [f32; 2]) -> Hedge {
+    fn fresh(of_all: bool, start: [f32; 3]) -> Hedge {
         Hedge {
-            above: [start[0], if of_three { start[1] } else { f32::INFINITY }],
+            above: if of_all {
+                start
+            } else {
+                [start[0], f32::INFINITY, f32::INFINITY]
+            },
             cost: 2.0,
-            of_three,
+            of_all,
         }
     }
 
@@ -231,13 +245,13 @@ mod tests {
         /// Arbitrary members and readings of arbitrary size.
         #[test]
         fn the_regret_stays_below_its_bound_for_any_readings(
-            of_three in any::<bool>(),
-            start in prop::array::uniform2(0.0f32..100.0),
+            of_all in any::<bool>(),
+            start in prop::array::uniform3(0.0f32..100.0),
             steps in prop::collection::vec(
-                (prop::array::uniform3(-1.0f32..1.0), -2i32..3), 1..300
+                (prop::array::uniform4(-1.0f32..1.0), -2i32..3), 1..300
             ),
         ) {
-            let mut hedge = fresh(of_three, start);
+            let mut hedge = fresh(of_all, start);
             let mut account = Account::new(&hedge);
             for (error, exponent) in steps {
                 let error = error.map(|error| error * 10f32.powi(exponent));
@@ -251,11 +265,11 @@ mod tests {
         /// a distance that makes the weights change sides again.
         #[test]
         fn the_regret_stays_below_its_bound_against_an_adversary(
-            of_three in any::<bool>(),
+            of_all in any::<bool>(),
             distance in 0.01f32..30.0,
             wait in 1usize..400,
         ) {
-            let mut hedge = fresh(of_three, [0.0, 0.0]);
+            let mut hedge = fresh(of_all, [0.0; 3]);
             let mut account = Account::new(&hedge);
             for step in 0..3_000 {
                 let weights = hedge.weights();
@@ -272,33 +286,37 @@ mod tests {
         }
 
         #[test]
-        fn exp_and_ln_are_as_exact_as_they_say(x in -80.0f32..0.0, a in 1.0f32..3.0, b in 1.0f32..3.0) {
+        fn exp_and_ln_are_as_exact_as_they_say(x in -80.0f32..0.0, a in 1.0f32..4.0, b in 1.0f32..4.0) {
             let exact = f64::from(x).exp();
             prop_assert!((f64::from(exp(x)) / exact - 1.0).abs() < 3e-7 * (1.0 + f64::from(-x)));
             let exact = (f64::from(a) / f64::from(b)).ln();
-            prop_assert!((f64::from(ln_ratio(a, b)) - exact).abs() < 4e-7);
+            prop_assert!((f64::from(ln_ratio(a, b)) - exact).abs() < 6e-7);
         }
     }
 
     #[test]
     fn the_best_member_is_found_and_an_absent_one_has_no_weight() {
-        let mut hedge = fresh(false, [0.0, 0.0]);
+        let mut hedge = fresh(false, [0.0; 3]);
         for _ in 0..200 {
-            hedge.learn([2.0, 0.0, 0.1], 0.01);
+            hedge.learn([2.0, 0.0, 0.1, 0.0], 0.01);
         }
-        let [last, network, stack] = hedge.weights();
-        assert!(last < 1e-6 && network < 1e-30 && stack > 0.999, "{hedge:?}");
+        let [last, network, stack, sceptic] = hedge.weights();
+        assert!(
+            last < 1e-6 && network.max(sceptic) < 1e-30 && stack > 0.999,
+            "{hedge:?}"
+        );
         assert_eq!((exp(0.0), ln_ratio(1.0, 1.0)), (1.0, 0.0));
         assert!(exp(f32::NEG_INFINITY) < 1e-34);
     }
 
     #[test]
     fn absurd_errors_leave_it_finite() {
-        let mut hedge = fresh(true, [0.0, 0.0]);
+        let mut hedge = fresh(true, [0.0; 3]);
         for step in 0..2_000 {
             let error = if step % 3 == 0 { 1e30 } else { -1e-30 };
-            hedge.learn([error, -error, 1.0], 1e-4);
+            hedge.learn([error, -error, 1.0, -1.0], 1e-4);
             let weights = hedge.weights();
+            assert!((0.0..=1.0).contains(&hedge.confidence()), "{hedge:?}");
             assert!(
                 weights.iter().all(|weight| (0.0..=1.0).contains(weight)),
                 "{hedge:?}"

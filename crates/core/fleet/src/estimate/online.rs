@@ -5,11 +5,12 @@
 //!
 //! ```text
 //! u = (P − A, N − A, M − A, r)
-//! S = A + θ·u                                          the stack
-//! F = w_P P + w_N N + w_S S                            the forecast
+//! S = A + θ·u                                          a stack
+//! F = w_P P + w_N N + w_1 S_1 + w_2 S_2                the forecast
 //! ```
 //!
-//! θ follows the readings y by recursive least squares with a bounded innovation and a covariance
+//! There are two stacks, which differ in their start: the confident one takes the network to be
+//! nearly right, the sceptical one takes half of it and trusts the robot's mean earlier. θ follows the readings y by recursive least squares with a bounded innovation and a covariance
 //! that is pulled back to its start, so that it neither winds up nor stops learning:
 //!
 //! ```text
@@ -21,19 +22,22 @@
 //! The weights w are those of [`Hedge`], whose documentation states and proves the bound on F
 //! against each member. They are kept separately for readings with and without a new measurement
 //! due: where none is, the last reading is nearly always exact, and only it and the stack take
-//! part.
+//! part, the stacks as one by their weights for due readings.
 //!
 //! Coefficients are dimensionless and sizes are the robot's own, so that a model of another robot
-//! and another power is corrected as well. The start, the same for every model, is that of a
-//! network that is nearly right. Where the mean power lies outside the range that the model was
-//! trained on, or is small beside the model's own error, the network cannot be nearly right: such a
-//! robot starts from its last reading, and the network and the stack must earn their weights.
+//! and another power is corrected as well. The sceptical stack starts a little behind the confident
+//! one, and more so if the network reads no commands: what a network knows of power alone carries
+//! over to other robots and floors, what it knows of commands depends on their mass and friction.
+//! Where the first readings are unlike the training's in level or spread, or the mean power lies
+//! outside the training range or is small beside the model's own error, the network cannot be
+//! nearly right: such a robot starts from its last reading, and network and stacks must earn their
+//! weights.
 
 // Index loops: the compiler vectorises them.
 #![allow(clippy::needless_range_loop)]
 
 use joulebus_predictor::nan::canonical;
-use joulebus_predictor::{FeatureSet, LAGS, Linear, Model};
+use joulebus_predictor::{FeatureSet, LAGS, Linear, Model, SeenPower};
 use serde::{Deserialize, Serialize};
 
 use crate::estimate::hedge::{Hedge, MEMBERS, dot};
@@ -57,18 +61,21 @@ const PAIR: [[usize; 2]; PAIRS] = [
     [3, 3],
 ];
 
+/// The confident stack and the sceptical one.
+const STACKS: usize = 2;
 /// θ at the start, and the variances Σ₀, uncorrelated.
-const START: [f32; TERMS] = [0.1, 0.95, 0.1, 0.0];
-const VARIANCE: [f32; TERMS] = [0.09, 0.04, 0.04, 0.25];
-const COVARIANCE: [f32; PAIRS] = {
-    let mut all = [0.0; PAIRS];
-    let mut pair = 0;
-    while pair < PAIRS {
+const START: [[f32; TERMS]; STACKS] = [[0.1, 0.95, 0.1, 0.0], [0.1, 0.5, 0.1, 0.0]];
+const VARIANCE: [[f32; TERMS]; STACKS] = [[0.09, 0.04, 0.04, 0.25], [0.09, 0.04, 0.16, 0.25]];
+const COVARIANCE: [[f32; PAIRS]; STACKS] = {
+    let mut all = [[0.0; PAIRS]; STACKS];
+    let mut at = 0;
+    while at < STACKS * PAIRS {
+        let (stack, pair) = (at / PAIRS, at % PAIRS);
         let [row, column] = PAIR[pair];
         if row == column {
-            all[pair] = VARIANCE[row];
+            all[stack][pair] = VARIANCE[stack][row];
         }
-        pair += 1;
+        at += 1;
     }
     all
 };
@@ -82,8 +89,11 @@ const COEFFICIENT_MAX: f32 = 100.0;
 /// Readings that the model's own error counts for in r.
 const TRUST: f32 = 8.0;
 /// Initial losses for readings with a new measurement due, in r². The last reading is a fallback.
-const LOSS_LAST: f32 = 300.0;
+const LOSS_LAST: f32 = 100.0;
 const LOSS_NETWORK: f32 = 1.0;
+/// The sceptical stack's, beside a network that reads commands and beside one that does not.
+const LOSS_SCEPTIC: f32 = 1.0;
+const LOSS_SCEPTIC_POWER_ONLY: f32 = 6.0;
 /// Initial losses of the network and the stack for a mean power unlike any in the training, with
 /// and without a new measurement due, in r². The last reading's is then 0.
 const LOSS_UNLIKE: f32 = 20.0;
@@ -113,6 +123,10 @@ pub(crate) struct Members {
     /// Range of mean power for which the network is nearly right, W.
     least_w: f32,
     most_w: f32,
+    /// Initial loss of the sceptical stack, in r².
+    sceptic_loss: f32,
+    /// Where the readings of the training lay, if the model file says so.
+    seen: Option<SeenPower>,
 }
 
 /// Mean absolute value of a normal distribution with unit deviation.
@@ -122,7 +136,7 @@ impl Members {
     /// `None` without a network. `sigma_w` is the deviation of its residuals, `resolution_w` the
     /// power monitor's, both above 0, W.
     pub(crate) fn new(model: &Model, sigma_w: f32, resolution_w: f32) -> Option<Self> {
-        let Model::Network(_) = model else {
+        let Model::Network(network) = model else {
             return None;
         };
         let (bias_w, lags) = match model.linear() {
@@ -151,13 +165,28 @@ impl Members {
             floor_w: resolution_w,
             least_w: (min_w - OUTSIDE_MAX * change_w).max(SHARE_MIN * change_w),
             most_w: max_w + OUTSIDE_MAX * change_w,
+            sceptic_loss: if network.feature_set().needs_command() {
+                LOSS_SCEPTIC
+            } else {
+                LOSS_SCEPTIC_POWER_ONLY
+            },
+            seen: trained.and_then(|range| range.seen),
         })
     }
 
-    /// Whether the model was trained on nothing like a robot of this mean power.
+    /// What the initial losses of a robot of this mean power depend on.
     #[inline(always)]
-    pub(crate) fn is_unlike(&self, mean_w: f32) -> bool {
-        !((self.least_w <= mean_w) & (mean_w <= self.most_w))
+    pub(crate) fn start(&self, mean_w: f32) -> Start {
+        Start {
+            unlike: !((self.least_w <= mean_w) & (mean_w <= self.most_w)),
+            sceptic_loss: self.sceptic_loss,
+        }
+    }
+
+    /// Whether the training had no readings like the robot's first ones, newest first, W.
+    fn is_unseen(&self, lag_w: &[f32; LAGS]) -> bool {
+        let is_known = lag_w.iter().all(|watts| watts.is_finite());
+        is_known && self.seen.is_some_and(|seen| !seen.has(lag_w))
     }
 
     #[inline(always)]
@@ -166,6 +195,22 @@ impl Members {
         let [first, second, third, fourth, fifth] = *lag_w;
         ((((self.bias_w + a * first) + b * second) + c * third) + d * fourth) + e * fifth
     }
+}
+
+/// What initial losses depend on.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Start {
+    /// Whether the model was trained on nothing like a robot of this mean power.
+    unlike: bool,
+    /// Of the sceptical stack, in r².
+    sceptic_loss: f32,
+}
+
+impl Start {
+    pub(crate) const NONE: Self = Self {
+        unlike: false,
+        sceptic_loss: LOSS_SCEPTIC,
+    };
 }
 
 /// `value` within ±`most`. Without the check of `clamp`, whose branch would keep loops from
@@ -184,15 +229,15 @@ pub struct Learned {
     pub mean_w: f32,
     /// Mean size of the changes between new measurements, W.
     pub change_w: f32,
-    /// Weights of the last reading, the network and the stack if a new measurement is due:
+    /// Weights of the last reading, the network and the stacks if a new measurement is due:
     /// non-negative, with sum 1.
     pub weights: [f32; 3],
-    /// Weights of the last reading and the stack if the last reading will be held.
+    /// Weights of the last reading and the stacks if the last reading will be held.
     pub held_weights: [f32; 2],
-    /// Gains within the stack, on the deviations of the last reading, the network and the mean of
-    /// the readings from the model's autoregression.
+    /// Gains within the stacks, on the deviations of the last reading, the network and the mean of
+    /// the readings from the model's autoregression: their mean by the stacks' weights.
     pub gains: [f32; 3],
-    /// Level that the stack adds, W.
+    /// Level that the stacks add, W.
     pub level_w: f32,
 }
 
@@ -209,14 +254,28 @@ impl Learned {
     };
 }
 
-/// Weights as in [`Learned`], with and without a new measurement due.
-pub(crate) type Weights = ([f32; 3], [f32; 2]);
+/// Weights as in [`Learned`], with and without a new measurement due, and the confident stack's part
+/// of both stacks'.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Weights {
+    pub due: [f32; 3],
+    pub held: [f32; 2],
+    pub confidence: f32,
+}
+
+impl Weights {
+    pub(crate) const NONE: Self = Self {
+        due: [f32::NAN; 3],
+        held: [f32::NAN; 2],
+        confidence: f32::NAN,
+    };
+}
 
 /// One robot's.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Online {
-    theta: [f32; TERMS],
-    covariance: [f32; PAIRS],
+    theta: [[f32; TERMS]; STACKS],
+    covariance: [[f32; PAIRS]; STACKS],
     /// The network's forecast of the next reading, W, if the robot has a forecast.
     pub network_w: f32,
     /// Mean of the readings so far, W; the newest counts 1/256 at least.
@@ -224,26 +283,29 @@ pub(crate) struct Online {
     /// r: mean size of their changes, W.
     change_w: f32,
     /// [`Hedge`] for readings with a measurement due, and without.
-    due_above: [f32; 2],
+    due_above: [f32; MEMBERS - 1],
     due_cost: f32,
     held_above: f32,
     held_cost: f32,
     /// Readings so far, up to 255.
     seen: u8,
+    /// Whether its first readings are [unlike](Members::is_unseen) the training's.
+    unseen: bool,
 }
 
 /// The members' forecasts, and the stack's inputs.
 struct MemberForecasts {
     members_w: [f32; MEMBERS],
+    stacks_w: [f32; STACKS],
     u: [f32; TERMS],
-    unlike: bool,
+    start: Start,
 }
 
 /// The update of the stack by a reading.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct RlsUpdate {
     u: [f32; TERMS],
-    innovation_w: f32,
+    innovation_w: [f32; STACKS],
     /// r².
     square: f32,
     due: bool,
@@ -252,7 +314,7 @@ pub(crate) struct RlsUpdate {
 /// [`RlsUpdate`]s of a block.
 pub(crate) struct RlsUpdateLanes {
     u: [Lanes<f32>; TERMS],
-    innovation_w: Lanes<f32>,
+    innovation_w: [Lanes<f32>; STACKS],
     square: Lanes<f32>,
     due: Lanes<bool>,
 }
@@ -260,7 +322,7 @@ pub(crate) struct RlsUpdateLanes {
 impl RlsUpdateLanes {
     pub(crate) const NONE: Self = Self {
         u: [[0.0; LANES]; TERMS],
-        innovation_w: [0.0; LANES],
+        innovation_w: [[0.0; LANES]; STACKS],
         square: [1.0; LANES],
         due: [false; LANES],
     };
@@ -274,7 +336,7 @@ impl RlsUpdateLanes {
                 self.u[2][lane],
                 self.u[3][lane],
             ],
-            innovation_w: self.innovation_w[lane],
+            innovation_w: [self.innovation_w[0][lane], self.innovation_w[1][lane]],
             square: self.square[lane],
             due: self.due[lane],
         }
@@ -285,7 +347,9 @@ impl RlsUpdateLanes {
         for term in 0..TERMS {
             self.u[term][lane] = update.u[term];
         }
-        self.innovation_w[lane] = update.innovation_w;
+        for stack in 0..STACKS {
+            self.innovation_w[stack][lane] = update.innovation_w[stack];
+        }
         self.square[lane] = update.square;
         self.due[lane] = update.due;
     }
@@ -299,11 +363,12 @@ impl Online {
         network_w: f32::NAN,
         mean_w: 0.0,
         change_w: 0.0,
-        due_above: [0.0; 2],
+        due_above: [0.0; MEMBERS - 1],
         due_cost: 0.0,
         held_above: 0.0,
         held_cost: 0.0,
         seen: 0,
+        unseen: false,
     };
 
     pub(crate) fn new(members: &Members) -> Self {
@@ -324,10 +389,8 @@ impl Online {
         due: bool,
     ) -> f32 {
         let forecasts = self.member_forecasts(members, lag_w, network_w, due);
-        dot(
-            &self.hedge(forecasts.unlike, due).weights(),
-            &forecasts.members_w,
-        )
+        let hedge = self.hedge(forecasts.start, due);
+        dot(&hedge.weights(), &forecasts.members_w)
     }
 
     #[inline(always)]
@@ -347,18 +410,23 @@ impl Online {
             deviation(self.mean_w),
             self.change_w,
         ];
-        let [p, n, m, level] = self.theta;
-        let stack_w = a_w + ((p * u[0] + n * u[1]) + (m * u[2] + level * u[3]));
-        let unlike = members.is_unlike(self.mean_w);
-        let early_w = if due | unlike {
+        let stacks_w = self
+            .theta
+            .map(|[p, n, m, level]| a_w + ((p * u[0] + n * u[1]) + (m * u[2] + level * u[3])));
+        let start = members.start(self.mean_w);
+        let confidence = self.hedge(start, true).confidence();
+        let both_w = stacks_w[1] + confidence * (stacks_w[0] - stacks_w[1]);
+        let stack_w = if due { stacks_w[0] } else { both_w };
+        let early_w = if due | start.unlike | self.unseen {
             0.0
         } else {
             EARLY * (stack_w - last_w)
         };
         MemberForecasts {
-            members_w: [last_w + early_w, network_w, stack_w],
+            members_w: [last_w + early_w, network_w, stack_w, stacks_w[1]],
+            stacks_w,
             u,
-            unlike,
+            start,
         }
     }
 
@@ -387,20 +455,24 @@ impl Online {
         let forecasts = self.member_forecasts(members, lag_w, self.network_w, due);
         let (members_w, u) = (forecasts.members_w, forecasts.u);
         let square = self.change_w * self.change_w;
-        let mut hedge = self.hedge(forecasts.unlike, due);
+        let mut hedge = self.hedge(forecasts.start, due);
         hedge.learn(
             members_w.map(|member_w| member_w - reading_w),
             COST * square,
         );
-        put(&mut self.due_above[0], due, hedge.above[0]);
-        put(&mut self.due_above[1], due, hedge.above[1]);
+        for member in 0..MEMBERS - 1 {
+            put(&mut self.due_above[member], due, hedge.above[member]);
+        }
         put(&mut self.due_cost, due, hedge.cost);
         put(&mut self.held_above, !due, hedge.above[0]);
         put(&mut self.held_cost, !due, hedge.cost);
         let most_w = INNOVATION_MAX * self.change_w;
+        let innovation_w = forecasts
+            .stacks_w
+            .map(|stack_w| within(reading_w - stack_w, most_w));
         RlsUpdate {
             u,
-            innovation_w: within(reading_w - members_w[2], most_w),
+            innovation_w,
             square,
             due,
         }
@@ -415,7 +487,21 @@ impl Online {
             square,
             due,
         } = *update;
-        let c = &self.covariance;
+        for stack in 0..STACKS {
+            self.update_stack(stack, u, innovation_w[stack], square, due);
+        }
+    }
+
+    #[inline(always)]
+    fn update_stack(
+        &mut self,
+        stack: usize,
+        u: [f32; TERMS],
+        innovation_w: f32,
+        square: f32,
+        due: bool,
+    ) {
+        let c = &self.covariance[stack];
         let product = [
             (c[0] * u[0] + c[1] * u[1]) + (c[2] * u[2] + c[3] * u[3]),
             (c[1] * u[0] + c[4] * u[1]) + (c[5] * u[2] + c[6] * u[3]),
@@ -426,14 +512,14 @@ impl Online {
             (product[0] * u[0] + product[1] * u[1]) + (product[2] * u[2] + product[3] * u[3]);
         let gain = 1.0 / (square + spread);
         for row in 0..TERMS {
-            let theta = self.theta[row] + product[row] * (gain * innovation_w);
+            let theta = self.theta[stack][row] + product[row] * (gain * innovation_w);
             let theta = theta.clamp(-COEFFICIENT_MAX, COEFFICIENT_MAX);
-            put(&mut self.theta[row], due, theta);
+            put(&mut self.theta[stack][row], due, theta);
         }
         for (pair, [row, column]) in PAIR.into_iter().enumerate() {
-            let less = self.covariance[pair] - product[row] * (product[column] * gain);
-            let pulled = less + PULL * (COVARIANCE[pair] - less);
-            put(&mut self.covariance[pair], due, pulled);
+            let less = self.covariance[stack][pair] - product[row] * (product[column] * gain);
+            let pulled = less + PULL * (COVARIANCE[stack][pair] - less);
+            put(&mut self.covariance[stack][pair], due, pulled);
         }
     }
 
@@ -450,10 +536,20 @@ impl Online {
         self.seen = self.seen.saturating_add(1);
     }
 
+    /// After [`Online::read`] of the reading before `lag_w`: judges the robot's first readings, once
+    /// there are as many as a forecast takes.
+    pub(crate) fn judge_first(&mut self, members: &Members, reading_w: f32, lag_w: &[f32; LAGS]) {
+        if usize::from(self.seen) == LAGS {
+            let [first, second, third, fourth, _] = *lag_w;
+            self.unseen = members.is_unseen(&[reading_w, first, second, third, fourth]);
+        }
+    }
+
     /// The weights' state for readings with or without a measurement due. It is the initial state
-    /// if nothing was learned there. `unlike` is [`Members::is_unlike`].
+    /// if nothing was learned there.
     #[inline(always)]
-    fn hedge(&self, unlike: bool, due: bool) -> Hedge {
+    fn hedge(&self, start: Start, due: bool) -> Hedge {
+        let unlike = start.unlike | self.unseen;
         let square = self.change_w * self.change_w;
         let cost = if due { self.due_cost } else { self.held_cost };
         let started = cost > 0.0;
@@ -471,35 +567,50 @@ impl Online {
         } else {
             network_start * square
         };
+        let sceptic = if started {
+            self.due_above[2]
+        } else {
+            start.sceptic_loss * square
+        };
         Hedge {
             above: [
                 if started { last } else { last_start * square },
                 if due { network } else { f32::INFINITY },
+                if due { sceptic } else { f32::INFINITY },
             ],
             cost: if started { cost } else { COST * square },
-            of_three: due,
+            of_all: due,
         }
     }
 
-    /// Weights of last reading, network and stack if a new measurement is due, and of last reading
-    /// and stack if none is.
+    /// Weights of the members now.
     #[inline(always)]
-    pub(crate) fn weights(&self, unlike: bool) -> Weights {
-        let [last, _, stack] = self.hedge(unlike, false).weights();
-        (self.hedge(unlike, true).weights(), [last, stack])
+    pub(crate) fn weights(&self, start: Start) -> Weights {
+        let [held_last, _, held_stack, _] = self.hedge(start, false).weights();
+        let hedge = self.hedge(start, true);
+        let [last, network, confident, sceptic] = hedge.weights();
+        Weights {
+            // A rounded sum may exceed 1.
+            due: [last, network, (confident + sceptic).min(1.0)],
+            held: [held_last, held_stack],
+            confidence: hedge.confidence(),
+        }
     }
 
     #[inline(always)]
-    pub(crate) fn learned(&self, (weights, held_weights): Weights) -> Learned {
-        let [p, n, m, level] = self.theta;
+    pub(crate) fn learned(&self, weights: &Weights) -> Learned {
+        let gain = |term: usize| {
+            let [confident, sceptic] = [self.theta[0][term], self.theta[1][term]];
+            sceptic + weights.confidence * (confident - sceptic)
+        };
         Learned {
             network_w: canonical(self.network_w),
             mean_w: canonical(self.mean_w),
             change_w: canonical(self.change_w),
-            weights: weights.map(canonical),
-            held_weights: held_weights.map(canonical),
-            gains: [p, n, m].map(canonical),
-            level_w: canonical(level * self.change_w),
+            weights: weights.due.map(canonical),
+            held_weights: weights.held.map(canonical),
+            gains: [gain(0), gain(1), gain(2)].map(canonical),
+            level_w: canonical(gain(3) * self.change_w),
         }
     }
 }
@@ -508,19 +619,28 @@ impl Online {
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 #[repr(align(16))]
 pub(crate) struct OnlineLanes {
-    theta: [Lanes<f32>; TERMS],
-    covariance: [Lanes<f32>; PAIRS],
+    theta: [[Lanes<f32>; TERMS]; STACKS],
+    covariance: [[Lanes<f32>; PAIRS]; STACKS],
     pub network_w: Lanes<f32>,
     pub mean_w: Lanes<f32>,
     change_w: Lanes<f32>,
-    due_above: [Lanes<f32>; 2],
+    due_above: [Lanes<f32>; MEMBERS - 1],
     due_cost: Lanes<f32>,
     held_above: Lanes<f32>,
     held_cost: Lanes<f32>,
     seen: Lanes<u8>,
+    unseen: Lanes<bool>,
 }
 
-const _: () = assert!(size_of::<OnlineLanes>() <= 90 * crate::layout::lanes::LANES);
+impl OnlineLanes {
+    /// Whether [`Online::judge_first`] is due.
+    #[inline(always)]
+    pub(crate) fn is_first_full(&self, lane: usize) -> bool {
+        usize::from(self.seen[lane]) == LAGS
+    }
+}
+
+const _: () = assert!(size_of::<OnlineLanes>() <= 150 * crate::layout::lanes::LANES);
 
 impl Block for OnlineLanes {
     type Robot = Online;
@@ -528,49 +648,64 @@ impl Block for OnlineLanes {
     #[inline(always)]
     fn get(&self, lane: usize) -> Online {
         let mut robot = Online::NONE;
-        for term in 0..TERMS {
-            robot.theta[term] = self.theta[term][lane];
-        }
-        for pair in 0..PAIRS {
-            robot.covariance[pair] = self.covariance[pair][lane];
+        for stack in 0..STACKS {
+            for term in 0..TERMS {
+                robot.theta[stack][term] = self.theta[stack][term][lane];
+            }
+            for pair in 0..PAIRS {
+                robot.covariance[stack][pair] = self.covariance[stack][pair][lane];
+            }
         }
         robot.network_w = self.network_w[lane];
         robot.mean_w = self.mean_w[lane];
         robot.change_w = self.change_w[lane];
-        robot.due_above = [self.due_above[0][lane], self.due_above[1][lane]];
+        for member in 0..MEMBERS - 1 {
+            robot.due_above[member] = self.due_above[member][lane];
+        }
         robot.due_cost = self.due_cost[lane];
         robot.held_above = self.held_above[lane];
         robot.held_cost = self.held_cost[lane];
         robot.seen = self.seen[lane];
+        robot.unseen = self.unseen[lane];
         robot
     }
 
     #[inline(always)]
     fn set(&mut self, lane: usize, mask: bool, robot: Online) {
-        for term in 0..TERMS {
-            put(&mut self.theta[term][lane], mask, robot.theta[term]);
-        }
-        for pair in 0..PAIRS {
-            put(
-                &mut self.covariance[pair][lane],
-                mask,
-                robot.covariance[pair],
-            );
+        for stack in 0..STACKS {
+            let (theta, covariance) = (robot.theta[stack], robot.covariance[stack]);
+            for term in 0..TERMS {
+                put(&mut self.theta[stack][term][lane], mask, theta[term]);
+            }
+            for pair in 0..PAIRS {
+                put(
+                    &mut self.covariance[stack][pair][lane],
+                    mask,
+                    covariance[pair],
+                );
+            }
         }
         put(&mut self.network_w[lane], mask, robot.network_w);
         put(&mut self.mean_w[lane], mask, robot.mean_w);
         put(&mut self.change_w[lane], mask, robot.change_w);
-        put(&mut self.due_above[0][lane], mask, robot.due_above[0]);
-        put(&mut self.due_above[1][lane], mask, robot.due_above[1]);
+        for member in 0..MEMBERS - 1 {
+            put(
+                &mut self.due_above[member][lane],
+                mask,
+                robot.due_above[member],
+            );
+        }
         put(&mut self.due_cost[lane], mask, robot.due_cost);
         put(&mut self.held_above[lane], mask, robot.held_above);
         put(&mut self.held_cost[lane], mask, robot.held_cost);
         put(&mut self.seen[lane], mask, robot.seen);
+        put(&mut self.unseen[lane], mask, robot.unseen);
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use joulebus_predictor::Features;
     use proptest::prelude::*;
 
     use super::*;
@@ -582,6 +717,8 @@ mod tests {
         floor_w: 0.01,
         least_w: 0.1,
         most_w: 1e9,
+        sceptic_loss: LOSS_SCEPTIC,
+        seen: None,
     };
 
     /// A robot that draws `power_w`, beside a network that forecasts `network_w`. Returns the mean
@@ -644,7 +781,19 @@ mod tests {
             least_w: SHARE_MIN * 46.0,
             ..MEMBERS
         };
-        for members in [far, faint] {
+        let fast = power_w(0) + 40.0;
+        let lags = FeatureSet::PowerOnly.range();
+        let rows = [fast, fast - 9.0].map(|lag_w| {
+            let mut row = Features::default();
+            row[lags.clone()].fill(lag_w);
+            row[lags.start + 1] = fast;
+            row
+        });
+        let elsewhere = Members {
+            seen: SeenPower::of(fast, rows.iter()),
+            ..MEMBERS
+        };
+        for members in [far, faint, elsewhere] {
             for every in [1, 3] {
                 let mut online = Online::new(&members);
                 let mut lag_w = [f32::NAN; LAGS];
@@ -658,6 +807,7 @@ mod tests {
                         online.learn(&members, &lag_w, due, reading_w);
                     }
                     online.read(&members, lag_w[0], due, reading_w);
+                    online.judge_first(&members, reading_w, &lag_w);
                     lag_w.rotate_right(1);
                     lag_w[0] = reading_w;
                 }
@@ -669,9 +819,10 @@ mod tests {
     fn standing_still_for_a_day_winds_nothing_up() {
         let mut online = Online::new(&MEMBERS);
         run(&mut online, 30 * 3600 * 24, |_| 30.0, |_| 30.5);
-        for (pair, start) in online.covariance.iter().zip(COVARIANCE) {
+        let pairs = online.covariance.as_flattened().iter();
+        for (pair, start) in pairs.zip(COVARIANCE.as_flattened()) {
             assert!(
-                pair.abs() <= 0.26 && (start == 0.0 || *pair >= 0.0),
+                pair.abs() <= 0.26 && (*start == 0.0 || *pair >= 0.0),
                 "{online:?}"
             );
         }
@@ -685,7 +836,7 @@ mod tests {
     struct Phase {
         /// Squared error of the published forecast relative to each participating member's, the
         /// newest with weight 1, minus the remaining initial losses.
-        regret: Option<[f64; 3]>,
+        regret: Option<[f64; super::MEMBERS]>,
         largest: f64,
         floor: f64,
     }
@@ -705,10 +856,10 @@ mod tests {
                 .above
                 .iter()
                 .fold(0.0f32, |least, above| least.min(*above));
-            let [last, network] = hedge.above;
-            let start = [last, network, 0.0].map(|loss| -f64::from(loss - least));
+            let [last, network, sceptic] = hedge.above;
+            let start = [last, network, 0.0, sceptic].map(|loss| -f64::from(loss - least));
             let before = self.regret.unwrap_or(start);
-            let mut regret = [f64::NEG_INFINITY; 3];
+            let mut regret = [f64::NEG_INFINITY; super::MEMBERS];
             for (place, member_w) in forecasts.members_w.iter().enumerate() {
                 if hedge.weights()[place] > 0.0 {
                     regret[place] = memory * before[place] + wrong(forecast_w) - wrong(*member_w);
@@ -753,7 +904,7 @@ mod tests {
             let forecast_w = online.forecast(&MEMBERS, &lag_w, network_w, due);
             let forecasts = online.member_forecasts(&MEMBERS, &lag_w, network_w, due);
             let (hedge, square) = (
-                online.hedge(forecasts.unlike, due),
+                online.hedge(forecasts.start, due),
                 online.change_w * online.change_w,
             );
             let phase = &mut phases[usize::from(due)];
@@ -801,8 +952,8 @@ mod tests {
                 let due = step % period == 0;
                 let network_w = lag_w[0] + if step % 2 == 0 { distance } else { -distance };
                 let forecasts = online.member_forecasts(&MEMBERS, lag_w, network_w, due);
-                let weights = online.hedge(forecasts.unlike, due).weights();
-                let trusted = (0..3).max_by(|a, b| weights[*a].total_cmp(&weights[*b])).unwrap_or(0);
+                let weights = online.hedge(forecasts.start, due).weights();
+                let trusted = (0..super::MEMBERS).max_by(|a, b| weights[*a].total_cmp(&weights[*b])).unwrap_or(0);
                 let forecast_w = dot(&weights, &forecasts.members_w);
                 let trusted_w = forecasts.members_w[trusted];
                 let reading_w = if step % (burst + wait) >= burst {
@@ -832,15 +983,18 @@ mod tests {
                 online.read(&MEMBERS, lag_w[0], due, reading_w);
                 lag_w.rotate_right(1);
                 lag_w[0] = reading_w;
-                let learned = online.learned(online.weights(MEMBERS.is_unlike(online.mean_w)));
+                let learned = online.learned(&online.weights(MEMBERS.start(online.mean_w)));
                 let shares = learned.weights.iter().chain(&learned.held_weights);
                 for share in shares {
                     prop_assert!((0.0..=1.0).contains(share), "{learned:?}");
                 }
                 for (pair, [row, column]) in PAIR.into_iter().enumerate() {
                     if row == column {
-                        let allowed = -1e-3..=VARIANCE[row] + 1e-3;
-                        prop_assert!(allowed.contains(&online.covariance[pair]), "{online:?}");
+                        for stack in 0..STACKS {
+                            let allowed = -1e-3..=VARIANCE[stack][row] + 1e-3;
+                            let found = online.covariance[stack][pair];
+                            prop_assert!(allowed.contains(&found), "{online:?}");
+                        }
                     }
                 }
             }

@@ -232,8 +232,8 @@ impl Fleet {
         let platform = usize::from(self.columns.admissions[slot].platform);
         let members = self.tick.platforms[platform].members?;
         let online = lanes::get(&self.columns.online, slot);
-        let weights = online.weights(members.is_unlike(online.mean_w));
-        Some(online.learned(weights))
+        let weights = online.weights(members.start(online.mean_w));
+        Some(online.learned(&weights))
     }
 
     /// A robot's state for the energy of its plans, if it is in the fleet.

@@ -115,6 +115,19 @@ fn learn(
         robot.read(&members, window.last_w(), window.due(), reading_w);
         copy.set(lane, mask[lane], robot);
     }
+    // Once in a robot's life, so this loop may branch.
+    for lane in 0..LANES {
+        if !(mask[lane] & copy.is_first_full(lane)) {
+            continue;
+        }
+        let mut robot = copy.get(lane);
+        robot.judge_first(
+            &members,
+            pending.samples.power_w[lane],
+            &windows.get(lane).lags_w(),
+        );
+        copy.set(lane, true, robot);
+    }
     *online = copy;
 }
 

@@ -47,6 +47,7 @@ pub(crate) fn step(
                 online.learn(members, &window.lags_w(), window.due(), pending.power_w);
             }
             online.read(members, window.last_w(), window.due(), pending.power_w);
+            online.judge_first(members, pending.power_w, &window.lags_w());
             columns.online[block].set(lane, true, online);
         }
         last.read(pending, network_w, elapsed_s);

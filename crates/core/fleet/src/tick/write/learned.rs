@@ -3,7 +3,7 @@
 // Index loops: the compiler vectorises them.
 #![allow(clippy::needless_range_loop)]
 
-use crate::estimate::online::Learned;
+use crate::estimate::online::{Learned, Start, Weights};
 use crate::layout::lanes::{Block as _, LANES, Lanes};
 use crate::state::columns::BlockRef;
 use crate::tick::context::TickContext;
@@ -12,8 +12,7 @@ use crate::tick::context::TickContext;
 pub(crate) struct LearnedLanes {
     /// Whether the robot's platform learns online.
     learns: Lanes<bool>,
-    weights: [Lanes<f32>; 3],
-    held_weights: [Lanes<f32>; 2],
+    weights: Lanes<Weights>,
 }
 
 impl LearnedLanes {
@@ -21,30 +20,22 @@ impl LearnedLanes {
     pub(crate) fn of(tick: &TickContext, block: &BlockRef<'_>) -> Self {
         let mut learned = Self {
             learns: [false; LANES],
-            weights: [[f32::NAN; LANES]; 3],
-            held_weights: [[f32::NAN; LANES]; 2],
+            weights: [Weights::NONE; LANES],
         };
         let Some(online) = block.online else {
             return learned;
         };
-        let mut unlike = [false; LANES];
+        let mut starts = [Start::NONE; LANES];
         for lane in 0..LANES {
             let platform = usize::from(block.admissions[lane].platform);
-            let members = tick
-                .platforms
-                .get(platform)
-                .and_then(|context| context.members.as_ref());
-            learned.learns[lane] = members.is_some();
-            unlike[lane] = members.is_some_and(|members| members.is_unlike(online.mean_w[lane]));
+            let context = tick.platforms.get(platform);
+            if let Some(members) = context.and_then(|context| context.members.as_ref()) {
+                learned.learns[lane] = true;
+                starts[lane] = members.start(online.mean_w[lane]);
+            }
         }
         for lane in 0..LANES {
-            let (weights, held_weights) = online.get(lane).weights(unlike[lane]);
-            for (place, weight) in weights.into_iter().enumerate() {
-                learned.weights[place][lane] = weight;
-            }
-            for (place, weight) in held_weights.into_iter().enumerate() {
-                learned.held_weights[place][lane] = weight;
-            }
+            learned.weights[lane] = online.get(lane).weights(starts[lane]);
         }
         learned
     }
@@ -53,14 +44,9 @@ impl LearnedLanes {
     /// not.
     #[inline(always)]
     pub(crate) fn get(&self, block: &BlockRef<'_>, lane: usize) -> (bool, Learned) {
-        let [last, network, stack] = &self.weights;
-        let [held_last, held_stack] = &self.held_weights;
-        let weights = (
-            [last[lane], network[lane], stack[lane]],
-            [held_last[lane], held_stack[lane]],
-        );
-        let online = block.online.filter(|_| self.learns[lane]);
+        let (learns, weights) = (self.learns[lane], &self.weights[lane]);
+        let online = block.online.filter(|_| learns);
         let learned = online.map_or(Learned::NONE, |online| online.get(lane).learned(weights));
-        (self.learns[lane], learned)
+        (learns, learned)
     }
 }

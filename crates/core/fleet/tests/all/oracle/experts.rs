@@ -31,13 +31,18 @@ pub(crate) struct Forecasts {
     lag_w: [f32; 5],
 }
 
-const START: [f32; 4] = [0.1, 0.95, 0.1, 0.0];
-const VARIANCE: [f32; 4] = [0.09, 0.04, 0.04, 0.25];
+/// A signed combination of the forecasters.
+struct Stack {
+    theta: [f32; 4],
+    covariance: [[f32; 4]; 4],
+    variance: [f32; 4],
+}
 
 /// All that a robot has learned.
 struct Knowledge {
-    theta: [f32; 4],
-    covariance: [[f32; 4]; 4],
+    confident: Stack,
+    sceptic: Stack,
+    sceptic_loss: f32,
     mean_w: f32,
     change_w: f32,
     seen: u8,
@@ -47,11 +52,11 @@ struct Knowledge {
     weights: [Weights; 2],
 }
 
-/// Losses of last reading, network and stack relative to the stack's, and the cost of averaging.
-/// `None` before the first.
+/// Losses of last reading, network and both stacks relative to the confident stack's, and the cost
+/// of averaging. `None` before the first.
 #[derive(Clone, Copy)]
 struct Weights {
-    learned: Option<([f32; 3], f32)>,
+    learned: Option<([f32; 4], f32)>,
     experts: f32,
 }
 
@@ -89,7 +94,7 @@ impl Experts {
         let known = Knowledge::of(platform, model, &self.readings);
         let learns = known.is_some();
         let forecast_w = known.map_or(network_w, |known| {
-            let (members_w, _) = known.members(model, &lag_w, network_w, due);
+            let (members_w, _, _) = known.members(model, &lag_w, network_w, due);
             dot(known.shares(due), members_w)
         });
         let apart_w = platform.power_max_w - platform.power_min_w;
@@ -108,14 +113,53 @@ impl Experts {
     /// The diagnostics' values from `mean_w` to `level_w`. `None` if nothing is learned.
     pub(crate) fn learned(&self, platform: &Platform, model: &Model) -> Option<[f32; 11]> {
         let known = Knowledge::of(platform, model, &self.readings)?;
-        let ([last, network, stack], [held, _, held_stack]) =
+        let ([last, network, confident, sceptic], [held, _, held_stack, _]) =
             (known.shares(true), known.shares(false));
-        let [p, n, m, level] = known.theta;
+        let stack = (confident + sceptic).min(1.0);
+        let [p, n, m, level] = [0, 1, 2, 3].map(|term| {
+            let [a, b] = [known.confident.theta[term], known.sceptic.theta[term]];
+            b + known.confidence() * (a - b)
+        });
         let (mean_w, change_w) = (known.mean_w, known.change_w);
         let level_w = level * change_w;
         Some([
             mean_w, change_w, last, network, stack, held, held_stack, p, n, m, level_w,
         ])
+    }
+}
+
+impl Stack {
+    fn new(theta: [f32; 4], variance: [f32; 4]) -> Self {
+        let diagonal = |row: usize, column: usize| if row == column { variance[row] } else { 0.0 };
+        Self {
+            theta,
+            covariance: [0, 1, 2, 3].map(|row| [0, 1, 2, 3].map(|column| diagonal(row, column))),
+            variance,
+        }
+    }
+
+    fn follow(&mut self, u: [f32; 4], innovation_w: f32, square: f32) {
+        let product = self.covariance.map(|row| {
+            let [a, b, c, d] = [0, 1, 2, 3].map(|column| row[column] * u[column]);
+            (a + b) + (c + d)
+        });
+        let [a, b, c, d] = [0, 1, 2, 3].map(|row| product[row] * u[row]);
+        let gain = 1.0 / (square + ((a + b) + (c + d)));
+        for (theta, product) in self.theta.iter_mut().zip(product) {
+            *theta = (*theta + product * (gain * innovation_w)).clamp(-100.0, 100.0);
+        }
+        for row in 0..4 {
+            for column in row..4 {
+                let start = if row == column {
+                    self.variance[row]
+                } else {
+                    0.0
+                };
+                let less = self.covariance[row][column] - product[row] * (product[column] * gain);
+                let pulled = less + 0.002 * (start - less);
+                (self.covariance[row][column], self.covariance[column][row]) = (pulled, pulled);
+            }
+        }
     }
 }
 
@@ -132,10 +176,11 @@ impl Knowledge {
         let (least_w, most_w) =
             trained.map_or((f32::MIN, f32::MAX), |range| (range.min[6], range.max[6]));
         let like_w = (least_w - 0.5 * error_w).max(error_w / 8.0)..=most_w + 0.5 * error_w;
-        let diagonal = |row: usize, column: usize| if row == column { VARIANCE[row] } else { 0.0 };
+        let reads_commands = model.feature_set().needs_command();
         let mut known = Self {
-            theta: START,
-            covariance: [0, 1, 2, 3].map(|row| [0, 1, 2, 3].map(|column| diagonal(row, column))),
+            confident: Stack::new([0.1, 0.95, 0.1, 0.0], [0.09, 0.04, 0.04, 0.25]),
+            sceptic: Stack::new([0.1, 0.5, 0.1, 0.0], [0.09, 0.04, 0.16, 0.25]),
+            sceptic_loss: if reads_commands { 1.0 } else { 6.0 },
             mean_w: 0.0,
             change_w: error_w,
             seen: 0,
@@ -143,7 +188,7 @@ impl Knowledge {
             weights: [
                 Weights {
                     learned: None,
-                    experts: 3.0,
+                    experts: 4.0,
                 },
                 Weights {
                     learned: None,
@@ -164,7 +209,7 @@ impl Knowledge {
         lag_w: &[f32; 5],
         network_w: f32,
         due: bool,
-    ) -> ([f32; 3], [f32; 4]) {
+    ) -> ([f32; 4], [f32; 4], [f32; 2]) {
         let (bias_w, weights) = match model.linear() {
             Some(linear) if linear.feature_set == FeatureSet::PowerOnly => {
                 let [.., a, b, c, d, e, _, _] = linear.weights;
@@ -182,21 +227,27 @@ impl Knowledge {
             from_auto(self.mean_w),
             self.change_w,
         ];
-        let [a, b, c, d] = [0, 1, 2, 3].map(|term| self.theta[term] * u[term]);
-        let stack_w = auto_w + ((a + b) + (c + d));
+        let stacks_w = [&self.confident, &self.sceptic].map(|stack| {
+            let [a, b, c, d] = [0, 1, 2, 3].map(|term| stack.theta[term] * u[term]);
+            auto_w + ((a + b) + (c + d))
+        });
+        let [confident_w, sceptic_w] = stacks_w;
+        let both_w = sceptic_w + self.confidence() * (confident_w - sceptic_w);
+        let stack_w = if due { confident_w } else { both_w };
         let early_w = if due || !self.like_w.contains(&self.mean_w) {
             0.0
         } else {
             0.02 * (stack_w - lag_w[0])
         };
-        ([lag_w[0] + early_w, network_w, stack_w], u)
+        let members_w = [lag_w[0] + early_w, network_w, stack_w, sceptic_w];
+        (members_w, u, stacks_w)
     }
 
     fn learn(&mut self, model: &Model, reading: &Reading) {
         let Some((lag_w, network_w)) = reading.scored else {
             return;
         };
-        let (members_w, u) = self.members(model, &lag_w, network_w, reading.due);
+        let (members_w, u, stacks_w) = self.members(model, &lag_w, network_w, reading.due);
         let square = self.change_w * self.change_w;
         let shares = self.shares(reading.due);
         let (before, cost) = self.losses(reading.due);
@@ -204,45 +255,27 @@ impl Knowledge {
         let error = members_w.map(|watts| (watts - reading.reading_w).clamp(-1e6, 1e6));
         let loss = error.map(|error| error * error);
         let rate = log(experts) / cost;
-        let least = |losses: [f32; 3]| losses.into_iter().fold(f32::INFINITY, f32::min);
+        let least = |losses: [f32; 4]| losses.into_iter().fold(f32::INFINITY, f32::min);
         let before = before.map(|loss| loss - least(before));
-        let after = [0, 1, 2].map(|i| before[i] + loss[i] * (1.0 / 0.997));
+        let after = [0, 1, 2, 3].map(|i| before[i] + loss[i] * (1.0 / 0.997));
         let lowest = least(after);
-        let sum = |losses: [f32; 3], least: f32| {
-            let [a, b, c] = losses.map(|loss| exp(-rate * (loss - least)));
-            (a + b) + c
+        let sum = |losses: [f32; 4], least: f32| {
+            let [a, b, c, d] = losses.map(|loss| exp(-rate * (loss - least)));
+            (a + b) + (c + d)
         };
         let shrunk = ln_ratio(sum(after, lowest), sum(before, 0.0));
         let mix_loss = 0.997 * (lowest - shrunk * (cost * (1.0 / log(experts))));
         let mixed = dot(shares, error);
         let cost = (0.997 * cost + (mixed * mixed - mix_loss).max(0.0)).max(2.0 * square);
         let (old, _) = self.losses(reading.due);
-        let above = [0, 1, 2].map(|i| 0.997 * old[i] + (loss[i] - loss[2]));
+        let above = [0, 1, 2, 3].map(|i| 0.997 * old[i] + (loss[i] - loss[2]));
         self.weights[usize::from(!reading.due)].learned = Some((above, cost));
         if reading.due {
             let most_w = 2.5 * self.change_w;
-            let innovation_w = (reading.reading_w - members_w[2]).clamp(-most_w, most_w);
-            self.follow(u, innovation_w, square);
-        }
-    }
-
-    fn follow(&mut self, u: [f32; 4], innovation_w: f32, square: f32) {
-        let product = self.covariance.map(|row| {
-            let [a, b, c, d] = [0, 1, 2, 3].map(|column| row[column] * u[column]);
-            (a + b) + (c + d)
-        });
-        let [a, b, c, d] = [0, 1, 2, 3].map(|row| product[row] * u[row]);
-        let gain = 1.0 / (square + ((a + b) + (c + d)));
-        for (theta, product) in self.theta.iter_mut().zip(product) {
-            *theta = (*theta + product * (gain * innovation_w)).clamp(-100.0, 100.0);
-        }
-        for row in 0..4 {
-            for column in row..4 {
-                let start = if row == column { VARIANCE[row] } else { 0.0 };
-                let less = self.covariance[row][column] - product[row] * (product[column] * gain);
-                let pulled = less + 0.002 * (start - less);
-                (self.covariance[row][column], self.covariance[column][row]) = (pulled, pulled);
-            }
+            let innovations_w =
+                stacks_w.map(|stack_w| (reading.reading_w - stack_w).clamp(-most_w, most_w));
+            self.confident.follow(u, innovations_w[0], square);
+            self.sceptic.follow(u, innovations_w[1], square);
         }
     }
 
@@ -257,32 +290,41 @@ impl Knowledge {
         self.seen = self.seen.saturating_add(1);
     }
 
-    /// Losses relative to the stack's, and the cost of averaging.
-    fn losses(&self, due: bool) -> ([f32; 3], f32) {
+    /// Losses relative to the confident stack's, and the cost of averaging.
+    fn losses(&self, due: bool) -> ([f32; 4], f32) {
         let square = self.change_w * self.change_w;
+        let sceptic = self.sceptic_loss * square;
         let start = match (self.like_w.contains(&self.mean_w), due) {
-            (true, true) => [300.0 * square, 1.0 * square, 0.0],
-            (false, true) => [-20.0 * square, 0.0, 0.0],
-            (true, false) => [0.0, f32::INFINITY, 0.0],
-            (false, false) => [-40.0 * square, f32::INFINITY, 0.0],
+            (true, true) => [100.0 * square, 1.0 * square, 0.0, sceptic],
+            (false, true) => [-20.0 * square, 0.0, 0.0, sceptic],
+            (true, false) => [0.0, f32::INFINITY, 0.0, f32::INFINITY],
+            (false, false) => [-40.0 * square, f32::INFINITY, 0.0, f32::INFINITY],
         };
         self.weights[usize::from(!due)]
             .learned
             .unwrap_or((start, 2.0 * square))
     }
 
-    fn shares(&self, due: bool) -> [f32; 3] {
+    /// The confident stack's part of both stacks' weight where a measurement is due.
+    fn confidence(&self) -> f32 {
+        let ([.., above], cost) = self.losses(true);
+        let raw = exp(-(log(4.0) / cost) * above.abs());
+        let larger = 1.0 / (1.0 + raw);
+        if above >= 0.0 { larger } else { raw * larger }
+    }
+
+    fn shares(&self, due: bool) -> [f32; 4] {
         let (losses, cost) = self.losses(due);
         let rate = log(self.weights[usize::from(!due)].experts) / cost;
         let least = losses.into_iter().fold(f32::INFINITY, f32::min);
         let raw = losses.map(|loss| exp(-rate * (loss - least)));
-        let sum = (raw[0] + raw[1]) + raw[2];
+        let sum = (raw[0] + raw[1]) + (raw[2] + raw[3]);
         raw.map(|raw| raw * (1.0 / sum))
     }
 }
 
-fn dot(a: [f32; 3], b: [f32; 3]) -> f32 {
-    (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
+fn dot(a: [f32; 4], b: [f32; 4]) -> f32 {
+    (a[0] * b[0] + a[1] * b[1]) + (a[2] * b[2] + a[3] * b[3])
 }
 
 fn log(experts: f32) -> f32 {
@@ -302,9 +344,11 @@ fn exp(x: f32) -> f32 {
 
 fn ln_ratio(a: f32, b: f32) -> f32 {
     let s = (a - b) / (a + b);
-    let factors = [17.0f32, 15.0, 13.0, 11.0, 9.0, 7.0, 5.0, 3.0, 1.0];
+    let factors = [
+        23.0f32, 21.0, 19.0, 17.0, 15.0, 13.0, 11.0, 9.0, 7.0, 5.0, 3.0, 1.0,
+    ];
     let series = factors
         .iter()
-        .fold(1.0 / 19.0, |sum, odd| 1.0 / odd + s * s * sum);
+        .fold(1.0 / 25.0, |sum, odd| 1.0 / odd + s * s * sum);
     2.0 * s * series
 }

@@ -81,6 +81,7 @@ pub(crate) fn network(seed: u64, feature_set: FeatureSet, power_mean_w: f32) -> 
             feature_set,
             min: [-10.0; INPUTS],
             max: [1_000.0; INPUTS],
+            seen: None,
         },
         residual: RESIDUAL,
         linear: None,
