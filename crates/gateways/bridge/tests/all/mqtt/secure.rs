@@ -113,3 +113,39 @@ fn only_brokers_of_the_named_authority_are_trusted_and_they_ask_for_a_certificat
     }
     worker.stop();
 }
+
+#[test]
+fn renewed_certificates_are_used_without_a_restart() {
+    let folder = tempfile::tempdir().unwrap();
+    let (used, newer) = (folder.path().join("used"), folder.path().join("newer"));
+    let Some(program) = mosquitto() else { return };
+    if !certificates(&used, 30, &["broker", "bridge"]) {
+        return;
+    }
+    assert!(certificates(&newer, 30, &["broker", "bridge"]));
+    let secure = free_port();
+    let more = port(secure, &used, "broker", true);
+    let (fleet, mut broker) = (
+        Fleet::new(),
+        Broker::start(&program, &format!("allow_anonymous true\n{more}")),
+    );
+    let text = format!(
+        "[robots]\nr = 1\n[mqtt]\nbroker = \"127.0.0.1:{secure}\"\n\
+         vda5050 = [{{ topic = \"a/{{robot}}\" }}]\n{}",
+        tls(&used, Some(&used))
+    );
+    let mut bridge = fleet.bridge(&text, "connected to ");
+    broker.kill();
+    bridge.wait_for_line("not connected to ");
+    // Of another authority.
+    std::fs::rename(&used, folder.path().join("older")).unwrap();
+    std::fs::rename(&newer, &used).unwrap();
+    broker.restart();
+    loop {
+        let line = bridge.wait_for_line("connected to ");
+        if line.starts_with("connected to ") {
+            break;
+        }
+    }
+    bridge.stop();
+}
