@@ -3,6 +3,7 @@
 //! Helpers that need a crate of joulebus are in `joulebus-testkit-networks` and `-fleets`.
 #![deny(unsafe_code)]
 
+mod certificates;
 mod child;
 pub mod counting;
 mod end_signals;
@@ -16,6 +17,7 @@ mod table;
 #[cfg(feature = "trials")]
 pub mod trials;
 
+pub use certificates::certificates;
 pub use child::{
     Child, Ended, PATIENCE, eventually, joulebus_beside, lab_beside, left_behind, run,
 };

@@ -174,6 +174,7 @@ impl Bridge {
         }
         let mqtt = settings.mqtt.as_ref();
         let connection = mqtt.map(|mqtt| bridge.prepare_mqtt(config, settings, mqtt));
+        let connection = connection.transpose()?;
         if let (Some(mqtt), Some(connection)) = (mqtt, &connection) {
             bridge.start_mqtt_sink(config, settings, (mqtt, connection), &mut sides)?;
         }
@@ -235,12 +236,17 @@ impl Bridge {
         Ok(())
     }
 
-    fn prepare_mqtt(&mut self, config: &Config, settings: &Settings, mqtt: &MqttSettings) -> Mqtt {
+    fn prepare_mqtt(
+        &mut self,
+        config: &Config,
+        settings: &Settings,
+        mqtt: &MqttSettings,
+    ) -> anyhow::Result<Mqtt> {
         let offline = json!({"fleet": config.fleet(), "bridge": settings.name, "state": "offline"});
         let offline = offline.to_string().into_bytes();
-        let connection = Mqtt::new(mqtt, &settings.robots, &offline, &self.shared);
+        let connection = Mqtt::new(mqtt, &settings.robots, &offline, &self.shared)?;
         self.outlet = Some(connection.outlet());
-        connection
+        Ok(connection)
     }
 
     fn start_mqtt_sink(

@@ -59,6 +59,9 @@ pub(super) struct MqttSection {
     pub(super) username: Option<String>,
     /// File with the password, mode 0600.
     pub(super) password_file: Option<Text>,
+    /// Version of MQTT. Without it 5, and 3.1.1 with a broker that does not know 5.
+    pub(super) version: Option<Text>,
+    pub(super) tls: Option<TlsSection>,
     #[serde(default = "keep_alive_s")]
     pub(super) keep_alive_s: u64,
     #[serde(default = "max_payload_bytes")]
@@ -70,6 +73,18 @@ pub(super) struct MqttSection {
     pub(super) vizier: Option<VizierSection>,
     #[serde(default)]
     pub(super) write: Vec<WriteSection>,
+}
+
+/// Files of TLS, in PEM.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct TlsSection {
+    /// Authorities that the broker's certificate may be of.
+    pub(super) ca: Text,
+    /// What the bridge shows the broker.
+    pub(super) certificate: Option<Text>,
+    /// The certificate's key, mode 0600.
+    pub(super) key: Option<Text>,
 }
 
 const fn keep_alive_s() -> u64 {

@@ -6,6 +6,7 @@ mod file;
 mod mqtt;
 mod ros2;
 mod secret;
+mod tls;
 
 use std::path::Path;
 use std::time::Duration;
@@ -23,8 +24,9 @@ use crate::mapping::outgoing::What;
 use crate::mapping::robots::Robots;
 use crate::mapping::ros::outgoing::RosWhat;
 
-pub(crate) use mqtt::{MqttSettings, Write};
+pub(crate) use mqtt::{MqttSettings, VERSIONS, Write};
 pub(crate) use ros2::{Ros2Settings, RosWrite};
+pub(crate) use tls::TlsError;
 
 /// Maximum size of the file, bytes.
 const MAX_BYTES: u64 = 4 << 20;
@@ -296,6 +298,10 @@ mod tests {
             [mqtt] | [bridge]\nname = "a/b"\n[mqtt] | 5 | a/b
             [mqtt] | [mqtt]\nusername = "joe" | 5 | password_file
             [mqtt] | [mqtt]\nkeep_alive_s = 0 | 5 | 5 to 3600
+            [mqtt] | [mqtt]\nversion = "4" | 5 | allowed are 3.1.1 and 5
+            [mqtt] | [mqtt]\ntls = { ca = "nowhere.pem" } | 5 | `mqtt.tls.ca` = "nowhere.pem" cannot be read
+            [mqtt] | [mqtt]\ntls = { ca = "bridge.toml" } | 5 | BEGIN CERTIFICATE
+            [mqtt] | [mqtt]\ntls = { ca = "a.pem", key = "a.key" } | 5 | `certificate` and `key`
             "#,
         ) {
             let [from, to, line, expected] = case.as_slice() else {

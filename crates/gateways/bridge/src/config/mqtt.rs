@@ -12,6 +12,7 @@ use crate::config::file::{
     Text, WriteSection,
 };
 use crate::config::secret::secret;
+use crate::config::tls::TlsSettings;
 use crate::mapping::fields::{Fields, Flag, Number, Place};
 use crate::mapping::outgoing::{OutgoingValue, What, quantity, value_names};
 use crate::mapping::robots::Robots;
@@ -20,6 +21,8 @@ use crate::mapping::topic::{Pattern, ROBOT, Template};
 use crate::mapping::units::Quantity;
 use crate::mapping::vizier;
 
+/// Versions of MQTT, as connections name them: 3.1.1 and 5.
+pub(crate) const VERSIONS: [u8; 2] = [4, 5];
 /// Range of the keep-alive interval, s.
 const KEEP_ALIVE_S: (u64, u64) = (5, 3_600);
 /// Maximum of the configurable payload size, bytes.
@@ -35,6 +38,9 @@ pub(crate) struct MqttSettings {
     pub(crate) client_id: String,
     /// User name and password.
     pub(crate) login: Option<(String, String)>,
+    /// Version of MQTT, 4 for 3.1.1. `None`: 5, or else 4.
+    pub(crate) version: Option<u8>,
+    pub(crate) tls: Option<TlsSettings>,
     pub(crate) keep_alive: Duration,
     pub(crate) max_payload_bytes: usize,
     pub(crate) routes: Vec<Route>,
@@ -70,6 +76,15 @@ impl Check<'_> {
         let (host, port) = self.checked(&section.broker, "mqtt.broker", broker)?;
         let client_id = self.client_id(section.client_id.as_ref(), name);
         let login = self.login(section.username, section.password_file.as_ref());
+        let version = section.version.and_then(|text| {
+            let version = match text.get_ref().as_str() {
+                "3.1.1" => Ok(VERSIONS[0]),
+                "5" => Ok(VERSIONS[1]),
+                _ => Err("is no version of MQTT; allowed are 3.1.1 and 5"),
+            };
+            self.checked(&text, "mqtt.version", version)
+        });
+        let tls = section.tls.and_then(|tls| self.tls(&tls));
         let (least, most) = KEEP_ALIVE_S;
         if !(least..=most).contains(&section.keep_alive_s) {
             let what = format!("is {}", section.keep_alive_s);
@@ -129,6 +144,8 @@ impl Check<'_> {
             port,
             client_id,
             login,
+            version,
+            tls,
             keep_alive: Duration::from_secs(section.keep_alive_s),
             max_payload_bytes: section.max_payload_bytes as usize,
             routes,

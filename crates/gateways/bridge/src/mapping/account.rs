@@ -25,7 +25,7 @@ pub(crate) enum Reason {
     NotJson,
     /// Not the CDR of its type.
     NotCdr,
-    /// Not encoded in plain CDR.
+    /// Not encoded in plain CDR, or as a message of MQTT.
     WrongEncoding,
     /// A participant with an incompatible quality of service.
     IncompatibleQos,

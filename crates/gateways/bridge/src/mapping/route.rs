@@ -135,6 +135,18 @@ impl Reader {
         }
     }
 
+    /// Counts a message that was not read, by each route that its topic fits.
+    pub(crate) fn skip(&self, topic: &str, reason: Reason, account: &mut Account) {
+        let routes = self.routes.iter();
+        for route in routes.filter(|route| route.pattern.matches(topic).is_some()) {
+            account.count(&route.name, reason, topic);
+        }
+        let vizier = self.vizier.as_ref();
+        if vizier.is_some_and(|vizier| vizier::answered(&vizier.client, topic).is_some()) {
+            account.count(VIZIER, reason, topic);
+        }
+    }
+
     /// The next round of requests to a vizier: topic and body for each robot.
     pub(crate) fn requests(&mut self, account: &mut Account) -> Vec<(String, Value)> {
         let Some(vizier) = &mut self.vizier else {

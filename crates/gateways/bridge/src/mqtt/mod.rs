@@ -1,98 +1,91 @@
 //! The connection to a broker, served by one thread.
 //!
 //! The thread subscribes after each connection, because a broker that was killed may have lost its
-//! subscriptions. It reads messages, and sends those that others hand to its [`Outlet`].
+//! subscriptions. It reads messages, and sends those that others hand to its [`Outlet`]. Its memory
+//! is bounded, whatever the broker sends.
 
+mod connection;
+mod inbox;
 mod outlet;
 mod sink;
+mod transport;
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::io;
+use std::net::TcpStream;
+use std::sync::Arc;
+use std::sync::mpsc::{RecvTimeoutError, sync_channel};
+use std::thread;
 use std::time::Duration;
 
 use joulebus_bus::clock;
 use joulebus_program::output::say;
-use rumqttc::mqttbytes::v4::{ConnectReturnCode, Packet, SubscribeFilter, SubscribeReasonCode};
-use rumqttc::{AsyncClient, ConnectionError, Event, EventLoop, LastWill, MqttOptions, QoS};
-use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
+use mqtt5_protocol::{Packet, QoS, ReasonCode};
+use rustix::event::Timespec;
 
-use crate::config::{MqttSettings, Write};
+use crate::config::{MqttSettings, VERSIONS};
 use crate::mapping::account::Reason;
 use crate::mapping::outgoing::What;
 use crate::mapping::robots::Robots;
 use crate::mapping::route::{Message, Reader};
 use crate::shared::Shared;
+use connection::{Connection, Lost, after_ns, reason};
+use inbox::Incoming;
+use transport::Transport;
 
-pub(crate) use outlet::Outlet;
+pub(crate) use outlet::{Outgoing, Outlet};
 pub(crate) use sink::{MAX_WAITING, MqttSink, Start, read_alarms};
 
-/// Maximum size of a received packet, bytes. A longer one ends the connection. A payload above its
-/// own limit is received, counted and skipped.
-const MAX_PACKET_BYTES: usize = 16 << 20;
 /// Delay before the next attempt to connect: the first one, and the maximum. It doubles with each
-/// attempt.
+/// attempt, and begins anew after a connection that lasted as long as the maximum.
 const RETRY_DELAYS: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(10));
 /// Delay until a stop is noticed.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// Timeout of the disconnection.
 const DISCONNECT_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Why the connection was given up.
+/// Why the connection was given up: what is wrong at the start stays wrong.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum MqttError {
-    /// A login that is wrong at the start stays wrong.
-    #[error(
-        "the broker {broker} refuses the connection: {code:?}. Check `username`, `password_file` and `client_id`"
-    )]
-    Login {
-        broker: String,
-        code: ConnectReturnCode,
-    },
-    #[error("cannot start the connection's runtime: {0}")]
-    Runtime(#[from] std::io::Error),
+#[error("no connection to the broker {broker}: {why}")]
+pub(crate) struct MqttError {
+    broker: String,
+    why: Lost,
 }
 
 /// A connection to a broker that reconnects after each loss.
 pub(crate) struct Mqtt {
     broker: String,
-    client: AsyncClient,
-    events: EventLoop,
+    settings: MqttSettings,
+    version: u8,
     outlet: Arc<Outlet>,
-    reader: Arc<Mutex<Reader>>,
-    ask_every: Option<Duration>,
-    /// Topic, payload, and whether the broker retains it.
-    goodbye: Vec<(String, Vec<u8>, bool)>,
+    reader: Reader,
+    /// The topics to subscribe to.
+    filters: Vec<String>,
+    ask_due_ns: u64,
+    /// What is said at the end. The broker says the first of it if the bridge dies.
+    goodbye: Vec<Outgoing>,
     shared: Arc<Shared>,
 }
 
 impl Mqtt {
     /// Prepares the connection. [`Mqtt::run`] opens it.
+    ///
+    /// # Errors
+    /// There is no descriptor for it.
     pub(crate) fn new(
         settings: &MqttSettings,
         robots: &Robots,
         offline: &[u8],
         shared: &Arc<Shared>,
-    ) -> Self {
-        let mut options = MqttOptions::new(&settings.client_id, &settings.host, settings.port);
-        options.set_keep_alive(settings.keep_alive);
-        // No persistent session: messages queued for an absent bridge would be old.
-        options.set_clean_session(true);
-        options.set_max_packet_size(MAX_PACKET_BYTES, MAX_PACKET_BYTES);
-        if let Some((username, password)) = &settings.login {
-            options.set_credentials(username, password);
-        }
-        let is_status = |write: &&Write| write.what == What::Status;
-        let goodbye: Vec<(String, Vec<u8>, bool)> = settings
-            .writes
-            .iter()
-            .filter(is_status)
-            .map(|write| (write.topic.of(""), offline.to_vec(), write.retain))
-            .collect();
-        if let Some((topic, payload, retain)) = goodbye.first() {
-            let (qos, payload) = (QoS::AtLeastOnce, payload.clone());
-            options.set_last_will(LastWill::new(topic, payload, qos, *retain));
-        }
-        let capacity = 1_000 + 4 * robots.len() * settings.writes.len().max(1);
-        let (client, events) = AsyncClient::new(options, capacity);
+    ) -> io::Result<Self> {
+        let statuses = settings.writes.iter();
+        let statuses = statuses.filter(|write| write.what == What::Status);
+        let goodbye = statuses.map(|write| Outgoing {
+            topic: write.topic.of(""),
+            payload: offline.to_vec(),
+            qos: QoS::AtLeastOnce,
+            retain: write.retain,
+            expires_s: None,
+        });
         let mut reader = Reader::new(
             settings.routes.clone(),
             robots.clone(),
@@ -101,16 +94,18 @@ impl Mqtt {
         if let Some(vizier) = &settings.vizier {
             reader = reader.with_vizier(&settings.client_id, vizier.fields.clone());
         }
-        Self {
+        let capacity = 1_000 + 4 * robots.len() * settings.writes.len().max(1);
+        Ok(Self {
             broker: format!("{}:{}", settings.host, settings.port),
-            outlet: Arc::new(Outlet::new(client.clone())),
-            client,
-            events,
-            reader: Arc::new(Mutex::new(reader)),
-            ask_every: settings.vizier.as_ref().map(|vizier| vizier.every),
-            goodbye,
+            version: settings.version.unwrap_or(VERSIONS[1]),
+            outlet: Arc::new(Outlet::new(capacity)?),
+            filters: reader.filters(),
+            reader,
+            ask_due_ns: 0,
+            goodbye: goodbye.collect(),
+            settings: settings.clone(),
             shared: Arc::clone(shared),
-        }
+        })
     }
 
     /// The sending end of the connection.
@@ -122,176 +117,231 @@ impl Mqtt {
     ///
     /// # Errors
     /// [`MqttError`].
-    pub(crate) fn run(self) -> Result<(), MqttError> {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()?;
-        runtime.block_on(self.serve())
-    }
-
-    async fn serve(mut self) -> Result<(), MqttError> {
-        if let Some(every) = self.ask_every {
-            tokio::spawn(ask(
-                every,
-                Arc::clone(&self.reader),
-                Arc::clone(&self.outlet),
-                Arc::clone(&self.shared),
-            ));
-        }
+    pub(crate) fn run(mut self) -> Result<(), MqttError> {
         let mut pause = RETRY_DELAYS.0;
-        let shared = Arc::clone(&self.shared);
         loop {
-            // The poll is cancelled only at the end, because cancelling it would lose a connection
-            // that is being made.
-            let event = tokio::select! {
-                event = self.events.poll() => event,
-                () = closed(&shared) => break,
+            let began_ns = clock::monotonic_ns();
+            let ended = self.connect().and_then(|mut connection| {
+                let served = self.serve(&mut connection);
+                served.inspect(|()| self.leave(&mut connection))
+            });
+            self.shared.log_news();
+            let was_connected = self.outlet.disconnected();
+            let why = match ended {
+                Err(why) if !self.shared.is_closed() => why,
+                _ => return Ok(()),
             };
-            match event {
-                Ok(Event::Incoming(packet)) => {
-                    if let Packet::ConnAck(_) = packet {
-                        pause = RETRY_DELAYS.0;
-                    }
-                    self.incoming(packet);
-                }
-                Ok(Event::Outgoing(_)) => {}
-                Err(error) => {
-                    self.lost(&error)?;
-                    tokio::select! {
-                        () = sleep(pause) => pause = (pause * 2).min(RETRY_DELAYS.1),
-                        () = closed(&shared) => break,
-                    }
+            let broker = &self.broker;
+            if self.settings.version.is_none() && why.is_of_version() {
+                let [older, newer] = VERSIONS;
+                self.version = older + newer - self.version;
+                if self.version == older {
+                    say(&format!(
+                        "not connected to {broker} by MQTT 5: {why}; trying MQTT 3.1.1"
+                    ));
+                    continue;
                 }
             }
+            if why.is_permanent() && !was_connected {
+                let broker = self.broker;
+                return Err(MqttError { broker, why });
+            }
+            say(&format!("not connected to {broker}: {why}; trying again"));
+            if clock::monotonic_ns() - began_ns > RETRY_DELAYS.1.as_nanos() as u64 {
+                pause = RETRY_DELAYS.0;
+            }
+            let until_ns = after_ns(pause);
+            while clock::monotonic_ns() < until_ns && !self.shared.is_closed() {
+                thread::sleep(POLL_INTERVAL);
+            }
+            pause = (pause * 2).min(RETRY_DELAYS.1);
         }
-        self.leave().await;
+    }
+
+    fn connect(&self) -> Result<Connection, Lost> {
+        let socket = self.open()?;
+        // Read again for each connection, since certificates are renewed.
+        let tls = self.settings.tls.as_ref().map(|tls| tls.load());
+        let tls = tls
+            .transpose()
+            .map_err(|(key, error)| Lost::File { key, error })?;
+        let transport = Transport::new(socket, &self.settings.host, tls)?;
+        Connection::new(
+            transport,
+            &self.settings,
+            self.version,
+            self.goodbye.first(),
+        )
+    }
+
+    /// Opens a connection in a thread of its own, because looking a name up blocks.
+    fn open(&self) -> Result<TcpStream, Lost> {
+        let (opened, opens) = sync_channel(1);
+        let (host, port) = (self.settings.host.clone(), self.settings.port);
+        thread::Builder::new()
+            .name("joulebus-open".to_owned())
+            .spawn(move || opened.send(transport::open(&host, port)))?;
+        loop {
+            match opens.recv_timeout(POLL_INTERVAL) {
+                Ok(socket) => return Ok(socket?),
+                Err(RecvTimeoutError::Timeout) if !self.shared.is_closed() => {}
+                Err(_) => return Err(Lost::Unanswered),
+            }
+        }
+    }
+
+    /// Serves a connection until it is lost. Returns when it has to end.
+    fn serve(&mut self, connection: &mut Connection) -> Result<(), Lost> {
+        while !self.shared.is_closed() {
+            self.ask(connection);
+            self.send(connection);
+            connection.turn(&self.outlet, &POLL_TIMEOUT)?;
+            while let Some(incoming) = connection.next()? {
+                self.incoming(connection, incoming)?;
+            }
+            self.shared.log_news();
+        }
         Ok(())
     }
 
-    fn incoming(&mut self, packet: Packet) {
-        match packet {
-            Packet::ConnAck(_) => {
+    /// Sends what others have handed over. Returns whether that was all.
+    fn send(&self, connection: &mut Connection) -> bool {
+        while connection.has_room() {
+            let Some(message) = self.outlet.take() else {
+                return true;
+            };
+            self.publish(connection, message);
+        }
+        false
+    }
+
+    fn publish(&self, connection: &mut Connection, message: Outgoing) {
+        if let Err(topic) = connection.publish(message) {
+            self.outlet.count_lost();
+            self.count(Reason::TooLong, &topic);
+        }
+    }
+
+    fn count(&self, reason: Reason, name: &str) {
+        self.shared.account().count("mqtt", reason, name);
+    }
+
+    fn incoming(&mut self, connection: &mut Connection, incoming: Incoming) -> Result<(), Lost> {
+        match incoming {
+            Incoming::Packet(Packet::ConnAck(answer)) if !connection.is_up() => {
+                connection.accepted(&answer)?;
                 say(&format!("connected to {}", self.broker));
-                self.subscribe();
+                if !self.filters.is_empty() {
+                    connection.subscribe(&self.filters)?;
+                }
                 self.outlet.connected();
             }
-            Packet::SubAck(answer) => {
-                let refused = answer
-                    .return_codes
-                    .iter()
-                    .filter(|code| **code == SubscribeReasonCode::Failure);
-                if refused.count() > 0 {
-                    self.shared
-                        .account()
-                        .count("mqtt", Reason::Refused, "a subscription");
+            Incoming::Packet(Packet::SubAck(answer)) => {
+                for (filter, code) in self.filters.iter().zip(&answer.reason_codes) {
+                    if !code.is_success() {
+                        let reason = reason(code, &answer.properties);
+                        self.count(Reason::Refused, &format!("{reason}: reading {filter}"));
+                    }
                 }
             }
-            Packet::Publish(publish) => {
+            Incoming::Packet(Packet::PubAck(answer)) => {
+                let topic = connection.acknowledged(answer.packet_id);
+                if let (Some(topic), true) = (topic, answer.reason_code.is_error()) {
+                    let reason = reason(answer.reason_code, &answer.properties);
+                    self.count(Reason::Refused, &format!("{reason}: writing {topic}"));
+                }
+            }
+            Incoming::Packet(Packet::Disconnect(said)) => {
+                let (code, reason) = (said.reason_code, reason(said.reason_code, &said.properties));
+                return Err(match code {
+                    ReasonCode::Success => Lost::Closed,
+                    _ => Lost::Ended { code, reason },
+                });
+            }
+            Incoming::Packet(Packet::Publish(publish)) => {
                 self.shared.count_message();
                 let message = Message {
-                    topic: &publish.topic,
+                    topic: &publish.topic_name,
                     payload: &publish.payload,
                     retained: publish.retain,
                 };
                 let at_ns = clock::monotonic_ns();
                 let (shared, mut account) = (&self.shared, self.shared.account());
-                let mut reader = self.reader.lock().unwrap_or_else(PoisonError::into_inner);
-                reader.read(message, &mut account, |robot, seen| {
+                self.reader.read(message, &mut account, |robot, seen| {
                     shared.intake().take(robot, seen, at_ns);
                 });
             }
-            _ => {}
+            Incoming::TooLong { topic } => self.skip(Reason::TooLong, &topic),
+            Incoming::Malformed { topic } => self.skip(Reason::WrongEncoding, &topic),
+            Incoming::Packet(_) => {}
         }
-        self.shared.log_news();
-    }
-
-    fn subscribe(&self) {
-        let filters = self
-            .reader
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .filters();
-        if filters.is_empty() {
-            return;
-        }
-        let filters = filters
-            .into_iter()
-            .map(|path| SubscribeFilter::new(path, QoS::AtMostOnce));
-        if let Err(error) = self.client.try_subscribe_many(filters) {
-            // Every new connection empties the queue.
-            say(&format!("cannot subscribe: {error}"));
-        }
-    }
-
-    fn lost(&self, error: &ConnectionError) -> Result<(), MqttError> {
-        let was_connected = self.outlet.disconnected();
-        if let ConnectionError::ConnectionRefused(code) = error
-            && !was_connected
-            && *code != ConnectReturnCode::ServiceUnavailable
-        {
-            return Err(MqttError::Login {
-                broker: self.broker.clone(),
-                code: *code,
-            });
-        }
-        say(&format!(
-            "not connected to {}: {error}; trying again",
-            self.broker
-        ));
         Ok(())
     }
 
-    /// Publishes that the bridge is offline, and disconnects.
-    async fn leave(&mut self) {
-        if !self.outlet.is_connected() {
+    /// Counts a message that was not read.
+    fn skip(&self, reason: Reason, topic: &str) {
+        self.shared.count_message();
+        self.reader.skip(topic, reason, &mut self.shared.account());
+    }
+
+    /// Sends the vizier's requests periodically.
+    fn ask(&mut self, connection: &Connection) {
+        let Some(vizier) = &self.settings.vizier else {
+            return;
+        };
+        if !connection.is_up() || clock::monotonic_ns() < self.ask_due_ns {
             return;
         }
-        for (topic, payload, retain) in std::mem::take(&mut self.goodbye) {
-            let _ = self
-                .client
-                .try_publish(topic, QoS::AtLeastOnce, retain, payload);
-        }
-        let _ = self.client.try_disconnect();
-        let polling = async {
-            while !matches!(
-                self.events.poll().await,
-                Err(_) | Ok(Event::Outgoing(rumqttc::Outgoing::Disconnect))
-            ) {}
-        };
-        let _ = timeout(DISCONNECT_TIMEOUT, polling).await;
-    }
-}
-
-/// Returns when the connection has to end.
-async fn closed(shared: &Shared) {
-    while !shared.is_closed() {
-        sleep(POLL_INTERVAL).await;
-    }
-}
-
-/// Sends the vizier's requests periodically.
-async fn ask(
-    every: Duration,
-    reader: Arc<Mutex<Reader>>,
-    outlet: Arc<Outlet>,
-    shared: Arc<Shared>,
-) {
-    let mut due = interval(every);
-    due.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    loop {
-        due.tick().await;
-        if !outlet.is_connected() {
-            continue;
-        }
-        let requests = {
-            let mut account = shared.account();
-            let mut reader = reader.lock().unwrap_or_else(PoisonError::into_inner);
-            reader.requests(&mut account)
-        };
+        self.ask_due_ns = after_ns(vizier.every);
+        let requests = self.reader.requests(&mut self.shared.account());
         for (topic, body) in requests {
             // A request without room is repeated in the next round.
-            outlet.write(topic, body.to_string().into_bytes(), QoS::AtMostOnce, false);
+            self.outlet.write(Outgoing {
+                topic,
+                payload: body.to_string().into_bytes(),
+                qos: QoS::AtMostOnce,
+                retain: false,
+                // An interval is at most an hour.
+                expires_s: Some(vizier.every.as_secs_f64().ceil() as u32),
+            });
         }
-        shared.log_news();
+    }
+
+    /// Sends what others have handed over, publishes that the bridge is offline, and disconnects.
+    fn leave(&mut self, connection: &mut Connection) {
+        if !connection.is_up() {
+            return;
+        }
+        let until_ns = after_ns(DISCONNECT_TIMEOUT);
+        let (mut is_said, mut is_closed) = (false, false);
+        while clock::monotonic_ns() < until_ns {
+            if self.send(connection) && !is_said {
+                is_said = true;
+                for message in std::mem::take(&mut self.goodbye) {
+                    self.publish(connection, message);
+                }
+                connection.disconnect();
+            }
+            // The broker ends the connection once it has read all.
+            let turned = connection.turn(&self.outlet, &POLL_TIMEOUT);
+            let read = turned.and_then(|()| {
+                while let Some(incoming) = connection.next()? {
+                    self.incoming(connection, incoming)?;
+                }
+                Ok(())
+            });
+            if read.is_err() {
+                return;
+            }
+            if is_said && connection.is_sent() && !is_closed {
+                is_closed = true;
+                connection.close();
+            }
+        }
     }
 }
+
+const POLL_TIMEOUT: Timespec = Timespec {
+    tv_sec: 0,
+    tv_nsec: POLL_INTERVAL.subsec_nanos() as i64,
+};

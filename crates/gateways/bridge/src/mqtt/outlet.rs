@@ -1,13 +1,31 @@
-//! The sending end of the broker's connection, for other threads.
+//! The queue of messages for the broker, filled by other threads.
 
+use std::collections::VecDeque;
+use std::io;
+use std::os::fd::OwnedFd;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use rumqttc::{AsyncClient, QoS};
+use mqtt5_protocol::QoS;
+use rustix::event::{EventfdFlags, eventfd};
+
+/// A message for the broker.
+#[derive(Debug, Clone)]
+pub(crate) struct Outgoing {
+    pub(crate) topic: String,
+    pub(crate) payload: Vec<u8>,
+    pub(crate) qos: QoS,
+    pub(crate) retain: bool,
+    /// Seconds after which the broker gives it to nobody. Brokers of MQTT 3.1.1 do not know it.
+    pub(crate) expires_s: Option<u32>,
+}
 
 /// Hands messages to the connection. Never blocks.
 #[derive(Debug)]
 pub(crate) struct Outlet {
-    client: AsyncClient,
+    queue: Mutex<VecDeque<Outgoing>>,
+    capacity: usize,
+    wake: OwnedFd,
     up: AtomicBool,
     connections: AtomicU64,
     sent: AtomicU64,
@@ -15,22 +33,31 @@ pub(crate) struct Outlet {
 }
 
 impl Outlet {
-    pub(super) fn new(client: AsyncClient) -> Self {
-        Self {
-            client,
+    /// An empty queue of up to `capacity` messages.
+    pub(super) fn new(capacity: usize) -> io::Result<Self> {
+        Ok(Self {
+            queue: Mutex::default(),
+            capacity,
+            wake: eventfd(0, EventfdFlags::NONBLOCK | EventfdFlags::CLOEXEC)?,
             up: AtomicBool::new(false),
             connections: AtomicU64::new(0),
             sent: AtomicU64::new(0),
             lost: AtomicU64::new(0),
-        }
+        })
     }
 
+    fn queue(&self) -> MutexGuard<'_, VecDeque<Outgoing>> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Notes a new connection. What waited for an earlier one is dropped.
     pub(super) fn connected(&self) {
+        self.queue().clear();
         self.connections.fetch_add(1, Ordering::Relaxed);
         self.up.store(true, Ordering::Relaxed);
     }
 
-    /// Notes the loss of the connection. Returns whether there was one.
+    /// Notes the loss of the connection. Returns whether there ever was one.
     pub(super) fn disconnected(&self) -> bool {
         self.up.store(false, Ordering::Relaxed);
         self.connections() > 0
@@ -48,13 +75,31 @@ impl Outlet {
 
     /// Hands over a message. Returns false if there is no connection or its queue is full. A
     /// message that is not retried is lost: see [`Outlet::count_lost`].
-    pub(crate) fn write(&self, topic: String, payload: Vec<u8>, qos: QoS, retain: bool) -> bool {
-        if !self.is_connected() {
+    pub(crate) fn write(&self, message: Outgoing) -> bool {
+        let mut queue = self.queue();
+        if !self.is_connected() || queue.len() >= self.capacity {
             return false;
         }
-        let is_sent = self.client.try_publish(topic, qos, retain, payload).is_ok();
-        self.sent.fetch_add(u64::from(is_sent), Ordering::Relaxed);
-        is_sent
+        queue.push_back(message);
+        drop(queue);
+        // It fails only where the counter is full, which wakes as well.
+        let _ = rustix::io::write(&self.wake, &1_u64.to_ne_bytes());
+        self.sent.fetch_add(1, Ordering::Relaxed);
+        true
+    }
+
+    /// The next message, for the connection.
+    pub(super) fn take(&self) -> Option<Outgoing> {
+        self.queue().pop_front()
+    }
+
+    /// Readable while messages wait that were not there at the last [`Outlet::woken`].
+    pub(super) const fn wake(&self) -> &OwnedFd {
+        &self.wake
+    }
+
+    pub(super) fn woken(&self) {
+        let _ = rustix::io::read(&self.wake, &mut [0_u8; 8]);
     }
 
     /// Counts a message that is not retried.

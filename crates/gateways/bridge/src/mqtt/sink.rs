@@ -8,18 +8,21 @@ use std::sync::mpsc::{Receiver, SyncSender, TrySendError};
 use joulebus_board::{AlarmRecord, Board};
 use joulebus_config::Config;
 use joulebus_consumer::{FleetAlarm, FleetAlarms};
-use rumqttc::QoS;
+use mqtt5_protocol::QoS;
 use serde_json::{Value, json};
 
 use crate::config::Write;
 use crate::mapping::outgoing::{Object, What, document, values};
 use crate::mapping::robots::Robots;
-use crate::mqtt::outlet::Outlet;
+use crate::mqtt::outlet::{Outgoing, Outlet};
 use crate::outbound::{Sink, Times, next_due_ns};
 use crate::shared::Shared;
 
 /// Maximum number of alarm changes that wait for a connection. Beyond it the oldest are lost.
 pub(crate) const MAX_WAITING: usize = 10_000;
+
+/// Number of its intervals after which a broker drops what is written again and again.
+const EXPIRES_AFTER: u64 = 3;
 
 /// A topic with the state of its robots.
 struct Topic {
@@ -173,10 +176,8 @@ impl MqttSink {
             document["name"] = json!(name);
             let payload = document.to_string().into_bytes();
             for topic in &topics[self.published_to.min(topics.len())..] {
-                let (to, retain) = (topic.write.topic.of(""), topic.write.retain);
-                let payload = payload.clone();
                 // Retried later, from this topic on.
-                if !self.outlet.write(to, payload, QoS::AtLeastOnce, retain) {
+                if !self.outlet.write(topic.write.message("", payload.clone())) {
                     return;
                 }
                 self.published_to += 1;
@@ -201,13 +202,8 @@ impl MqttSink {
             "unmapped": unmapped,
             "implausible": implausible,
         });
-        let (to, retain) = (topic.write.topic.of(""), topic.write.retain);
-        if self.outlet.write(
-            to,
-            status.to_string().into_bytes(),
-            QoS::AtLeastOnce,
-            retain,
-        ) {
+        let status = status.to_string().into_bytes();
+        if self.outlet.write(topic.write.message("", status)) {
             topic.due_ns = next_due_ns(topic.due_ns, topic.write.every_ns, times.now_ns);
         }
     }
@@ -230,14 +226,36 @@ impl MqttSink {
         }
         for robot in left {
             // An empty message deletes a retained document.
-            let to = topic
-                .write
-                .topic
-                .of(self.robots.name(robot).unwrap_or_default());
-            if self.outlet.write(to, Vec::new(), QoS::AtLeastOnce, true) {
+            let name = self.robots.name(robot).unwrap_or_default();
+            let message = Outgoing {
+                qos: QoS::AtLeastOnce,
+                retain: true,
+                ..topic.write.message(name, Vec::new())
+            };
+            if self.outlet.write(message) {
                 topic.kept.remove(&robot);
                 topic.published.remove(&robot);
             }
+        }
+    }
+}
+
+impl Write {
+    /// A message about the robot `name`. What is written again is not to be read later.
+    fn message(&self, name: &str, payload: Vec<u8>) -> Outgoing {
+        let is_renewed = matches!(self.what, What::Forecast | What::Budget | What::Status);
+        let expires_ns = EXPIRES_AFTER.saturating_mul(self.every_ns);
+        Outgoing {
+            topic: self.topic.of(name),
+            payload,
+            qos: if self.what == What::Forecast {
+                QoS::AtMostOnce
+            } else {
+                QoS::AtLeastOnce
+            },
+            retain: self.retain,
+            // An interval is at most an hour.
+            expires_s: is_renewed.then(|| expires_ns.div_ceil(1_000_000_000) as u32),
         }
     }
 }
@@ -249,13 +267,8 @@ impl Topic {
         if only_changes && self.published.get(&robot) == Some(&document) {
             return;
         }
-        let qos = if self.write.what == What::Forecast {
-            QoS::AtMostOnce
-        } else {
-            QoS::AtLeastOnce
-        };
         let payload = document.to_string().into_bytes();
-        let is_handed = outlet.write(self.write.topic.of(name), payload, qos, self.write.retain);
+        let is_handed = outlet.write(self.write.message(name, payload));
         if !is_handed && !only_changes && outlet.is_connected() {
             // The next document replaces this one, so it is not retried.
             outlet.count_lost();
@@ -300,7 +313,6 @@ mod tests {
 
     use joulebus_consumer::Change;
     use joulebus_consumer::wire::Level;
-    use rumqttc::{AsyncClient, MqttOptions};
 
     use super::*;
     use joulebus_plausibility::Expired;
@@ -328,8 +340,7 @@ mod tests {
     #[test]
     fn a_full_queue_loses_no_change_of_an_alarm_and_tells_none_twice() {
         // Nothing takes messages from this queue.
-        let (client, _events) = AsyncClient::new(MqttOptions::new("jb", "127.0.0.1", 1), 3);
-        let outlet = Arc::new(Outlet::new(client));
+        let outlet = Arc::new(Outlet::new(3).unwrap());
         outlet.connected();
         let (changes, changed) = sync_channel(MAX_WAITING);
         for at_ns in 0..2 {

@@ -3,33 +3,12 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 use std::time::Duration;
 
-use joulebus_testkit::{Child, eventually};
+use joulebus_testkit::{Child, certificates, eventually};
 use zenoh::Wait as _;
 
 use crate::host::{FOLLOW, Host, SAMPLES, free_address, has_lost_edge, is_asked_by};
-
-/// Makes certificates as the documentation describes, valid for `days`.
-pub(crate) fn certificates(folder: &Path, days: u32, hosts: &[&str]) -> bool {
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../tools/fleet_certificates.sh");
-    let hosts = hosts.iter().map(|name| format!("{name}=127.0.0.1"));
-    let made = Command::new(script)
-        .arg(folder)
-        .args(hosts)
-        .env("JOULEBUS_CERTIFICATE_DAYS", days.to_string())
-        .output();
-    let is_made = made.is_ok_and(|made| made.status.success());
-    assert!(
-        is_made || std::env::var_os("CI").is_none_or(|ci| ci != "true"),
-        "openssl is needed"
-    );
-    if !is_made {
-        eprintln!("skipped: openssl is needed");
-    }
-    is_made
-}
 
 /// A link's file that uses the certificate of `of` in `folder`.
 fn file(name: &str, of: &str, folder: &Path, network: &str, sides: &str) -> String {

@@ -11,11 +11,11 @@ use std::time::Duration;
 use joulebus_bus::clock;
 use joulebus_config::Config;
 use joulebus_standby::{Places, SavedState};
-use joulebus_testkit::{Child, eventually, free_port};
+use joulebus_testkit::{Child, certificates, eventually, free_port};
 use rustix::process::Signal;
 use serde_json::Value;
 
-use crate::certificates::{certificates, tls};
+use crate::certificates::tls;
 use crate::chaos::{Chance, FAULTS, MORE};
 use crate::etcd::Etcd;
 use crate::host::{Host, free_address};

@@ -2,6 +2,8 @@
 //! and with CI=true they fail.
 
 pub(crate) mod broker;
+mod kinds;
+mod secure;
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -547,7 +549,9 @@ fn a_wrong_password_ends_the_start_and_a_right_one_is_taken() {
             let ended = bridge.wait();
             assert_eq!(ended.exit_code(), code, "{ended:?}");
             assert!(
-                ended.errors().contains("refuses the connection")
+                ended
+                    .errors()
+                    .contains("refuses the connection: not authorized. Check `username`")
                     && !ended.errors().contains(password),
                 "{ended:?}"
             );

@@ -1,0 +1,112 @@
+//! Checks and reads the files of `[mqtt.tls]`.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use rustls::pki_types::pem::{self, PemObject as _};
+use rustls::pki_types::{CertificateDer, PrivateKeyDer};
+use rustls::{ClientConfig, RootCertStore};
+
+use crate::config::check::Check;
+use crate::config::file::{Text, TlsSection};
+
+/// Maximum size of a file, bytes.
+const MAX_BYTES: u64 = 1 << 20;
+
+/// Files of TLS to a broker.
+#[derive(Debug, Clone)]
+pub(crate) struct TlsSettings {
+    ca: PathBuf,
+    /// The bridge's certificate and its key.
+    identity: Option<(PathBuf, PathBuf)>,
+}
+
+/// Why a file is refused.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum TlsError {
+    #[error("cannot be read: {0}")]
+    Read(#[from] io::Error),
+    #[error("has no certificate; expected PEM, -----BEGIN CERTIFICATE-----")]
+    NoCertificate,
+    #[error("has no key; expected PEM without a password, -----BEGIN PRIVATE KEY-----")]
+    NoKey,
+    #[error("is damaged: {0}")]
+    Pem(pem::Error),
+    #[error("is refused: {0}")]
+    Refused(#[from] rustls::Error),
+}
+
+impl TlsSettings {
+    /// Reads the files.
+    ///
+    /// # Errors
+    /// [`TlsError`] with the name of the file's key.
+    pub(crate) fn load(&self) -> Result<Arc<ClientConfig>, (&'static str, TlsError)> {
+        let mut roots = RootCertStore::empty();
+        for certificate in certificates(&self.ca).map_err(|error| ("ca", error))? {
+            roots
+                .add(certificate)
+                .map_err(|error| ("ca", error.into()))?;
+        }
+        let provider = Arc::new(rustls::crypto::ring::default_provider());
+        let builder = ClientConfig::builder_with_provider(provider)
+            .with_safe_default_protocol_versions()
+            .map_err(|error| ("ca", error.into()))?
+            .with_root_certificates(roots);
+        let Some((certificate, key)) = &self.identity else {
+            return Ok(Arc::new(builder.with_no_client_auth()));
+        };
+        let certificates = certificates(certificate).map_err(|error| ("certificate", error))?;
+        let key = private_key(key).map_err(|error| ("key", error))?;
+        let config = builder.with_client_auth_cert(certificates, key);
+        Ok(Arc::new(config.map_err(|error| ("key", error.into()))?))
+    }
+}
+
+fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>, TlsError> {
+    let bytes = joulebus_files::read(path, MAX_BYTES)?;
+    let found: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&bytes).collect();
+    let found = found.map_err(TlsError::Pem)?;
+    if found.is_empty() {
+        return Err(TlsError::NoCertificate);
+    }
+    Ok(found)
+}
+
+fn private_key(path: &Path) -> Result<PrivateKeyDer<'static>, TlsError> {
+    let text = joulebus_files::read_secret(path, MAX_BYTES)?;
+    PrivateKeyDer::from_pem_slice(text.as_bytes()).map_err(|error| match error {
+        pem::Error::NoItemsFound => TlsError::NoKey,
+        error => TlsError::Pem(error),
+    })
+}
+
+impl Check<'_> {
+    pub(super) fn tls(&mut self, section: &TlsSection) -> Option<TlsSettings> {
+        let path = |text: &Text| self.folder.join(text.get_ref());
+        let identity = match (&section.certificate, &section.key) {
+            (Some(certificate), Some(key)) => Some((path(certificate), path(key))),
+            (None, None) => None,
+            (named, other) => {
+                let text = named.as_ref().or(other.as_ref())?;
+                let paired = Err::<(), _>("needs `certificate` and `key`, or neither");
+                return self.checked(text, "mqtt.tls", paired).and(None);
+            }
+        };
+        let ca = path(&section.ca);
+        let settings = TlsSettings { ca, identity };
+        match settings.load() {
+            Ok(_) => Some(settings),
+            Err((name, error)) => {
+                let named = match name {
+                    "certificate" => section.certificate.as_ref(),
+                    "key" => section.key.as_ref(),
+                    _ => Some(&section.ca),
+                };
+                let key = format!("mqtt.tls.{name}");
+                self.checked::<(), _>(named?, &key, Err(error)).and(None)
+            }
+        }
+    }
+}

@@ -1,0 +1,221 @@
+//! Brokers of MQTT 5 and 3.1.1, as they are run: with long messages, with access lists, and silent.
+
+use std::fs;
+use std::io::{Read as _, Write as _};
+use std::net::{TcpListener, TcpStream};
+use std::thread;
+
+use joulebus_testkit::eventually;
+use rumqttc::QoS;
+use serde_json::Value;
+
+use super::broker::{Broker, mosquitto};
+use super::{Robots, count, file, is_forecast};
+use crate::fleet::Fleet;
+
+/// The bridge's file with a version of MQTT.
+fn file_of(broker: &Broker, version: &str) -> String {
+    file(broker).replace("[mqtt]", &format!("[mqtt]\nversion = \"{version}\""))
+}
+
+/// The most memory that a process has had, bytes.
+fn peak_bytes(pid: u32) -> u64 {
+    let status = fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
+    let mut lines = status.lines();
+    let peak = lines.find_map(|line| line.strip_prefix("VmHWM:")).unwrap();
+    let kilobytes: u64 = peak.trim().trim_end_matches(" kB").parse().unwrap();
+    kilobytes << 10
+}
+
+#[test]
+fn messages_of_any_length_are_counted_and_skipped_while_other_robots_are_forecast() {
+    let Some(program) = mosquitto() else { return };
+    for version in ["3.1.1", "5"] {
+        let (fleet, broker) = (
+            Fleet::new(),
+            Broker::start(&program, "allow_anonymous true"),
+        );
+        let mut worker = fleet.worker();
+        let long = |megabytes: usize| vec![b'7'; megabytes << 20];
+        let keeper = broker.client("keeper", "kept");
+        let keep = |topic: &str, payload: Vec<u8>| {
+            let kept = keeper
+                .client
+                .publish(topic, QoS::AtLeastOnce, true, payload);
+            kept.unwrap();
+        };
+        keep("fleet/r1/power", long(40));
+        keep("kept", Vec::from("1"));
+        keeper.wait_for("kept", |_| true);
+        let mut bridge = fleet.bridge(&file_of(&broker, version), "connected to ");
+        let listener = broker.client("listener", "jb/#");
+        let robots = Robots::start(broker.client("robots", "nothing").client);
+        listener.wait_for("jb/lab/r3/forecast", is_forecast);
+        let before = peak_bytes(bridge.pid());
+        listener.send("fleet/r2/power", long(5));
+        for _ in 0..2 {
+            listener.send("fleet/r2/power", long(40));
+        }
+        // A broker of MQTT 5 keeps what is longer than 16 MiB.
+        let least = if version == "5" { 1 } else { 4 };
+        listener.wait_for("jb/lab/bridge", |status| count(status, "too_long") >= least);
+        let grown = peak_bytes(bridge.pid()) - before;
+        assert!(grown < 20 << 20, "{grown} bytes more");
+        listener.forget();
+        listener.wait_for("jb/lab/r3/forecast", is_forecast);
+        listener.wait_for("jb/lab/r2/forecast", |document| {
+            is_forecast(document) && document["quality"] != "OpenLoop"
+        });
+        drop(robots);
+        let ended = bridge.end();
+        assert_eq!(ended.exit_code(), 3, "{ended:?}");
+        assert_eq!(count(&ended.json(), "too_long"), least, "{ended:?}");
+        assert!(!ended.errors().contains("not connected"), "{ended:?}");
+        worker.stop();
+    }
+}
+
+#[test]
+fn what_a_killed_bridge_has_written_expires_where_the_broker_knows_that() {
+    let Some(program) = mosquitto() else { return };
+    for version in ["5", "3.1.1"] {
+        let (fleet, broker) = (
+            Fleet::new(),
+            Broker::start(&program, "allow_anonymous true"),
+        );
+        let mut worker = fleet.worker();
+        let mut bridge = fleet.bridge(&file_of(&broker, version), "connected to ");
+        let listener = broker.client("listener", "jb/#");
+        let robots = Robots::start(broker.client("robots", "nothing").client);
+        listener.wait_for("jb/lab/r1/budget", Value::is_object);
+        listener.wait_for("jb/lab/r1/alarms", Value::is_object);
+        drop(robots);
+        bridge.kill();
+        let offline = |status: &Value| status["state"] == "offline";
+        listener.wait_for("jb/lab/bridge", offline);
+        let mut clients = 0;
+        // What the broker still keeps is sent before what is published after the subscription.
+        let mut kept = || {
+            clients += 1;
+            let later = broker.client(&format!("later-{clients}"), "jb/#");
+            later.send("jb/now", "1");
+            later.wait_for("jb/now", |_| true);
+            later.wait_for("jb/lab/bridge", offline);
+            later.wait_for("jb/lab/r1/alarms", |_| true);
+            let messages = later.messages();
+            messages.iter().any(|it| it.topic == "jb/lab/r1/budget")
+        };
+        if version == "5" {
+            eventually("the budget expires", || !kept());
+        } else {
+            assert!(kept(), "3.1.1 knows no expiry");
+        }
+        worker.stop();
+    }
+}
+
+#[test]
+fn what_a_broker_refuses_is_told_with_its_reason() {
+    let Some(program) = mosquitto() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let rules = folder.path().join("rules");
+    fs::write(
+        &rules,
+        "topic readwrite fleet/#\ntopic readwrite jb/lab/bridge\n",
+    )
+    .unwrap();
+    let more = format!("allow_anonymous true\nacl_file {}", rules.display());
+    let (fleet, broker) = (Fleet::new(), Broker::start(&program, &more));
+    let mut worker = fleet.worker();
+    let mut bridge = fleet.bridge(&file(&broker), "connected to ");
+    let robots = Robots::start(broker.client("robots", "nothing").client);
+    bridge.wait_for_line("refused: not authorized: writing jb/lab/");
+    drop(robots);
+    bridge.kill();
+    worker.stop();
+}
+
+/// What a broker does with a connection, after the bridge's introduction.
+enum Act {
+    Close,
+    Send(&'static [u8]),
+    /// Takes part in MQTT 3.1.1, and says nothing but what it must.
+    Serve,
+}
+
+/// Serves one connection after the other. Returns the version that each bridge asked for.
+fn serve(listener: &TcpListener, acts: &[Act]) -> Vec<u8> {
+    let serve = |act: &Act| {
+        let (mut bridge, _) = listener.accept().unwrap();
+        let mut head = [0; 2];
+        bridge.read_exact(&mut head).unwrap();
+        assert!(head[1] < 128, "a length of one byte");
+        let mut body = vec![0; head[1].into()];
+        bridge.read_exact(&mut body).unwrap();
+        match act {
+            Act::Close => {}
+            Act::Send(bytes) => bridge.write_all(bytes).unwrap(),
+            Act::Serve => {
+                bridge.write_all(&[0x20, 2, 0, 0]).unwrap();
+                // Until the bridge ends the connection.
+                drain(&mut bridge);
+            }
+        }
+        // After length and name of the protocol.
+        body[6]
+    };
+    acts.iter().map(serve).collect()
+}
+
+fn drain(from: &mut TcpStream) {
+    let mut bytes = [0; 4_096];
+    while from.read(&mut bytes).is_ok_and(|count| count > 0) {}
+}
+
+#[test]
+fn brokers_that_do_not_know_mqtt_5_or_speak_nonsense_are_tried_again_until_one_serves() {
+    let fleet = Fleet::new();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    let acts = [
+        // Without a word: 3.1.1 at once, then 5 again.
+        Act::Close,
+        Act::Send(b"\x20\x02\x00"),
+        // No MQTT.
+        Act::Send(b"\0HTTP/1.1 400 Bad Request\r\n\r\n"),
+        // A message before the answer, and the longest packet that there can be.
+        Act::Send(b"\x30\x03\x00\x01a\x20\xff\xff\xff\x7f"),
+        // Busy, by MQTT 5.
+        Act::Send(b"\x20\x03\x00\x89\x00"),
+        // Taken, the subscription refused, and ended for another client of the same name.
+        Act::Send(b"\x20\x03\0\0\0\x90\x04\0\x01\0\x87\xe0\x02\x8e\0"),
+        // An unknown version, by MQTT 3.1.1.
+        Act::Send(b"\x20\x02\x00\x01"),
+        Act::Serve,
+    ];
+    let broker = thread::spawn(move || serve(&listener, &acts));
+    let text = format!(
+        "[robots]\nr = 1\n[mqtt]\nbroker = \"127.0.0.1:{port}\"\nvda5050 = [{{ topic = \"a/{{robot}}\" }}]\n"
+    );
+    let mut bridge = fleet.bridge(&text, "unsupported protocol version");
+    bridge.wait_for_line("connected to ");
+    let ended = bridge.end();
+    assert_eq!(
+        ended.exit_code(),
+        3,
+        "a subscription was refused: {ended:?}"
+    );
+    let errors = ended.errors();
+    joulebus_testkit::says(
+        &errors,
+        [
+            "trying MQTT 3.1.1",
+            "it ended the connection without an answer",
+            "it does not speak MQTT: ",
+            "it refuses the connection: server busy",
+            "refused: not authorized: reading a/+",
+            "session taken over. Another client has the same `mqtt.client_id`",
+        ],
+    );
+    assert_eq!(broker.join().unwrap(), [5, 4, 5, 5, 5, 5, 5, 4], "{errors}");
+}
