@@ -19,6 +19,8 @@ pub const VARIANTS: [(&str, bool); 2] = [("network", false), ("online", true)];
 pub const FEWEST_READINGS: u64 = 200;
 /// Index of the feature that states whether a new measurement is due.
 const DUE: usize = FEATURES + 1;
+/// Readings of a trial that are judged separately, as its first ones.
+pub const FIRST: usize = 100;
 /// Allowed deviation of a trial's coverage from the nominal one.
 pub const TOLERANCE: f64 = 0.02;
 
@@ -31,6 +33,9 @@ pub struct Judged {
     pub persistence: Tally,
     /// The model file's linear baseline, if it has one.
     pub linear: Option<Tally>,
+    /// Over the first [`FIRST`] readings of all trials: persistence's squared error plus, for each
+    /// reading, that of half the monitor's resolution, W².
+    pub first_allowed: f64,
     /// In the order of [`VARIANTS`].
     pub variants: [Variant; VARIANTS.len()],
 }
@@ -40,6 +45,8 @@ pub struct Judged {
 pub struct Variant {
     /// Its forecasts.
     pub forecasts: Tally,
+    /// Squared error over the first [`FIRST`] readings of all trials, W².
+    pub first: f64,
     /// Its intervals, of all trials.
     pub intervals: CoverageTally,
     /// The intervals of readings for which a new measurement was due.
@@ -87,11 +94,12 @@ pub fn judge(
         trials: trials.len(),
         persistence: Tally::default(),
         linear: model.linear().map(|_| Tally::default()),
+        first_allowed: 0.0,
         variants: std::array::from_fn(|_| Variant::default()),
     };
     for trial in trials {
         let rows = sample_rows(&trial.to_samples(0, 1_000_000_000), trial.period_ns());
-        judged.baselines(&rows, model.linear());
+        judged.baselines(&rows, model.linear(), platform.power_resolution_w);
         for ((_, online), variant) in VARIANTS.iter().zip(&mut judged.variants) {
             let settings = FleetSettings {
                 platforms: vec![of_trial(platform, trial, *online)],
@@ -116,11 +124,15 @@ fn of_trial(platform: &Platform, trial: &Trial, online: bool) -> Platform {
 }
 
 impl Judged {
-    fn baselines(&mut self, rows: &TrialRows, linear: Option<&Linear>) {
-        for row in &rows.rows {
+    fn baselines(&mut self, rows: &TrialRows, linear: Option<&Linear>, resolution_w: f32) {
+        for (at, row) in rows.rows.iter().enumerate() {
             let reading_w = f64::from(row.target_w);
             let last_w = row.features[FeatureSet::PowerOnly.first()];
             self.persistence.add(reading_w, last_w.into(), 0.0);
+            if at < FIRST {
+                let error_w = reading_w - f64::from(last_w);
+                self.first_allowed += error_w.powi(2) + (f64::from(resolution_w) / 2.0).powi(2);
+            }
             if let (Some(tally), Some(linear)) = (&mut self.linear, linear) {
                 tally.add(reading_w, linear.predict(&row.features).into(), 0.0);
             }
@@ -131,7 +143,7 @@ impl Judged {
 impl Variant {
     fn take(&mut self, live: &RobotEvaluation, rows: &TrialRows) {
         let mut intervals = CoverageTally::default();
-        for (row, seq) in rows.rows.iter().zip(&rows.sample_seq) {
+        for (at, (row, seq)) in rows.rows.iter().zip(&rows.sample_seq).enumerate() {
             // One step per sample, in order.
             let Some(step) = live.steps.get(*seq as usize) else {
                 continue;
@@ -139,6 +151,9 @@ impl Variant {
             let reading_w = f64::from(row.target_w);
             let known = |watts: Option<f32>| watts.map_or(f64::NAN, f64::from);
             self.forecasts.add(reading_w, known(step.power_w), 0.0);
+            if at < FIRST {
+                self.first += (reading_w - known(step.power_w)).powi(2);
+            }
             intervals.add(reading_w, known(step.lo_w), known(step.hi_w));
             // NaN means unknown, and then a reading is due.
             if row.features[DUE] != 0.0 {
