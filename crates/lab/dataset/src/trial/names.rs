@@ -5,6 +5,7 @@ use std::f64::consts::PI;
 use std::fmt;
 use std::str::FromStr;
 
+use super::limits::{InMemory, MAX_ROWS};
 use super::table::{Column, Table};
 
 /// The quantity of a file's column.
@@ -393,6 +394,7 @@ pub struct ColumnMap {
     turned: bool,
     turned_as_configured: bool,
     whole_rows: bool,
+    part_rows: Option<usize>,
 }
 
 impl From<Vec<MappedColumn>> for ColumnMap {
@@ -446,6 +448,21 @@ impl ColumnMap {
     #[must_use]
     pub fn whole_rows(self, whole_rows: bool) -> Self {
         Self { whole_rows, ..self }
+    }
+
+    /// Reads files with more rows in parts, where they are read in parts ([`Table::each`]). By
+    /// default, [`MAX_ROWS`](super::MAX_ROWS).
+    #[must_use]
+    pub fn in_parts_of(self, rows: usize) -> Self {
+        Self {
+            part_rows: Some(rows),
+            ..self
+        }
+    }
+
+    /// Rows in memory where a file is read in parts.
+    pub(super) fn in_parts(&self) -> InMemory {
+        InMemory::parts(self.part_rows.unwrap_or(MAX_ROWS))
     }
 
     /// Whether lines that are no whole rows are left out.

@@ -107,14 +107,15 @@ fn one(
             Ok(())
         });
     }
-    for table in Table::read_mapped(file, map)? {
+    Table::each(file, map, |table| -> anyhow::Result<()> {
         let left_out = table.left_out();
         if !left_out.is_none() {
             say(&format!("warning: {}: {left_out}", file.display()));
             left_out_lines += left_out.lines;
         }
         add(adding.trial(None, &table, None)?);
-    }
+        Ok(())
+    })?;
     report.left_out_lines += left_out_lines;
     Ok(())
 }
