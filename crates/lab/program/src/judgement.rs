@@ -227,6 +227,15 @@ impl AcceptArguments {
     }
 }
 
+/// Shows what is implausible in trials that are kept as they are.
+pub(crate) fn warned(found: Vec<Vec<Implausible>>) -> Vec<Judged> {
+    let judged = AcceptArguments::default().gather(found.into_iter());
+    for finding in &judged {
+        say(&format!("warning: {}", finding.line()));
+    }
+    judged
+}
+
 /// The limits of a platform's readings and commands.
 pub(crate) fn limits(platform: &Platform) -> Limits {
     Limits {

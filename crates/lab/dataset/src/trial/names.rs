@@ -6,7 +6,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use super::limits::{InMemory, MAX_ROWS};
-use super::table::{Column, Table};
+use super::table::{Column, ROBOT_NAMES, TIME_NAMES, Table};
 
 /// The quantity of a file's column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -496,14 +496,14 @@ impl ColumnMap {
         let is_there = |(quantity, name): (Quantity, &str)| {
             (quantity == Quantity::Time && has_pairs) || names.iter().any(|found| found == name)
         };
-        if !self.is_configured || self.named().next().is_none() || self.named().any(is_there) {
-            return self.clone();
+        let mut own = self.clone();
+        // `joulebus data convert` has turned it, if it was to be turned.
+        own.turned_as_configured &= !is_converted(names);
+        if self.is_configured && self.named().next().is_some() && !self.named().any(is_there) {
+            own.columns.clear();
+            own.turned_as_configured = false;
         }
-        Self {
-            columns: Vec::new(),
-            turned_as_configured: false,
-            ..self.clone()
-        }
+        own
     }
 
     /// Whether the caller names the column of a quantity.
@@ -605,6 +605,14 @@ impl ColumnMap {
 
 /// Ends of the name of a column with the nanoseconds of a time.
 const NANOSECONDS: [&str; 4] = ["nanosec", "nanosecs", "nsecs", "nsec"];
+
+/// Whether a header is that of a table which joulebus writes.
+fn is_converted(names: &[String]) -> bool {
+    let first = [ROBOT_NAMES[0], TIME_NAMES[0]].into_iter();
+    let mut own = first.chain(Column::ALL.map(Column::name));
+    names.first().is_some_and(|name| name == ROBOT_NAMES[0])
+        && names.iter().all(|name| own.any(|one| one == name))
+}
 
 /// Accepted names of a quantity, for messages.
 pub(super) fn accepted(quantity: Quantity) -> String {

@@ -333,6 +333,18 @@ fn configured_columns_and_signs_are_for_files_that_have_them() {
         assert_eq!(table.column(Column::Power), Some(&[4500.0, 4600.0][..]));
         assert_eq!(table.column(Column::Current), Some(&[1000.0, 1000.0][..]));
     }
+    // Without columns in the config, what `data convert` wrote is known by its header.
+    let sign = ColumnMap::default().configured_discharge_negative(true);
+    let turned = read("time,power_W,current_A\n0,-4.5,-1\n1,-4.6,-1\n", &sign).unwrap();
+    turned
+        .write(files.write("x", b"").with_file_name("converted.csv"))
+        .unwrap();
+    let converted = Table::only_of(files.write("x", b"").with_file_name("converted.csv"), &sign);
+    assert_eq!(
+        converted.unwrap().column(Column::Current),
+        turned.column(Column::Current)
+    );
+    assert_eq!(turned.column(Column::Current), Some(&[1000.0, 1000.0][..]));
     // One of them is missing: it is a broken file of that program.
     let error = read("time,p\n0,4.5\n1,4.6\n", &map).unwrap_err();
     says(&error.to_string(), ["mapped: current=i"]);
