@@ -10,6 +10,7 @@ mod capture;
 mod error;
 mod fleet;
 mod limits;
+mod mat;
 mod moment;
 mod names;
 mod note;

@@ -158,8 +158,12 @@ fn take_pattern(pattern: &str, found: &mut Found) -> Result<(), FindError> {
 /// archive's partitions), for an `.mcap` also its first record, because those of other programs
 /// have to be converted.
 pub fn is_recording(path: &Path) -> bool {
-    let is_parquet = || path.extension().is_some_and(|ending| ending == "parquet");
-    ((Form::of(path).is_some() || is_parquet()) && path.is_file()) || is_capture(path)
+    let endings = ["parquet", "mat"];
+    let is_other = || {
+        path.extension()
+            .is_some_and(|found| endings.iter().any(|one| found == *one))
+    };
+    ((Form::of(path).is_some() || is_other()) && path.is_file()) || is_capture(path)
 }
 
 /// Symbolic links to directories are not followed, so the walk terminates.

@@ -8,7 +8,7 @@ use joulebus_files::foreign;
 
 use super::limits::{GZIP_MAGIC, InMemory, MCAP_MAGIC};
 use super::names::ColumnMap;
-use super::{Table, Trial, TrialError, capture, npy, text};
+use super::{Table, Trial, TrialError, capture, mat, npy, text};
 use crate::archive;
 
 /// Takes the tables of a file, until it wants no more.
@@ -110,6 +110,8 @@ impl Table {
             npy::read(path, file, map, in_memory, take)
         } else if head.starts_with(MCAP_MAGIC) {
             capture::read(path, in_memory, take)
+        } else if head.starts_with(mat::MAGIC) {
+            mat::read(path, file, map, in_memory, take)
         } else if head.starts_with(archive::MAGIC) {
             // Whether it wants more makes no difference.
             let _ = take(archive::table(path)?.0);

@@ -268,7 +268,7 @@ fn files_of_other_programs_are_named_with_how_they_are_converted() {
     let tar = [vec![b'a'; 257], b"ustar\0".to_vec()].concat();
     for (bytes, what, remedy) in [
         (
-            &b"MATLAB 5.0 MAT-file, Platform: posix"[..],
+            &b"MATLAB 7.3 MAT-file, Platform: posix"[..],
             "MATLAB",
             "writematrix",
         ),
@@ -337,7 +337,7 @@ fn configured_columns_and_signs_are_for_files_that_have_them() {
     let sign = ColumnMap::default().configured_discharge_negative(true);
     let turned = read("time,power_W,current_A\n0,-4.5,-1\n1,-4.6,-1\n", &sign).unwrap();
     turned
-        .write(files.write("x", b"").with_file_name("converted.csv"))
+        .write(&files.write("x", b"").with_file_name("converted.csv"))
         .unwrap();
     let converted = Table::only_of(files.write("x", b"").with_file_name("converted.csv"), &sign);
     assert_eq!(
