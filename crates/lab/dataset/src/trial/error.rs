@@ -183,7 +183,7 @@ pub enum TrialError {
     /// Required columns are missing.
     #[error(
         "{path}: no column for {missing}; found {found}; name them with --map, such as \
-         --map time=t,power_W=p (`joulebus data check --help` lists the accepted names)",
+         {suggestion} (`joulebus data check --help` lists the accepted names)",
         path = path.display()
     )]
     MissingColumns {
@@ -193,6 +193,8 @@ pub enum TrialError {
         missing: String,
         /// The columns of the header.
         found: String,
+        /// An option that may name them.
+        suggestion: String,
     },
     /// A capture could not be read.
     #[error("{path}: {detail}", path = path.display())]

@@ -131,14 +131,14 @@ const SPELLINGS: [Spelling; 14] = [
         name: "voltage",
         layout: &["voltage_mV", "voltage"],
         others: &["voltage", "battery_voltage", "bus_voltage"],
-        units: &[("v", 1e3), ("mv", 1.0), ("uv", 1e-3)],
+        units: &[("v", 1e3), ("mv", 1.0), ("uv", 1e-3), ("cv", 10.0)],
     },
     Spelling {
         quantity: of(Column::Current),
         name: "current",
         layout: &["current_mA", "current"],
         others: &["current", "battery_current", "bus_current"],
-        units: &[("a", 1e3), ("ma", 1.0), ("ua", 1e-3)],
+        units: &[("a", 1e3), ("ma", 1.0), ("ua", 1e-3), ("ca", 10.0)],
     },
     Spelling {
         quantity: of(Column::VMeasured),
@@ -265,6 +265,8 @@ fn plain(name: &str) -> String {
     let mut plain = String::with_capacity(name.len());
     for letter in name.chars() {
         match letter {
+            // A unit in brackets; in front of a name it is rostopic's.
+            '%' if plain.ends_with('_') => plain.push_str("percent"),
             ' ' | '[' | ']' | '(' | ')' | '/' | '.' | '-' | '_' | '%' | '#' | ',' => {
                 if !plain.ends_with('_') && !plain.is_empty() {
                     plain.push('_');
@@ -614,6 +616,46 @@ fn is_converted(names: &[String]) -> bool {
         && names.iter().all(|name| own.any(|one| one == name))
 }
 
+/// Whether a number may have this unit behind it, because it is that of its column.
+pub(super) fn is_unit(column: Column, unit: &str, factor: f64) -> bool {
+    let mut units = spelling(of(column)).units.iter();
+    let unit = unit.to_lowercase();
+    units.any(|(name, of_unit)| *name == unit && *of_unit == factor.abs())
+}
+
+/// A mapping with the columns of a file that may be what a trial needs, for messages.
+pub(super) fn suggestion(names: &[String]) -> String {
+    const WANTED: [(&str, &str, &[&str]); 4] = [
+        ("time_s", "t", &["time", "stamp", "date", "zeit"]),
+        ("voltage_V", "u", &["volt", "vbat", "spannung"]),
+        ("current_A", "i", &["curr", "amper", "strom"]),
+        ("power_W", "p", &["power", "watt", "leistung"]),
+    ];
+    let like = |words: &[&str]| {
+        let fits = |name: &&String| {
+            let name = name.to_lowercase();
+            words.iter().any(|word| name.contains(word))
+        };
+        names.iter().find(fits).map(String::as_str)
+    };
+    let found = WANTED.map(|(quantity, other, words)| (quantity, other, like(words)));
+    let has = |at: usize| found[at].2.is_some();
+    let wanted: &[usize] = match (has(1) && has(2), has(3)) {
+        (_, true) => &[0, 3],
+        (true, false) => &[0, 1, 2],
+        (false, false) => return "--map time=t,power_W=p".to_owned(),
+    };
+    let columns = wanted.iter().map(|at| {
+        let (quantity, other, name) = found[*at];
+        format!("{quantity}={}", name.unwrap_or(other))
+    });
+    let columns: Vec<String> = columns.collect();
+    format!(
+        "--map '{}' with the units that they have",
+        columns.join(",")
+    )
+}
+
 /// Accepted names of a quantity, for messages.
 pub(super) fn accepted(quantity: Quantity) -> String {
     let spelling = spelling(quantity);
@@ -642,6 +684,8 @@ fn shown(unit: &str) -> &str {
         "a" => "A",
         "ma" => "mA",
         "ua" => "uA",
+        "cv" => "cV",
+        "ca" => "cA",
         unit => unit,
     }
 }

@@ -11,7 +11,7 @@ use joulebus_files::foreign;
 use super::TrialError;
 use super::limits::{FREE_TEXT_BYTES, InMemory, MAX_EXPANSION, MAX_ROW_BYTES, MAX_TEXT_BYTES};
 use super::moment::{self, Midnights, TimeForm};
-use super::names::{ColumnMap, Found, Quantity, accepted};
+use super::names::{ColumnMap, Found, Quantity, accepted, is_unit, suggestion};
 use super::read::Take;
 use super::table::{Cell, Column, LeftOut, SourceColumn, Table, Tables, check_value, is_time};
 
@@ -237,6 +237,32 @@ impl Start {
             });
         }
         meter.drop_preamble();
+        let mut first = None;
+        // Other programs write what they measured in lines above the header.
+        for line in 1..=MAX_HEADER_LINE {
+            match Self::at_header(path, meter, map) {
+                Ok(mut start) => {
+                    if line > 1 {
+                        let what =
+                            format!("its header is line {line}; those above are passed over");
+                        start.understood.push(what);
+                    }
+                    return Ok(start);
+                }
+                Err(error) => first.get_or_insert(error),
+            };
+            if !meter.drop_line() {
+                break;
+            }
+        }
+        // A loop that found no header has an error.
+        Err(first.unwrap_or_else(|| TrialError::Empty {
+            path: path.to_owned(),
+        }))
+    }
+
+    /// Reads the header at the beginning of the text.
+    fn at_header(path: &Path, meter: &Meter, map: &ColumnMap) -> Result<Self, TrialError> {
         let mut best: Option<(usize, TrialError)> = None;
         for separator in [b',', b';', b'\t', b'|'] {
             let (header, sample) = sampled(&meter.head, separator);
@@ -295,6 +321,8 @@ fn sampled(head: &[u8], separator: u8) -> (ByteRecord, Vec<ByteRecord>) {
     (header, records.take(SAMPLED_ROWS).collect())
 }
 
+/// The line, at most, that has the names of the columns.
+const MAX_HEADER_LINE: usize = 32;
 /// Rows that show how a text is written.
 const SAMPLED_ROWS: usize = 200;
 /// Bytes in which they are looked for.
@@ -331,6 +359,15 @@ impl Numbers {
         self.decimal_comma = Some(true);
         Ok(number)
     }
+}
+
+/// The number in front of the unit of its column: `12.1 V`.
+fn without_unit(field: &[u8], column: Column, factor: f64) -> Option<&[u8]> {
+    let is_unit_letter = |byte: &u8| byte.is_ascii_alphabetic();
+    let end = field.iter().rposition(|byte| !is_unit_letter(byte))? + 1;
+    let (number, unit) = field.split_at(end);
+    let unit = std::str::from_utf8(unit).ok()?;
+    is_unit(column, unit, factor).then(|| number.trim_ascii())
 }
 
 /// Whether a field says that there is no value.
@@ -568,6 +605,16 @@ impl Meter {
         }
     }
 
+    /// Passes over a line of the beginning, if another one follows.
+    fn drop_line(&mut self) -> bool {
+        let end = self.head.iter().position(|byte| *byte == b'\n');
+        let Some(end) = end.filter(|end| end + 1 < self.head.len()) else {
+            return false;
+        };
+        self.head.drain(..=end);
+        true
+    }
+
     /// Passes over what some programs write in front of the header: comments, of which the last
     /// may be the header itself, and Excel's `sep=;`.
     fn drop_preamble(&mut self) {
@@ -729,6 +776,7 @@ impl Layout {
                 path: path.to_owned(),
                 missing: format!("mapped: {}", absent.join(", ")),
                 found: shown(),
+                suggestion: suggestion(&names),
             });
         }
         let twice = |first: usize, second: usize| TrialError::DuplicateColumn {
@@ -824,6 +872,7 @@ impl Layout {
                 path: path.to_owned(),
                 missing: missing.join(" and "),
                 found: shown(),
+                suggestion: suggestion(&names),
             });
         };
         let layout = Self {
@@ -900,7 +949,10 @@ impl Layout {
                 Source::Constant(value) => value * factor,
                 Source::Position(position) => {
                     let field = record.get(*position).unwrap_or_default();
-                    let parsed = numbers.parse(field);
+                    let parsed = numbers.parse(field).or_else(|allowed| {
+                        let bare = without_unit(field, *column, *factor).ok_or(allowed)?;
+                        numbers.parse(bare)
+                    });
                     let value = parsed.map_err(|allowed| {
                         let found = String::from_utf8_lossy(field);
                         cell.refuse(name, found.chars().take(60).collect::<String>(), allowed)
