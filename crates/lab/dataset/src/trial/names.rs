@@ -623,8 +623,9 @@ pub(super) fn is_unit(column: Column, unit: &str, factor: f64) -> bool {
     units.any(|(name, of_unit)| *name == unit && *of_unit == factor.abs())
 }
 
-/// A mapping with the columns of a file that may be what a trial needs, for messages.
-pub(super) fn suggestion(names: &[String]) -> String {
+/// A mapping with the columns of a file that may be the time or the power that it lacks, for
+/// messages.
+pub(super) fn suggestion(names: &[String], [time, power]: [bool; 2]) -> String {
     const WANTED: [(&str, &str, &[&str]); 4] = [
         ("time_s", "t", &["time", "stamp", "date", "zeit"]),
         ("voltage_V", "u", &["volt", "vbat", "spannung"]),
@@ -640,12 +641,14 @@ pub(super) fn suggestion(names: &[String]) -> String {
     };
     let found = WANTED.map(|(quantity, other, words)| (quantity, other, like(words)));
     let has = |at: usize| found[at].2.is_some();
-    let wanted: &[usize] = match (has(1) && has(2), has(3)) {
-        (_, true) => &[0, 3],
-        (true, false) => &[0, 1, 2],
-        (false, false) => return "--map time=t,power_W=p".to_owned(),
+    let of_power: &[usize] = match (has(1) && has(2), has(3)) {
+        (true, _) => &[1, 2],
+        (false, true) => &[3],
+        (false, false) if power => return "--map time=t,power_W=p".to_owned(),
+        (false, false) => &[],
     };
-    let columns = wanted.iter().map(|at| {
+    let of_time = time.then_some(&0).into_iter();
+    let columns = of_time.chain(of_power.iter().filter(|_| power)).map(|at| {
         let (quantity, other, name) = found[*at];
         format!("{quantity}={}", name.unwrap_or(other))
     });

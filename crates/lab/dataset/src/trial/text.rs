@@ -776,7 +776,7 @@ impl Layout {
                 path: path.to_owned(),
                 missing: format!("mapped: {}", absent.join(", ")),
                 found: shown(),
-                suggestion: suggestion(&names),
+                suggestion: suggestion(&names, [true; 2]),
             });
         }
         let twice = |first: usize, second: usize| TrialError::DuplicateColumn {
@@ -867,12 +867,13 @@ impl Layout {
                 accepted(Quantity::Column(Column::Power))
             ));
         }
+        let lacks = [time.is_none(), !has(Column::Power) && !by_product];
         let Some(time) = time.filter(|_| missing.is_empty()) else {
             return Err(TrialError::MissingColumns {
                 path: path.to_owned(),
                 missing: missing.join(" and "),
                 found: shown(),
-                suggestion: suggestion(&names),
+                suggestion: suggestion(&names, lacks),
             });
         };
         let layout = Self {

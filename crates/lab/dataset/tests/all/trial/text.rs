@@ -412,10 +412,14 @@ fn headers_below_other_lines_units_in_brackets_and_behind_values_are_understood(
 fn what_is_missing_is_named_with_the_columns_of_the_file_that_it_may_be() {
     let files = Files::new();
     for (header, suggested) in [
-        ("Time,Voltage,Current,Power", "time_s=Time,power_W=Power"),
+        (
+            "Time,Voltage,Current,Power",
+            "--map 'voltage_V=Voltage,current_A=Current'",
+        ),
+        ("at_date,power_W", "--map 'time_s=at_date'"),
         (
             "Timestamp,/System/BatteryVoltage,/System/BatteryCurrent",
-            "time_s=Timestamp,voltage_V=/System/BatteryVoltage,current_A=/System/BatteryCurrent",
+            "voltage_V=/System/BatteryVoltage,current_A=/System/BatteryCurrent",
         ),
         ("a,b", "time=t,power_W=p"),
     ] {
