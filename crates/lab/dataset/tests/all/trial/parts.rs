@@ -129,7 +129,7 @@ fn a_check_and_a_profile_of_the_parts_are_those_of_the_whole() {
     broken += "1,2,3\n";
     let path = files.write("long.csv", broken.as_bytes());
     let [whole, in_parts] = [ColumnMap::default(), ColumnMap::default().in_parts_of(300)]
-        .map(|map| check_files(&[path.clone()], &map, &Limits::default(), 3));
+        .map(|map| check_files(std::slice::from_ref(&path), &map, &Limits::default(), 3));
     assert!(in_parts.trials > 3 && whole.trials == 1);
     assert_eq!(whole.rows, 1_020);
     assert_eq!(in_parts.rows, whole.rows);
