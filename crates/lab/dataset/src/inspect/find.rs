@@ -15,7 +15,7 @@ use crate::trial::{Form, is_capture};
 pub struct Found {
     /// Recordings in the order of the arguments. Those of a directory are sorted by name.
     pub files: Vec<PathBuf>,
-    /// Other files in the directories: not `.npy`, `.csv`, `.csv.gz` or a capture, ignored.
+    /// Other files in the directories: not `.npy`, `.csv`, `.csv.gz`, `.mat` or a capture, ignored.
     pub others: Vec<PathBuf>,
     /// Files named more than once; each is used once.
     pub repeated: Vec<PathBuf>,
@@ -50,7 +50,7 @@ pub enum FindError {
         source: io::Error,
     },
     /// A directory without recordings.
-    #[error("{path} holds no recordings (.npy, .csv, .csv.gz, .mcap of joulebus, archives){other}", path = path.display())]
+    #[error("{path} holds no recordings (.npy, .csv, .csv.gz, .mat, .mcap of joulebus, archives){other}", path = path.display())]
     NoRecordings {
         /// The directory.
         path: PathBuf,
