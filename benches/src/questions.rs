@@ -124,7 +124,7 @@ impl Drop for Fleet {
 }
 
 fn publish(config: &Config, robots: usize, rate_hz: u64, stop: &AtomicBool) -> anyhow::Result<()> {
-    let mut publisher = Publisher::with_config(config, "source")?;
+    let mut publisher = Publisher::without_judgement(config, "source")?;
     let mut pace = Pace::every(Duration::from_nanos(1_000_000_000 / rate_hz));
     let mut step = 0_u32;
     while !stop.load(Ordering::Relaxed) {

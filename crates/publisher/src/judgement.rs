@@ -1,6 +1,6 @@
 //! Whether what robots report is plausible, judged while it comes.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use joulebus_plausibility::{Finding, Judge, Kind, Known, Observation, Source};
 use serde::Serialize;
@@ -36,6 +36,11 @@ pub struct Judgement {
     /// Findings that are not told.
     accepted: Vec<Kind>,
     robots: BTreeMap<u32, Robot>,
+    max_robots: usize,
+    /// Whether robots were not judged because there are too many.
+    others_wait: bool,
+    /// Robots that were found plausible and made room, until all were judged.
+    plausible: BTreeSet<u32>,
     news: Vec<String>,
 }
 
@@ -53,8 +58,18 @@ impl Judgement {
             source,
             accepted,
             robots: BTreeMap::new(),
+            max_robots: usize::MAX,
+            others_wait: false,
+            plausible: BTreeSet::new(),
             news: Vec::new(),
         }
+    }
+
+    /// Judges at most so many robots at the same time. One that is found plausible makes room for
+    /// one that waits.
+    #[must_use]
+    pub fn of_at_most(self, max_robots: usize) -> Self {
+        Self { max_robots, ..self }
     }
 
     /// Adds a state with a new reading at `now_ns` (monotonic); `soc` as it came, which may be more
@@ -65,6 +80,13 @@ impl Judgement {
             judge: Box::new(Judge::new(Known::default())),
             found: Vec::new(),
         };
+        if self.robots.len() >= self.max_robots && !self.robots.contains_key(&state.robot) {
+            self.others_wait |= !self.plausible.contains(&state.robot);
+            return;
+        }
+        if self.plausible.contains(&state.robot) {
+            return;
+        }
         let robot = self.robots.entry(state.robot).or_insert_with(new);
         robot.judge.take(&Observation {
             v_mps: number(state.v_mps),
@@ -107,8 +129,16 @@ impl Judgement {
             let ended: Vec<Finding> = ended.cloned().collect();
             found.extend(ended);
         }
+        if found.is_empty() && self.others_wait && count >= ENDS_AFTER {
+            self.robots.remove(&id);
+            self.plausible.insert(id);
+            self.others_wait = false;
+            return;
+        }
         robot.found = found;
         if count >= WINDOW {
+            // Those that made room are judged again.
+            self.plausible.clear();
             *robot.judge = Judge::new(Known::default());
         }
     }
@@ -189,6 +219,25 @@ mod tests {
         }
         let steps: std::collections::BTreeSet<_> = first_told.values().collect();
         assert_eq!((first_told.len(), steps.len()), (4, 4), "{first_told:?}");
+    }
+
+    #[test]
+    fn of_more_robots_than_are_judged_at_a_time_each_has_its_turn() {
+        let mut judgement = Judgement::new(Source::Program, Vec::new()).of_at_most(2);
+        let mut found = BTreeSet::new();
+        for step in 0..30_000_u64 {
+            for robot in 0..5 {
+                let mut state = RobotState::new(robot);
+                state.power_w = Some(40.0 + (step as f32 * 0.7).sin());
+                // Of the last robot from the beginning, of the first after its first turn.
+                let is_percent = robot == 4 || (robot == 0 && step > 5_000);
+                let soc = if is_percent { 96.0 } else { 0.5 };
+                judgement.take(&state, Some(soc), step * 100_000_000);
+            }
+            assert!(judgement.robots.len() <= 2);
+            found.extend(judgement.records().into_iter().map(|found| found.robot));
+        }
+        assert_eq!(found, BTreeSet::from([0, 4]));
     }
 
     #[test]

@@ -37,8 +37,9 @@
 //! and reported to operators, without effect on other robots. [`Sent::refused`] says so at once, by
 //! the worker's own rule.
 //!
-//! **Implausible values** that no limit refuses, such as a power of the wrong sign or in mW, are
-//! found by a [`Judgement`], to which a program gives the states that it publishes.
+//! **Implausible values** that no limit refuses, such as a power of the wrong sign or in mW, raise
+//! the alarm `Implausible` of their robot: a thread of the publisher judges what is published, some
+//! seconds later. A program that wants the remedies in words gives its states to a [`Judgement`].
 //!
 //! **Errors** state the remedy: [`ConnectError`] at the start, [`PublishError`] for a frame; after
 //! the latter the publisher remains usable. [`error`] has the errors that they contain.
@@ -54,6 +55,7 @@ mod judgement;
 mod pace;
 mod publisher;
 mod state;
+mod watch;
 
 pub use joulebus_bus::{SendError, WaitError, clock};
 pub use joulebus_config::Config;

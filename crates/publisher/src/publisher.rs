@@ -11,6 +11,7 @@ use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, fnv1a};
 
 use crate::RobotState;
 use crate::state::Registry;
+use crate::watch::Watch;
 
 /// A source of samples: a fleet controller, a bridge, a simulation, a recording.
 ///
@@ -26,6 +27,7 @@ pub struct Publisher {
     attempts: u64,
     frames_sent: u64,
     samples_sent: u64,
+    watch: Option<Watch>,
     // After the port, which must be dropped before the process leaves the domain.
     _bus: Bus,
 }
@@ -68,6 +70,18 @@ impl Publisher {
     /// # Errors
     /// [`ConnectError`].
     pub fn with_config(config: &Config, source_name: &str) -> Result<Self, ConnectError> {
+        let mut publisher = Self::without_judgement(config, source_name)?;
+        // Without a thread nothing is judged, and everything is published.
+        publisher.watch = Watch::start(config, source_name).ok();
+        Ok(publisher)
+    }
+
+    /// As [`Publisher::with_config`], but what is published raises no alarm `Implausible`: for a
+    /// program that judges by itself, or plays what is known.
+    ///
+    /// # Errors
+    /// [`ConnectError`].
+    pub fn without_judgement(config: &Config, source_name: &str) -> Result<Self, ConnectError> {
         let limits = config.limits();
         let bus = join(config, source_name)?;
         let writer = bus.sample_writer(&limits, limits.capacity)?;
@@ -87,6 +101,7 @@ impl Publisher {
             attempts: 0,
             frames_sent: 0,
             samples_sent: 0,
+            watch: None,
             _bus: bus,
         })
     }
@@ -127,6 +142,12 @@ impl Publisher {
                 return Err(PublishError::DuplicateRobot { robot: state.robot });
             };
             self.samples.push(sample);
+            if let Some(watch) = &mut self.watch {
+                watch.add(&state, now_ns);
+            }
+        }
+        if let Some(watch) = &mut self.watch {
+            watch.hand_over();
         }
         let samples = std::mem::take(&mut self.samples);
         let sent = self.publish_samples(intended_ns, &samples);

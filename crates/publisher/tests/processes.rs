@@ -8,8 +8,9 @@ mod controller;
 use std::path::Path;
 
 use joulebus_bus::{Bus, FrameBuf, SampleReader, Waiter};
+use joulebus_connect::findings::implausible_robots;
 use joulebus_publisher::{Config, PublishError, Publisher, RobotState, clock};
-use joulebus_testkit::{Place, run_member, send_to_test, told};
+use joulebus_testkit::{Place, eventually, run_member, send_to_test, told};
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
 /// Not a test: the entry point of the processes that the tests start.
@@ -20,6 +21,7 @@ fn member() {
         "worker" => worker(config),
         "source" => source(config),
         "alone" => alone(config),
+        "implausible" => implausible(config),
         "misuse" => misuse(config),
         _ => panic!("no such role: {role}"),
     });
@@ -171,6 +173,34 @@ fn alone(config: &Path) {
 fn a_source_needs_no_worker_and_reports_to_a_late_one_what_it_missed() {
     let place = Place::new();
     place.start("alone").finish();
+    place.assert_nothing_left();
+}
+
+/// Publishes a power of the wrong sign, until the fleet's readers know.
+fn implausible(config: &Path) {
+    let loaded = Config::load(config).unwrap();
+    let mut publisher = Publisher::with_config(&loaded, "implausible").unwrap();
+    let robot = |robot: u32, frame: u32| {
+        let power_w = 4.0 + 0.1 * ((frame + robot) % 7) as f32;
+        let turned = if robot == 2 { -power_w } else { power_w };
+        RobotState::new(robot).command(0.1, 0.0).reading(turned)
+    };
+    let mut frames = 0..;
+    eventually("the alarm of robot 2", || {
+        let frame = frames.next().unwrap_or_default();
+        publisher
+            .publish((0..3).map(|id| robot(id, frame)))
+            .unwrap();
+        implausible_robots(&loaded) == [2].into()
+    });
+    drop(publisher);
+    assert_eq!(implausible_robots(&loaded), [].into());
+}
+
+#[test]
+fn what_a_source_publishes_is_judged_and_the_judgement_ends_with_it() {
+    let place = Place::new();
+    place.start("implausible").finish();
     place.assert_nothing_left();
 }
 

@@ -149,7 +149,7 @@ impl SourceProgram {
         robots: Vec<u32>,
         setup: &Setup,
     ) -> Option<Self> {
-        let publisher = Publisher::with_config(config, name).ok()?;
+        let publisher = Publisher::without_judgement(config, name).ok()?;
         let period_ns = setup.period_ns;
         Some(Self {
             publisher,

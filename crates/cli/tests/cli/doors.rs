@@ -10,7 +10,7 @@ use std::process::Output;
 use super::fleet::{Fleet, code, done, output, stderr, stdout};
 
 /// Doors, with what stands for the recording.
-const DOORS: [(&str, &str); 10] = [
+const DOORS: [(&str, &str); 11] = [
     ("data check", "data check RECORDING"),
     ("import", "import RECORDING -o OUT.csv"),
     ("config init", "config init --from RECORDING -o OUT"),
@@ -23,6 +23,7 @@ const DOORS: [(&str, &str); 10] = [
         "eval RECORDING --config FLEET --first-robot 0 --resamples 0 --horizons none",
     ),
     ("analyze", "analyze RECORDING --native --split time"),
+    ("export", "export RECORDING --to parquet OUT"),
     (
         "report",
         "report RECORDING --model builtin:gternal-sim -o OUT",
@@ -286,7 +287,7 @@ fn cells(
             let takes = match format {
                 // Other verbs read what it makes.
                 "ROS 2 bag" => *door == "import",
-                "Parquet" => *door != "import",
+                "Parquet" => !["import", "export"].contains(door),
                 _ => true,
             };
             let Some(recording) = recording.as_ref().filter(|_| takes) else {

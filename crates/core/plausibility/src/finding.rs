@@ -109,8 +109,8 @@ pub(crate) enum Remedy {
     Turn,
     /// State the unit.
     State(&'static str),
-    /// Give time in the right unit.
-    Seconds,
+    /// Give time in the right unit, by its name in `--map`.
+    Seconds(&'static str),
     /// Record or use a better clock.
     Clock,
     /// Let commands expire.
@@ -184,8 +184,8 @@ impl Finding {
             (Remedy::State(unit), Source::Program) => {
                 format!("{quantity} is expected in SI units, not in {unit}")
             }
-            (Remedy::Seconds, _) => {
-                format!("state the unit of the time, such as --map time_ms={column}")
+            (Remedy::Seconds(unit), _) => {
+                format!("state the unit of the time, such as --map time_{unit}={column}")
             }
             (Remedy::Clock, Source::Bag) => "use the time of recording with --time log".to_owned(),
             (Remedy::Clock, _) => "record times that advance with every row".to_owned(),

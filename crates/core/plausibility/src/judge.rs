@@ -202,7 +202,11 @@ impl Judge {
                 times.rows,
                 what,
                 allowed,
-                Remedy::Seconds,
+                Remedy::Seconds(match rate_hz {
+                    ..1e-7 => "ns",
+                    ..1e-4 => "us",
+                    _ => "ms",
+                }),
             ));
         }
         let lost = times.repeated + times.backward;

@@ -56,7 +56,7 @@ pub(crate) fn run(
     shared: &Arc<Shared>,
     thread: &Running,
 ) -> anyhow::Result<PublishedRecord> {
-    let mut publisher = Publisher::with_config(config, name)?;
+    let mut publisher = Publisher::without_judgement(config, name)?;
     thread.joined(());
     let mut groups = groups(config, robots, clock::monotonic_ns());
     let (mut record, mut states) = (PublishedRecord::default(), Vec::new());

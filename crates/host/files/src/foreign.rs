@@ -75,13 +75,14 @@ const KINDS: [Kind; 46] = [
         0,
         b"ULog\x01\x12\x35",
         "a ULog of PX4",
-        "`ulog2csv FILE` of the package pyulog, then --map",
+        "`ulog2csv FILE` of the package pyulog, then --map time_us=timestamp with its battery_status",
     ),
     (
         0,
         b"\xa3\x95\x80\x80",
         "a DataFlash log of ArduPilot",
-        "`mavlogdump.py --format csv --types BAT FILE` of the package pymavlink",
+        "`mavlogdump.py --format csv --types BAT FILE` of the package pymavlink, then \
+         --map time=timestamp,voltage_V=Volt,current_A=Curr",
     ),
     (
         0,

@@ -37,7 +37,7 @@ impl Link {
     /// The fleet cannot be joined.
     pub fn open(config: &Config, name: &str) -> anyhow::Result<Self> {
         Ok(Self {
-            publisher: Publisher::with_config(config, name)?,
+            publisher: Publisher::without_judgement(config, name)?,
             domain: config.domain()?,
         })
     }

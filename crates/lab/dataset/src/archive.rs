@@ -23,5 +23,5 @@ pub use listing::{
 pub use schema::{Field, Kind, SCHEMA, fields};
 pub use write::{Exported, WriteArchiveError, write};
 
-pub(crate) use listing::{open, table as listed, tables};
+pub(crate) use listing::{each_table, open, table as listed};
 pub(crate) use read::{MAGIC, table};

@@ -18,5 +18,5 @@ pub use finding::{Finding, FindingKind, Place};
 pub use hold::{Holds, holds};
 pub use judge::{Implausible, judge, judge_from};
 pub use limits::{Limits, Range};
-pub use profile::{Profile, profile};
+pub use profile::{Profile, Profiler};
 pub use units::{PowerCheck, power_check};

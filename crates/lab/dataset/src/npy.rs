@@ -122,33 +122,32 @@ impl Header {
         self.length
     }
 
-    /// The elements, floats of 4 or 8 bytes, in the order of the file.
-    pub(crate) fn floats(&self, source: impl Read) -> io::Result<Vec<f64>> {
+    /// The next elements, floats of 4 or 8 bytes, in the order of the file.
+    pub(crate) fn floats(&self, source: impl Read, count: usize) -> io::Result<Vec<f64>> {
         match self.element.as_str() {
-            "<f4" => self.elements(source, |bytes| f32::from_le_bytes(bytes).into()),
-            ">f4" => self.elements(source, |bytes| f32::from_be_bytes(bytes).into()),
-            "<f8" => self.elements(source, f64::from_le_bytes),
-            ">f8" => self.elements(source, f64::from_be_bytes),
+            "<f4" => elements(source, count, |bytes| f32::from_le_bytes(bytes).into()),
+            ">f4" => elements(source, count, |bytes| f32::from_be_bytes(bytes).into()),
+            "<f8" => elements(source, count, f64::from_le_bytes),
+            ">f8" => elements(source, count, f64::from_be_bytes),
             other => Err(io::Error::other(format!("{other} is no float"))),
         }
     }
+}
 
-    fn elements<const SIZE: usize>(
-        &self,
-        mut source: impl Read,
-        value: impl Fn([u8; SIZE]) -> f64,
-    ) -> io::Result<Vec<f64>> {
-        let mut missing: usize = self.shape.iter().product();
-        let mut values = Vec::new();
-        let mut block = [[0; SIZE]; 1024];
-        while missing > 0 {
-            let count = missing.min(block.len());
-            source.read_exact(block[..count].as_flattened_mut())?;
-            values.extend(block[..count].iter().copied().map(&value));
-            missing -= count;
-        }
-        Ok(values)
+fn elements<const SIZE: usize>(
+    mut source: impl Read,
+    mut missing: usize,
+    value: impl Fn([u8; SIZE]) -> f64,
+) -> io::Result<Vec<f64>> {
+    let mut values = Vec::new();
+    let mut block = [[0; SIZE]; 1024];
+    while missing > 0 {
+        let count = missing.min(block.len());
+        source.read_exact(block[..count].as_flattened_mut())?;
+        values.extend(block[..count].iter().copied().map(&value));
+        missing -= count;
     }
+    Ok(values)
 }
 
 /// The header that NumPy writes for an array in C order; `element` is the type in its notation. The

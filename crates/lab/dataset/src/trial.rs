@@ -10,6 +10,7 @@ mod capture;
 mod error;
 mod fleet;
 mod limits;
+mod mat;
 mod moment;
 mod names;
 mod note;
@@ -52,6 +53,7 @@ pub struct Trial {
     sources: Vec<SourceColumn>,
     time_name: Option<String>,
     is_turned: bool,
+    is_part: bool,
     notes: TrialNotes,
 }
 
@@ -88,6 +90,7 @@ impl Trial {
             understood,
             time_name,
             is_turned,
+            is_part,
         } = table;
         for column in &mut columns {
             if column
@@ -115,6 +118,7 @@ impl Trial {
             sources,
             time_name,
             is_turned,
+            is_part,
             notes: TrialNotes::default(),
         };
         trial.notes = TrialNotes {
@@ -191,6 +195,12 @@ impl Trial {
     /// Whether the sign of the current was turned when it was read.
     pub(crate) const fn is_turned(&self) -> bool {
         self.is_turned
+    }
+
+    /// Whether other trials of its file have further rows of the robot, because the file has too
+    /// many for one ([`Trial::each`]).
+    pub const fn is_part(&self) -> bool {
+        self.is_part
     }
 
     /// Quality notes on the trial.

@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use joulebus_config::{Assignment, Config, fleet_file, platform_file};
-use joulebus_dataset::inspect::{Profile, profile};
+use joulebus_dataset::inspect::{Profile, Profiler};
 use joulebus_dataset::split::Split;
-use joulebus_dataset::trial::{ColumnMap, Trial};
+use joulebus_dataset::trial::{ColumnMap, Trial, TrialError};
 use joulebus_eval::score::{Design, Options, Role, ScoreError, Subject, score_reported};
 use joulebus_models::load_models;
 use joulebus_predictor::Model;
@@ -20,7 +20,7 @@ use joulebus_settings::bounds;
 use joulebus_statistics::bootstrap::Estimate;
 use serde::Serialize;
 
-use crate::judgement::{AcceptArguments, report};
+use crate::judgement::{AcceptArguments, Source, report};
 use crate::next_command::recordings;
 use crate::recordings::{ColumnArguments, find_recordings, open_with_ids};
 use crate::train::train_recordings;
@@ -165,12 +165,19 @@ impl fmt::Display for HeldOut {
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let map = args.columns.map();
     let files = find_recordings(&args.from)?;
-    let mut trials = Vec::new();
+    let (mut profiler, mut found) = (Profiler::default(), Vec::new());
+    let mut recorded_robots = RecordedRobots::default();
     for file in &files {
-        trials.extend(Trial::read_mapped(file, &map)?);
+        Trial::each(file, &map, |trial| {
+            profiler.take(&trial);
+            found.push(args.accept.look_at(Source::Recording, &trial));
+            recorded_robots.take(&trial);
+            Ok::<_, TrialError>(())
+        })?;
     }
-    let implausible = args.accept.judge(&trials)?;
-    let Some(recorded) = profile(&trials) else {
+    let count = found.len();
+    let implausible = args.accept.settle(found.into_iter())?;
+    let Some(recorded) = profiler.finish() else {
         let what = "power is constant in all recordings, or there are fewer than two readings";
         return Err(UsageError(format!("{what}; give recordings of a working robot")).into());
     };
@@ -181,7 +188,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         let held = "its readings are held far longer than those of the others";
         say(&format!("warning: {stuck}: {held}; they set no hold_max_s"));
     }
-    let fleet = fleet(&name, &recorded, &robots(args, &trials)?, &files);
+    let fleet = fleet(&name, &recorded, &robots(args, &recorded_robots)?, &files);
     let given = args.given_model()?;
     check(
         &name,
@@ -192,7 +199,6 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     if args.train {
         places.make(&places.models)?;
         let full = recorded.v_mps.is_some() && recorded.omega_radps.is_some();
-        let count = trials.len();
         split = train_recordings(&args.from, &args.columns, &places.model, full, count)?;
         if split.is_none() {
             return Ok(Outcome::Failed);
@@ -501,18 +507,34 @@ fn platform(name: &str, recorded: &Profile, model: Option<&str>, args: &Args) ->
     platform_file(&title, &assignments)
 }
 
+/// The robots of the recordings.
+#[derive(Default)]
+struct RecordedRobots {
+    names: BTreeSet<String>,
+    /// Trials, of which the parts of a long one are one.
+    trials: u32,
+}
+
+impl RecordedRobots {
+    fn take(&mut self, trial: &Trial) {
+        self.names.extend(trial.robot_name().map(str::to_owned));
+        let goes_on = trial.is_part() && trial.file_row(0) > 1;
+        self.trials = self.trials.saturating_add(u32::from(!goes_on));
+    }
+}
+
 /// The ids of the fleet's robots as TOML.
-fn robots(args: &Args, trials: &[Trial]) -> Result<String, UsageError> {
+fn robots(args: &Args, recorded: &RecordedRobots) -> Result<String, UsageError> {
     if !args.robots.is_empty() {
         let quoted: Vec<String> = args.robots.iter().map(|ids| format!("{ids:?}")).collect();
         return Ok(format!("[{}]", quoted.join(", ")));
     }
-    let names: BTreeSet<&str> = trials.iter().filter_map(Trial::robot_name).collect();
-    let ids: Option<BTreeSet<u32>> = names.iter().map(|name| name.parse().ok()).collect();
+    let names = recorded.names.iter();
+    let ids: Option<BTreeSet<u32>> = names.map(|name| name.parse().ok()).collect();
     let ids: Vec<u32> = match ids.filter(|ids| !ids.is_empty()) {
         Some(ids) => ids.into_iter().collect(),
         // One for each trial, so that all of them can be played together.
-        None => (0..u32::try_from(trials.len()).unwrap_or(u32::MAX)).collect(),
+        None => (0..recorded.trials).collect(),
     };
     let mut ranges: Vec<(u32, u32)> = Vec::new();
     for id in ids {

@@ -126,10 +126,13 @@ impl AcceptArguments {
         &self,
         trials: impl Iterator<Item = (Source, &'a Trial)>,
     ) -> anyhow::Result<Vec<Judged>> {
-        self.settle(trials.map(|(source, trial)| {
-            self.say_left_out(&trial.path().display(), &trial.notes().left_out);
-            judge_from(source, trial, &Limits::default())
-        }))
+        self.settle(trials.map(|(source, trial)| self.look_at(source, trial)))
+    }
+
+    /// What is implausible in a trial, for [`AcceptArguments::settle`].
+    pub(crate) fn look_at(&self, source: Source, trial: &Trial) -> Vec<Implausible> {
+        self.say_left_out(&trial.path().display(), &trial.notes().left_out);
+        judge_from(source, trial, &Limits::default())
     }
 
     /// The same, each with the limits of its platform: what is outside is a warning.
@@ -174,7 +177,14 @@ impl AcceptArguments {
         }
     }
 
-    fn settle(&self, found: impl Iterator<Item = Vec<Implausible>>) -> anyhow::Result<Vec<Judged>> {
+    /// Shows what is implausible in each of some trials, and refuses errors.
+    ///
+    /// # Errors
+    /// As [`AcceptArguments::judge`].
+    pub(crate) fn settle(
+        &self,
+        found: impl Iterator<Item = Vec<Implausible>>,
+    ) -> anyhow::Result<Vec<Judged>> {
         if self.settled {
             return Ok(Vec::new());
         }
@@ -215,6 +225,15 @@ impl AcceptArguments {
         }
         judged.into_values().collect()
     }
+}
+
+/// Shows what is implausible in trials that are kept as they are.
+pub(crate) fn warned(found: Vec<Vec<Implausible>>) -> Vec<Judged> {
+    let judged = AcceptArguments::default().gather(found.into_iter());
+    for finding in &judged {
+        say(&format!("warning: {}", finding.line()));
+    }
+    judged
 }
 
 /// The limits of a platform's readings and commands.

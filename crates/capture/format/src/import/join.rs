@@ -9,8 +9,9 @@ use super::mapping::{CurrentSign, Expired, Mapping, RobotMapping, TimeSource};
 use joulebus_plausibility::{StampState, Stamps};
 use joulebus_ros_messages::{BatteryState, Header, Message, Odometry, RosType, Twist};
 
-/// Maximum number of rows per robot, that of a trial; further ones are refused.
-const MAX_ROWS: usize = 1 << 22;
+/// Maximum number of messages of a robot's topic, of which each has some 100 bytes in memory: 155
+/// hours at 30 Hz. Further ones are refused.
+const MAX_ROWS: usize = 1 << 24;
 
 /// Commands and measurements at one time. NaN for unknown values.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::io;
+use std::ops::ControlFlow;
 use std::path::{Component, Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -119,10 +120,17 @@ impl Listing {
 }
 
 /// The trials of a listing, under the name of their recording.
-pub(crate) fn tables(path: &Path) -> Result<Vec<Table>, TrialError> {
+pub(crate) fn each_table(
+    path: &Path,
+    take: &mut dyn FnMut(Table) -> ControlFlow<()>,
+) -> Result<(), TrialError> {
     let listing = open(path)?;
-    let each = 0..listing.trials.len();
-    each.map(|number| table(path, &listing, number)).collect()
+    for number in 0..listing.trials.len() {
+        if take(table(path, &listing, number)?).is_break() {
+            break;
+        }
+    }
+    Ok(())
 }
 
 /// Reads the listing at `path`.

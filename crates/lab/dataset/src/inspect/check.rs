@@ -14,7 +14,7 @@ use super::hold::runs;
 use super::judge::judge;
 use super::limits::Limits;
 use super::units::power_check;
-use crate::trial::{Column, ColumnMap, Trial};
+use crate::trial::{Column, ColumnMap, Trial, TrialError};
 
 /// Result of checking a set of files.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -105,10 +105,11 @@ struct Looked {
 }
 
 fn look(file: &Path, map: &ColumnMap, limits: &Limits, places: usize) -> Looked {
-    let read = Trial::read_mapped(file, map);
+    let read = check_robots(file, map, limits, places);
     let broken = matches!(&read, Err(error) if error.is_of_lines());
     // The other rows are checked as well.
-    let whole = broken.then(|| Trial::read_mapped(file, &map.clone().whole_rows(true)).ok());
+    let whole = map.clone().whole_rows(true);
+    let whole = broken.then(|| check_robots(file, &whole, limits, places).ok());
     match whole.flatten().map_or(read, Ok) {
         Err(error) => {
             let text = error.to_string();
@@ -119,36 +120,35 @@ fn look(file: &Path, map: &ColumnMap, limits: &Limits, places: usize) -> Looked 
                 ..Looked::default()
             }
         }
-        Ok(trials) => Looked {
-            findings: {
-                let mut findings = check_robots(&trials, limits, places);
-                // Left out on request.
-                let asked = findings
-                    .iter_mut()
-                    .filter(|finding| finding.kind == FindingKind::NoRow && !broken);
-                asked.for_each(|finding| (finding.fault, finding.accepted) = (false, true));
-                findings
-            },
-            digests: trials.iter().map(digest).collect(),
-            robots: trials
-                .iter()
-                .filter_map(|trial| trial.robot_name().map(str::to_owned))
-                .collect(),
-            rows: trials.iter().map(Trial::rows).sum(),
-        },
+        Ok(mut looked) => {
+            // Left out on request.
+            let findings = looked.findings.iter_mut();
+            let asked = findings.filter(|finding| finding.kind == FindingKind::NoRow && !broken);
+            asked.for_each(|finding| (finding.fault, finding.accepted) = (false, true));
+            looked
+        }
     }
 }
 
 /// The trials of one file.
-fn check_robots(trials: &[Trial], limits: &Limits, places: usize) -> Vec<Finding> {
-    let mut all = Findings::new(places);
-    for finding in trials
-        .iter()
-        .flat_map(|trial| check_trial(trial, limits, places))
-    {
-        all.merge(&finding);
-    }
-    in_one_file(all.finish())
+fn check_robots(
+    file: &Path,
+    map: &ColumnMap,
+    limits: &Limits,
+    places: usize,
+) -> Result<Looked, TrialError> {
+    let (mut all, mut looked) = (Findings::new(places), Looked::default());
+    Trial::each(file, map, |trial| {
+        for finding in check_trial(&trial, limits, places) {
+            all.merge(&finding);
+        }
+        looked.digests.push(digest(&trial));
+        looked.robots.extend(trial.robot_name().map(str::to_owned));
+        looked.rows += trial.rows();
+        Ok::<_, TrialError>(())
+    })?;
+    looked.findings = in_one_file(all.finish());
+    Ok(looked)
 }
 
 fn in_one_file(mut findings: Vec<Finding>) -> Vec<Finding> {

@@ -15,7 +15,7 @@ use crate::trial::{Form, is_capture};
 pub struct Found {
     /// Recordings in the order of the arguments. Those of a directory are sorted by name.
     pub files: Vec<PathBuf>,
-    /// Other files in the directories: not `.npy`, `.csv`, `.csv.gz` or a capture, ignored.
+    /// Other files in the directories: not `.npy`, `.csv`, `.csv.gz`, `.mat` or a capture, ignored.
     pub others: Vec<PathBuf>,
     /// Files named more than once; each is used once.
     pub repeated: Vec<PathBuf>,
@@ -50,7 +50,7 @@ pub enum FindError {
         source: io::Error,
     },
     /// A directory without recordings.
-    #[error("{path} holds no recordings (.npy, .csv, .csv.gz, .mcap of joulebus, archives){other}", path = path.display())]
+    #[error("{path} holds no recordings (.npy, .csv, .csv.gz, .mat, .mcap of joulebus, archives){other}", path = path.display())]
     NoRecordings {
         /// The directory.
         path: PathBuf,
@@ -158,8 +158,12 @@ fn take_pattern(pattern: &str, found: &mut Found) -> Result<(), FindError> {
 /// archive's partitions), for an `.mcap` also its first record, because those of other programs
 /// have to be converted.
 pub fn is_recording(path: &Path) -> bool {
-    let is_parquet = || path.extension().is_some_and(|ending| ending == "parquet");
-    ((Form::of(path).is_some() || is_parquet()) && path.is_file()) || is_capture(path)
+    let endings = ["parquet", "mat"];
+    let is_other = || {
+        path.extension()
+            .is_some_and(|found| endings.iter().any(|one| found == *one))
+    };
+    ((Form::of(path).is_some() || is_other()) && path.is_file()) || is_capture(path)
 }
 
 /// Symbolic links to directories are not followed, so the walk terminates.

@@ -43,51 +43,107 @@ pub struct Profile {
     pub voltage_v: Option<(f64, f64)>,
 }
 
-/// The profile of some trials; `None` if they have fewer than two readings or constant power.
-pub fn profile(trials: &[Trial]) -> Option<Profile> {
-    let mut readings: Vec<f64> = known(trials, Column::Power).collect();
-    readings.sort_unstable_by(f64::total_cmp);
-    let (least, greatest) = (*readings.first()?, *readings.last()?);
-    // All of them are finite.
-    if least == greatest {
-        return None;
+/// Makes the profile of trials, one after another.
+#[derive(Debug, Default)]
+pub struct Profiler {
+    readings: Vec<f64>,
+    periods: Vec<u64>,
+    /// Of each trial, with its name.
+    holds: Vec<([f64; 2], String)>,
+    /// Sum of the squared differences of readings, and their number.
+    differences: (f64, u64),
+    v_mps: Option<f64>,
+    omega_radps: Option<f64>,
+    voltage_v: Option<(f64, f64)>,
+}
+
+impl Profiler {
+    /// Takes a trial.
+    pub fn take(&mut self, trial: &Trial) {
+        self.readings.extend(known(trial, Column::Power));
+        self.periods.push(trial.period_ns());
+        let file = trial.path().display();
+        let name = match trial.robot_name() {
+            Some(robot) => format!("{file}, robot {robot}"),
+            None => file.to_string(),
+        };
+        self.holds.push((holds_s(trial), name));
+        self.take_differences(trial);
+        let larger = |before: Option<f64>, column| {
+            let sizes = known(trial, column).map(f64::abs);
+            sizes.chain(before).reduce(f64::max)
+        };
+        self.v_mps = larger(self.v_mps, Column::V);
+        self.omega_radps = larger(self.omega_radps, Column::Omega);
+        for voltage_v in known(trial, Column::Voltage) {
+            let (least, greatest) = self.voltage_v.unwrap_or((voltage_v, voltage_v));
+            self.voltage_v = Some((least.min(voltage_v), greatest.max(voltage_v)));
+        }
     }
-    let mut periods: Vec<u64> = trials.iter().map(Trial::period_ns).collect();
-    periods.sort_unstable();
-    let period_ns = periods[periods.len() / 2];
-    let holds: Vec<[f64; 2]> = trials.iter().map(holds_s).collect();
-    let mut usual: Vec<f64> = holds.iter().map(|[usual_s, _]| *usual_s).collect();
-    usual.sort_unstable_by(f64::total_cmp);
-    let most_s = STUCK * usual[(usual.len() - 1) / 2];
-    let is_stuck = |[usual_s, _]: &[f64; 2]| *usual_s > most_s;
-    let works = holds.iter().filter(|hold| !is_stuck(hold));
-    let [usual_hold_s, longest_hold_s] = works.fold([0.0_f64; 2], |[usual_s, longest_s], hold| {
-        [usual_s.max(hold[0]), longest_s.max(hold[1])]
-    });
-    let stuck = trials.iter().zip(&holds).filter(|(_, hold)| is_stuck(hold));
-    let stuck = stuck.map(|(trial, _)| match trial.robot_name() {
-        Some(robot) => format!("{}, robot {robot}", trial.path().display()),
-        None => trial.path().display().to_string(),
-    });
-    let largest = |column| {
-        let sizes = known(trials, column).map(f64::abs);
-        sizes.reduce(f64::max)
-    };
-    let voltage = || known(trials, Column::Voltage);
-    Some(Profile {
-        trials: trials.len(),
-        readings: readings.len(),
-        rate_hz: 1e9 / period_ns as f64,
-        power_w: (least, greatest),
-        resolution_w: resolution(&readings),
-        difference_w: difference(trials)?,
-        usual_hold_s,
-        longest_hold_s,
-        stuck: stuck.collect(),
-        v_mps: largest(Column::V),
-        omega_radps: largest(Column::Omega),
-        voltage_v: voltage().reduce(f64::min).zip(voltage().reduce(f64::max)),
-    })
+
+    /// Differences of consecutive readings without a gap between them.
+    fn take_differences(&mut self, trial: &Trial) {
+        let Some(power) = trial.column(Column::Power) else {
+            return;
+        };
+        let longest_ns = (trial.period_ns() as f64 * MAX_STEP) as i64;
+        let steps = trial.offset_ns().windows(2).zip(power.windows(2));
+        for (times, readings) in steps {
+            let difference = readings[1] - readings[0];
+            let step_ns = times[1] - times[0];
+            if difference.is_finite() && step_ns > 0 && step_ns <= longest_ns {
+                self.differences.0 += difference * difference;
+                self.differences.1 += 1;
+            }
+        }
+    }
+
+    /// The profile; `None` if there are fewer than two readings or constant power.
+    pub fn finish(self) -> Option<Profile> {
+        let Self {
+            mut readings,
+            mut periods,
+            holds,
+            differences: (sum, count),
+            v_mps,
+            omega_radps,
+            voltage_v,
+        } = self;
+        readings.sort_unstable_by(f64::total_cmp);
+        let (least, greatest) = (*readings.first()?, *readings.last()?);
+        // All of them are finite.
+        if least == greatest || count == 0 {
+            return None;
+        }
+        periods.sort_unstable();
+        let period_ns = periods[periods.len() / 2];
+        let mut usual: Vec<f64> = holds.iter().map(|([usual_s, _], _)| *usual_s).collect();
+        usual.sort_unstable_by(f64::total_cmp);
+        let most_s = STUCK * usual[(usual.len() - 1) / 2];
+        let trials = holds.len();
+        let (stuck, works): (Vec<_>, Vec<_>) = holds
+            .into_iter()
+            .partition(|([usual_s, _], _)| *usual_s > most_s);
+        let longest = works
+            .iter()
+            .fold([0.0_f64; 2], |[usual_s, longest_s], (hold, _)| {
+                [usual_s.max(hold[0]), longest_s.max(hold[1])]
+            });
+        Some(Profile {
+            trials,
+            readings: readings.len(),
+            rate_hz: 1e9 / period_ns as f64,
+            power_w: (least, greatest),
+            resolution_w: resolution(&readings),
+            difference_w: (sum / count as f64).sqrt(),
+            usual_hold_s: longest[0],
+            longest_hold_s: longest[1],
+            stuck: stuck.into_iter().map(|(_, name)| name).collect(),
+            v_mps,
+            omega_radps,
+            voltage_v,
+        })
+    }
 }
 
 /// How long readings of a trial are held, s: the mean, and the longest.
@@ -101,28 +157,7 @@ fn holds_s(trial: &Trial) -> [f64; 2] {
 }
 
 /// The recorded values of a column.
-fn known(trials: &[Trial], column: Column) -> impl Iterator<Item = f64> {
-    let columns = trials.iter().filter_map(move |trial| trial.column(column));
-    columns.flatten().copied().filter(|value| value.is_finite())
-}
-
-/// Root mean square of the difference of consecutive readings without a gap between them.
-fn difference(trials: &[Trial]) -> Option<f64> {
-    let (mut sum, mut count) = (0.0, 0_u64);
-    for trial in trials {
-        let Some(power) = trial.column(Column::Power) else {
-            continue;
-        };
-        let longest_ns = (trial.period_ns() as f64 * MAX_STEP) as i64;
-        let steps = trial.offset_ns().windows(2).zip(power.windows(2));
-        for (times, readings) in steps {
-            let difference = readings[1] - readings[0];
-            let step_ns = times[1] - times[0];
-            if difference.is_finite() && step_ns > 0 && step_ns <= longest_ns {
-                sum += difference * difference;
-                count += 1;
-            }
-        }
-    }
-    (count > 0).then(|| (sum / count as f64).sqrt())
+fn known(trial: &Trial, column: Column) -> impl Iterator<Item = f64> {
+    let values = trial.column(column).unwrap_or_default().iter().copied();
+    values.filter(|value| value.is_finite())
 }

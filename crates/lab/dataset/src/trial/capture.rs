@@ -8,6 +8,7 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufWriter, Read as _, Write as _};
+use std::ops::ControlFlow;
 use std::os::unix::fs::FileExt as _;
 use std::path::Path;
 use std::sync::Arc;
@@ -15,9 +16,10 @@ use std::sync::Arc;
 use joulebus_capture_format::{Frame, ReadError, Reader};
 use joulebus_wire::{Sample, Samples, sample_flag as flag};
 
-use super::limits::MCAP_MAGIC;
+use super::TrialError;
+use super::limits::{InMemory, MAX_ROWS, MCAP_MAGIC};
+use super::read::Take;
 use super::table::{Cell, Column, Table};
-use super::{MAX_ROWS, TrialError};
 use crate::archive::RowStamp;
 
 /// Bytes within which the first record of a capture names its writer.
@@ -48,29 +50,42 @@ pub struct CaptureRun {
 }
 
 /// A table for each robot and run, in SI units converted to those of files.
-pub(super) fn read(path: &Path) -> Result<Vec<Table>, TrialError> {
-    let mut tables = Vec::new();
-    each_run(path, |run| {
-        tables.push(run.table);
-        Ok::<_, TrialError>(())
-    })?;
-    Ok(tables)
+pub(super) fn read(
+    path: &Path,
+    in_memory: InMemory,
+    take: &mut Take<'_>,
+) -> Result<(), TrialError> {
+    let taken = each_run_in(path, in_memory, |run| match take(run.table) {
+        ControlFlow::Continue(()) => Ok(()),
+        ControlFlow::Break(()) => Err(None),
+    });
+    // None: no further table is wanted.
+    taken.or_else(|error: Option<TrialError>| error.map_or(Ok(()), Err))
 }
 
-/// Calls `take` with each run of a capture: by fleet, robot and time. Only one run and a fixed
-/// number of samples are in memory at a time. The others wait in a temporary file.
+/// Calls `take` with each run of a capture: by fleet, robot and time. A run of more than
+/// [`MAX_ROWS`] rows is several. Only one run and a fixed number of samples are in memory at a
+/// time. The others wait in a temporary file.
 ///
 /// # Errors
 /// [`TrialError`], and those of `take`.
 pub fn each_run<E: From<TrialError>>(
     path: &Path,
+    take: impl FnMut(CaptureRun) -> Result<(), E>,
+) -> Result<(), E> {
+    each_run_in(path, InMemory::parts(MAX_ROWS), take)
+}
+
+fn each_run_in<E: From<TrialError>>(
+    path: &Path,
+    in_memory: InMemory,
     mut take: impl FnMut(CaptureRun) -> Result<(), E>,
 ) -> Result<(), E> {
     let refused = |detail: String| TrialError::Capture {
         path: path.to_owned(),
         detail,
     };
-    let mut store = collect(path)?;
+    let mut store = collect(path, in_memory)?;
     let several_fleets = {
         let mut fleets: Vec<&str> = store.robots.keys().map(|robot| robot.0.as_ref()).collect();
         fleets.dedup();
@@ -106,7 +121,7 @@ pub fn each_run<E: From<TrialError>>(
 }
 
 /// Sorts the samples of a capture by run.
-fn collect(path: &Path) -> Result<Store, TrialError> {
+fn collect(path: &Path, in_memory: InMemory) -> Result<Store, TrialError> {
     let refused = |detail: String| TrialError::Capture {
         path: path.to_owned(),
         detail,
@@ -131,7 +146,7 @@ fn collect(path: &Path) -> Result<Store, TrialError> {
                 sample,
                 unix_ns: entry.log_time_ns,
             };
-            let run = store.run(robot, goes_on);
+            let run = store.run(robot, goes_on, in_memory.part_rows);
             // Ingest refuses a time that does not advance.
             if store.runs[run].rows > 0 && sample.stamp_ns <= store.runs[run].stamp_ns {
                 continue;
@@ -139,9 +154,11 @@ fn collect(path: &Path) -> Result<Store, TrialError> {
             store
                 .push(run, kept)
                 .map_err(|error| refused(spilled(&error)))?;
-            if store.runs[run].rows > MAX_ROWS {
-                let path = path.to_owned();
-                return Err(TrialError::TooManyRows { path });
+            if store.runs[run].rows > in_memory.max_rows {
+                return Err(TrialError::TooManyRows {
+                    path: path.to_owned(),
+                    allowed: in_memory.max_rows,
+                });
             }
         }
     }
@@ -199,11 +216,12 @@ struct Run {
 }
 
 impl Store {
-    /// The robot's last run, or a new one.
-    fn run(&mut self, robot: Robot, goes_on: bool) -> usize {
+    /// The robot's last run, or a new one, also where the last has `part_rows`.
+    fn run(&mut self, robot: Robot, goes_on: bool, part_rows: usize) -> usize {
         let own = self.robots.entry(robot).or_default();
-        if let Some(last) = own.last().filter(|_| goes_on) {
-            return *last;
+        let has_room = |run: &usize| goes_on && self.runs[*run].rows < part_rows;
+        if let Some(last) = own.last().copied().filter(has_room) {
+            return last;
         }
         own.push(self.runs.len());
         self.runs.push(Run::default());

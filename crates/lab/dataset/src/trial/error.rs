@@ -3,9 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
-use super::limits::{
-    FREE_TEXT_BYTES, MAX_EXPANSION, MAX_ROBOTS, MAX_ROW_BYTES, MAX_ROWS, MAX_TEXT_BYTES,
-};
+use super::limits::{FREE_TEXT_BYTES, MAX_EXPANSION, MAX_ROBOTS, MAX_ROW_BYTES, MAX_TEXT_BYTES};
 
 /// How to go on with the other lines, or without the file.
 const LEAVE_OUT: &str = "--whole-rows leaves such lines out (`joulebus data convert --whole-rows` for other programs), or leave the \
@@ -65,10 +63,16 @@ pub enum TrialError {
         detail: String,
     },
     /// Too many rows.
-    #[error("{path}: more than {MAX_ROWS} rows; split the recording", path = path.display())]
+    #[error(
+        "{path}: more than {allowed} rows, which this verb has in memory at the same time; split the recording (`data check`, \
+         `train`, `eval`, `analyze`, `config init` and `export` read it in parts)",
+        path = path.display()
+    )]
     TooManyRows {
         /// The file.
         path: PathBuf,
+        /// Allowed rows.
+        allowed: usize,
     },
     /// Too much text.
     #[error(
@@ -179,7 +183,7 @@ pub enum TrialError {
     /// Required columns are missing.
     #[error(
         "{path}: no column for {missing}; found {found}; name them with --map, such as \
-         --map time=t,power_W=p (`joulebus data check --help` lists the accepted names)",
+         {suggestion} (`joulebus data check --help` lists the accepted names)",
         path = path.display()
     )]
     MissingColumns {
@@ -189,6 +193,8 @@ pub enum TrialError {
         missing: String,
         /// The columns of the header.
         found: String,
+        /// An option that may name them.
+        suggestion: String,
     },
     /// A capture could not be read.
     #[error("{path}: {detail}", path = path.display())]

@@ -5,7 +5,8 @@ use std::f64::consts::PI;
 use std::fmt;
 use std::str::FromStr;
 
-use super::table::{Column, Table};
+use super::limits::{InMemory, MAX_ROWS};
+use super::table::{Column, ROBOT_NAMES, TIME_NAMES, Table};
 
 /// The quantity of a file's column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -130,14 +131,14 @@ const SPELLINGS: [Spelling; 14] = [
         name: "voltage",
         layout: &["voltage_mV", "voltage"],
         others: &["voltage", "battery_voltage", "bus_voltage"],
-        units: &[("v", 1e3), ("mv", 1.0), ("uv", 1e-3)],
+        units: &[("v", 1e3), ("mv", 1.0), ("uv", 1e-3), ("cv", 10.0)],
     },
     Spelling {
         quantity: of(Column::Current),
         name: "current",
         layout: &["current_mA", "current"],
         others: &["current", "battery_current", "bus_current"],
-        units: &[("a", 1e3), ("ma", 1.0), ("ua", 1e-3)],
+        units: &[("a", 1e3), ("ma", 1.0), ("ua", 1e-3), ("ca", 10.0)],
     },
     Spelling {
         quantity: of(Column::VMeasured),
@@ -264,6 +265,8 @@ fn plain(name: &str) -> String {
     let mut plain = String::with_capacity(name.len());
     for letter in name.chars() {
         match letter {
+            // A unit in brackets; in front of a name it is rostopic's.
+            '%' if plain.ends_with('_') => plain.push_str("percent"),
             ' ' | '[' | ']' | '(' | ')' | '/' | '.' | '-' | '_' | '%' | '#' | ',' => {
                 if !plain.ends_with('_') && !plain.is_empty() {
                     plain.push('_');
@@ -393,6 +396,7 @@ pub struct ColumnMap {
     turned: bool,
     turned_as_configured: bool,
     whole_rows: bool,
+    part_rows: Option<usize>,
 }
 
 impl From<Vec<MappedColumn>> for ColumnMap {
@@ -448,6 +452,21 @@ impl ColumnMap {
         Self { whole_rows, ..self }
     }
 
+    /// Reads files with more rows in parts, where they are read in parts ([`Table::each`]). By
+    /// default, [`MAX_ROWS`](super::MAX_ROWS).
+    #[must_use]
+    pub fn in_parts_of(self, rows: usize) -> Self {
+        Self {
+            part_rows: Some(rows),
+            ..self
+        }
+    }
+
+    /// Rows in memory where a file is read in parts.
+    pub(super) fn in_parts(&self) -> InMemory {
+        InMemory::parts(self.part_rows.unwrap_or(MAX_ROWS))
+    }
+
     /// Whether lines that are no whole rows are left out.
     pub(super) const fn leaves_out(&self) -> bool {
         self.whole_rows
@@ -479,14 +498,14 @@ impl ColumnMap {
         let is_there = |(quantity, name): (Quantity, &str)| {
             (quantity == Quantity::Time && has_pairs) || names.iter().any(|found| found == name)
         };
-        if !self.is_configured || self.named().next().is_none() || self.named().any(is_there) {
-            return self.clone();
+        let mut own = self.clone();
+        // `joulebus data convert` has turned it, if it was to be turned.
+        own.turned_as_configured &= !is_converted(names);
+        if self.is_configured && self.named().next().is_some() && !self.named().any(is_there) {
+            own.columns.clear();
+            own.turned_as_configured = false;
         }
-        Self {
-            columns: Vec::new(),
-            turned_as_configured: false,
-            ..self.clone()
-        }
+        own
     }
 
     /// Whether the caller names the column of a quantity.
@@ -589,6 +608,57 @@ impl ColumnMap {
 /// Ends of the name of a column with the nanoseconds of a time.
 const NANOSECONDS: [&str; 4] = ["nanosec", "nanosecs", "nsecs", "nsec"];
 
+/// Whether a header is that of a table which joulebus writes.
+fn is_converted(names: &[String]) -> bool {
+    let first = [ROBOT_NAMES[0], TIME_NAMES[0]].into_iter();
+    let mut own = first.chain(Column::ALL.map(Column::name));
+    names.first().is_some_and(|name| name == ROBOT_NAMES[0])
+        && names.iter().all(|name| own.any(|one| one == name))
+}
+
+/// Whether a number may have this unit behind it, because it is that of its column.
+pub(super) fn is_unit(column: Column, unit: &str, factor: f64) -> bool {
+    let mut units = spelling(of(column)).units.iter();
+    let unit = unit.to_lowercase();
+    units.any(|(name, of_unit)| *name == unit && *of_unit == factor.abs())
+}
+
+/// A mapping with the columns of a file that may be the time or the power that it lacks, for
+/// messages.
+pub(super) fn suggestion(names: &[String], [time, power]: [bool; 2]) -> String {
+    const WANTED: [(&str, &str, &[&str]); 4] = [
+        ("time_s", "t", &["time", "stamp", "date", "zeit"]),
+        ("voltage_V", "u", &["volt", "vbat", "spannung"]),
+        ("current_A", "i", &["curr", "amper", "strom"]),
+        ("power_W", "p", &["power", "watt", "leistung"]),
+    ];
+    let like = |words: &[&str]| {
+        let fits = |name: &&String| {
+            let name = name.to_lowercase();
+            words.iter().any(|word| name.contains(word))
+        };
+        names.iter().find(fits).map(String::as_str)
+    };
+    let found = WANTED.map(|(quantity, other, words)| (quantity, other, like(words)));
+    let has = |at: usize| found[at].2.is_some();
+    let of_power: &[usize] = match (has(1) && has(2), has(3)) {
+        (true, _) => &[1, 2],
+        (false, true) => &[3],
+        (false, false) if power => return "--map time=t,power_W=p".to_owned(),
+        (false, false) => &[],
+    };
+    let of_time = time.then_some(&0).into_iter();
+    let columns = of_time.chain(of_power.iter().filter(|_| power)).map(|at| {
+        let (quantity, other, name) = found[*at];
+        format!("{quantity}={}", name.unwrap_or(other))
+    });
+    let columns: Vec<String> = columns.collect();
+    format!(
+        "--map '{}' with the units that they have",
+        columns.join(",")
+    )
+}
+
 /// Accepted names of a quantity, for messages.
 pub(super) fn accepted(quantity: Quantity) -> String {
     let spelling = spelling(quantity);
@@ -617,6 +687,8 @@ fn shown(unit: &str) -> &str {
         "a" => "A",
         "ma" => "mA",
         "ua" => "uA",
+        "cv" => "cV",
+        "ca" => "cA",
         unit => unit,
     }
 }

@@ -1,38 +1,60 @@
 //! The published layout: a NumPy array of shape (n, 11).
 
-use std::io::Read;
+use std::fs::File;
+use std::io::{self, Seek as _, SeekFrom};
 use std::path::Path;
 
 use crate::npy::{Header, HeaderError};
 
-use super::table::{Cell, Column, Table, Tables};
-use super::{MAX_ROWS, TrialError};
+use super::limits::InMemory;
+use super::read::Take;
+use super::table::{Cell, Column, LeftOut, Tables};
+use super::{ColumnMap, TrialError};
 
 const WIDTH: usize = 11;
 const ROBOT: usize = 0;
 const TIME: usize = 1;
+/// Rows that are read at a time.
+const BLOCK_ROWS: usize = 1 << 14;
 
-/// Reads the array; `file_bytes` bounds the size that its header may claim.
+/// Reads the array part by part; the size of the file bounds what its header may claim.
 pub(super) fn read(
     path: &Path,
-    mut source: impl Read,
-    file_bytes: u64,
-) -> Result<Vec<Table>, TrialError> {
-    let header = Header::read(&mut source).map_err(|error| refused(path, error))?;
-    let (rows, item_bytes) = check_array(path, &header)?;
+    mut file: File,
+    map: &ColumnMap,
+    in_memory: InMemory,
+    take: &mut Take<'_>,
+) -> Result<(), TrialError> {
+    let io = |source| TrialError::Io {
+        path: path.to_owned(),
+        source,
+    };
+    let file_bytes = file.metadata().map_err(io)?.len();
+    file.rewind().map_err(io)?;
+    let header = Header::read(&mut file).map_err(|error| refused(path, error))?;
+    let (stated_rows, item_bytes) = check_array(path, &header)?;
 
     let header_bytes = header.length() as u64;
     let row_bytes = WIDTH as u64 * item_bytes;
-    let expected_bytes = header_bytes + rows as u64 * row_bytes;
+    let expected_bytes = header_bytes + stated_rows as u64 * row_bytes;
+    let (mut rows, mut left_out) = (stated_rows, LeftOut::default());
     if file_bytes < expected_bytes {
-        return Err(TrialError::Truncated {
-            path: path.to_owned(),
-            missing: format!(
-                "{} of {expected_bytes} bytes missing",
-                expected_bytes - file_bytes
-            ),
-            rows: (file_bytes.saturating_sub(header_bytes) / row_bytes) as usize,
-        });
+        let missing = expected_bytes - file_bytes;
+        rows = (file_bytes.saturating_sub(header_bytes) / row_bytes) as usize;
+        let missing = match header.fortran_order {
+            true => format!("{missing} of {expected_bytes} bytes, with its last columns,"),
+            false => format!("{missing} of {expected_bytes} bytes"),
+        };
+        let missing = format!("{missing} missing");
+        if header.fortran_order || rows < 2 || !map.leaves_out() {
+            return Err(TrialError::Truncated {
+                path: path.to_owned(),
+                missing,
+                rows,
+            });
+        }
+        left_out.add(rows + 1, missing);
+        left_out.lines = stated_rows - rows;
     }
     if file_bytes > expected_bytes {
         return Err(TrialError::TrailingBytes {
@@ -42,9 +64,47 @@ pub(super) fn read(
             expected_bytes,
         });
     }
-    let fortran_order = header.fortran_order;
-    let values = header.floats(source).map_err(|source| io(path, source))?;
-    fill(path, &values, rows, fortran_order)
+    let mut tables = Tables::default();
+    let mut robot = (f64::NAN, String::new());
+    let mut from = 0;
+    while from < rows {
+        let count = BLOCK_ROWS.min(rows - from);
+        let mut read = |element: u64, count| {
+            file.seek(SeekFrom::Start(header_bytes + element * item_bytes))?;
+            header.floats(&mut file, count)
+        };
+        let block = match header.fortran_order {
+            false => read((from * WIDTH) as u64, count * WIDTH).map_err(io)?,
+            true => {
+                let column = |column| read((column * rows + from) as u64, count);
+                let columns: io::Result<Vec<_>> = (0..WIDTH).map(column).collect();
+                columns.map_err(io)?.concat()
+            }
+        };
+        for row in 0..count {
+            let at = |column: usize| match header.fortran_order {
+                false => block[row * WIDTH + column],
+                true => block[column * count + row],
+            };
+            let row = from + row + 1;
+            take_row(Cell { path, row }, at, &mut robot, &mut tables)?;
+            if let Some(mut parts) = tables.complete(path, in_memory)? {
+                map.turn_as_configured(&mut parts);
+                if parts.into_iter().try_for_each(&mut *take).is_break() {
+                    return Ok(());
+                }
+            }
+        }
+        from += count;
+    }
+    let mut tables = tables.finish(path, &[], false);
+    if let Some(first) = tables.first_mut() {
+        first.left_out = left_out;
+    }
+    map.turn_as_configured(&mut tables);
+    // Whether it wants more makes no difference.
+    let _ = tables.into_iter().try_for_each(take);
+    Ok(())
 }
 
 fn refused(path: &Path, error: HeaderError) -> TrialError {
@@ -84,7 +144,6 @@ fn check_array(path: &Path, header: &Header) -> Result<(usize, u64), TrialError>
         }
     };
     match *header.shape {
-        [rows, WIDTH] if rows > MAX_ROWS => Err(TrialError::TooManyRows { path: path() }),
         [rows, WIDTH] if rows >= 2 => Ok((rows, item_bytes)),
         ref shape => {
             let sizes: Vec<String> = shape.iter().map(usize::to_string).collect();
@@ -96,44 +155,29 @@ fn check_array(path: &Path, header: &Header) -> Result<(usize, u64), TrialError>
     }
 }
 
-fn fill(
-    path: &Path,
-    values: &[f64],
-    rows: usize,
-    fortran_order: bool,
-) -> Result<Vec<Table>, TrialError> {
-    let mut tables = Tables::default();
-    let mut last = (f64::NAN, String::new());
-    for row in 0..rows {
-        let at = |column: usize| match fortran_order {
-            false => values[row * WIDTH + column],
-            true => values[column * rows + row],
+/// Takes a row; `last` is the robot of the row before: its number and its name.
+fn take_row(
+    cell: Cell<'_>,
+    at: impl Fn(usize) -> f64,
+    last: &mut (f64, String),
+    tables: &mut Tables,
+) -> Result<(), TrialError> {
+    let robot = at(ROBOT);
+    if robot.is_infinite() {
+        return Err(cell.refuse("robot_id", robot.to_string(), "NaN or a finite number"));
+    }
+    if robot.to_bits() != last.0.to_bits() {
+        let name = if robot.is_nan() {
+            String::new()
+        } else {
+            robot.to_string()
         };
-        let cell = Cell { path, row: row + 1 };
-        let robot = at(ROBOT);
-        if robot.is_infinite() {
-            return Err(cell.refuse("robot_id", robot.to_string(), "NaN or a finite number"));
-        }
-        if robot.to_bits() != last.0.to_bits() {
-            let name = if robot.is_nan() {
-                String::new()
-            } else {
-                robot.to_string()
-            };
-            last = (robot, name);
-        }
-        let table = tables.of(cell, &last.1)?;
-        table.push_time(cell, at(TIME))?;
-        for (column, position) in Column::ALL.into_iter().zip(TIME + 1..WIDTH) {
-            table.push(cell, column, at(position))?;
-        }
+        *last = (robot, name);
     }
-    Ok(tables.finish(path, &[], false))
-}
-
-fn io(path: &Path, source: std::io::Error) -> TrialError {
-    TrialError::Io {
-        path: path.to_owned(),
-        source,
+    let table = tables.of(cell, &last.1)?;
+    table.push_time(cell, at(TIME))?;
+    for (column, position) in Column::ALL.into_iter().zip(TIME + 1..WIDTH) {
+        table.push(cell, column, at(position))?;
     }
+    Ok(())
 }

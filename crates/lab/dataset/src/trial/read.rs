@@ -1,14 +1,18 @@
 //! Reads files into tables.
 
 use std::io::{BufReader, Cursor, Read};
+use std::ops::ControlFlow;
 use std::path::Path;
 
 use joulebus_files::foreign;
 
-use super::limits::{GZIP_MAGIC, MCAP_MAGIC};
+use super::limits::{GZIP_MAGIC, InMemory, MCAP_MAGIC};
 use super::names::ColumnMap;
-use super::{Table, Trial, TrialError, capture, npy, text};
+use super::{Table, Trial, TrialError, capture, mat, npy, text};
 use crate::archive;
+
+/// Takes the tables of a file, until it wants no more.
+pub(super) type Take<'a> = dyn FnMut(Table) -> ControlFlow<()> + 'a;
 
 impl Table {
     /// Reads the table of a file with one robot, as [`Trial::read`] does.
@@ -34,14 +38,57 @@ impl Table {
     /// # Errors
     /// Same as [`Table::read_robots`], and for a mapped column that the file lacks.
     pub fn read_mapped(path: impl AsRef<Path>, map: &ColumnMap) -> Result<Vec<Self>, TrialError> {
-        let mut tables = Self::read_as_recorded(path.as_ref(), map)?;
-        tables.iter_mut().for_each(|table| map.apply_sign(table));
+        let mut tables = Vec::new();
+        let mut take = |table| {
+            tables.push(table);
+            ControlFlow::Continue(())
+        };
+        Self::read_in(path.as_ref(), map, InMemory::WHOLE, &mut take)?;
         Ok(tables)
     }
 
-    fn read_as_recorded(path: &Path, map: &ColumnMap) -> Result<Vec<Self>, TrialError> {
+    /// Calls `take` with each table of a file. A file with more than
+    /// [`MAX_ROWS`](super::MAX_ROWS) rows is read in parts: memory holds about so many rows of it,
+    /// and a robot has several tables, one after another.
+    ///
+    /// # Errors
+    /// Same as [`Table::read_mapped`], also after some tables were taken, and those of `take`.
+    pub fn each<E: From<TrialError>>(
+        path: impl AsRef<Path>,
+        map: &ColumnMap,
+        mut take: impl FnMut(Self) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let mut failed = None;
+        Self::read_in(path.as_ref(), map, map.in_parts(), &mut |table| {
+            failed = take(table).err();
+            match failed {
+                None => ControlFlow::Continue(()),
+                Some(_) => ControlFlow::Break(()),
+            }
+        })?;
+        failed.map_or(Ok(()), Err)
+    }
+
+    fn read_in(
+        path: &Path,
+        map: &ColumnMap,
+        in_memory: InMemory,
+        take: &mut Take<'_>,
+    ) -> Result<(), TrialError> {
+        Self::read_as_recorded(path, map, in_memory, &mut |mut table| {
+            map.apply_sign(&mut table);
+            take(table)
+        })
+    }
+
+    fn read_as_recorded(
+        path: &Path,
+        map: &ColumnMap,
+        in_memory: InMemory,
+        take: &mut Take<'_>,
+    ) -> Result<(), TrialError> {
         if archive::is_listing(path) {
-            return archive::tables(path);
+            return archive::each_table(path, take);
         }
         let io = |source| TrialError::Io {
             path: path.to_owned(),
@@ -60,20 +107,20 @@ impl Table {
         }
         let named_npy = path.extension().is_some_and(|extension| extension == "npy");
         if head.starts_with(crate::npy::MAGIC) || named_npy {
-            let file_bytes = file.metadata().map_err(io)?.len();
-            let whole = head.as_slice().chain(BufReader::new(file));
-            let mut tables = npy::read(path, whole, file_bytes)?;
-            map.turn_as_configured(&mut tables);
-            Ok(tables)
+            npy::read(path, file, map, in_memory, take)
         } else if head.starts_with(MCAP_MAGIC) {
-            capture::read(path)
+            capture::read(path, in_memory, take)
+        } else if head.starts_with(mat::MAGIC) {
+            mat::read(path, file, map, in_memory, take)
         } else if head.starts_with(archive::MAGIC) {
-            Ok(vec![archive::table(path)?.0])
+            // Whether it wants more makes no difference.
+            let _ = take(archive::table(path)?.0);
+            Ok(())
         } else {
             let file_bytes = file.metadata().map_err(io)?.len();
             let zipped = head.starts_with(GZIP_MAGIC).then_some(file_bytes);
             let whole = Cursor::new(head).chain(BufReader::new(file));
-            text::read(path, Box::new(whole), zipped, map)
+            text::read(path, Box::new(whole), zipped, map, in_memory, take)
         }
     }
 
@@ -117,5 +164,18 @@ impl Trial {
     pub fn read_mapped(path: impl AsRef<Path>, map: &ColumnMap) -> Result<Vec<Self>, TrialError> {
         let tables = Table::read_mapped(path, map)?;
         tables.into_iter().map(Table::into_trial).collect()
+    }
+
+    /// Calls `take` with each trial of a file, of which memory holds a part at a time
+    /// ([`Table::each`]).
+    ///
+    /// # Errors
+    /// Same as [`Table::each`].
+    pub fn each<E: From<TrialError>>(
+        path: impl AsRef<Path>,
+        map: &ColumnMap,
+        mut take: impl FnMut(Self) -> Result<(), E>,
+    ) -> Result<(), E> {
+        Table::each(path, map, |table| take(table.into_trial()?))
     }
 }

@@ -18,7 +18,8 @@ pub struct Stored {
 
 #[derive(Debug, Clone)]
 enum Place {
-    File(ColumnMap),
+    /// With the number of the trial in the file, from 0.
+    File(ColumnMap, usize),
     /// Number of the trial in the listing, from 0.
     Listed(Arc<Listing>, usize, ColumnMap),
 }
@@ -35,7 +36,7 @@ impl Stored {
             place,
         };
         if !archive::is_listing(path) {
-            return Ok(vec![stored(Place::File(map.clone()))]);
+            return Ok(vec![stored(Place::File(map.clone(), 0))]);
         }
         let listing = Arc::new(archive::open(path)?);
         let trials = 0..listing.trials.len();
@@ -44,24 +45,45 @@ impl Stored {
         Ok(each.collect())
     }
 
-    /// Reads the trials: those of all robots in the file, or the one of an archive.
+    /// Calls `take` with each trial and its own place: those of all robots in the file, and the
+    /// parts of a long one, or the one of an archive.
     ///
     /// # Errors
-    /// [`TrialError`], as [`Trial::read_mapped`].
-    pub fn read(&self) -> Result<Vec<Trial>, TrialError> {
-        match &self.place {
-            Place::File(map) => Trial::read_mapped(&self.path, map),
-            Place::Listed(..) => Ok(vec![self.read_again()?]),
-        }
+    /// [`TrialError`], as [`Trial::each`].
+    pub fn each(&self, mut take: impl FnMut(Self, Trial)) -> Result<(), TrialError> {
+        let Place::File(map, _) = &self.place else {
+            take(self.clone(), self.read_again()?);
+            return Ok(());
+        };
+        let mut number = 0;
+        Trial::each(&self.path, map, |trial| {
+            let place = Place::File(map.clone(), number);
+            let path = self.path.clone();
+            take(Self { path, place }, trial);
+            number += 1;
+            Ok(())
+        })
     }
 
-    /// Reads the trial again, of a file that had one robot.
+    /// Reads the trial again: of a file the one with its number, which needs those before it.
     ///
     /// # Errors
-    /// [`TrialError`], also if the file has several robots now.
+    /// [`TrialError`], also if the file has fewer trials now.
     pub fn read_again(&self) -> Result<Trial, TrialError> {
         match &self.place {
-            Place::File(map) => Table::only_of(&self.path, map)?.into_trial(),
+            Place::File(map, number) => {
+                let (mut left, mut wanted) = (*number, None);
+                Table::each(&self.path, map, |table| {
+                    if left == 0 {
+                        wanted = Some(table);
+                        return Err(None);
+                    }
+                    left -= 1;
+                    Ok(())
+                })
+                .or_else(|error: Option<TrialError>| error.map_or(Ok(()), Err))?;
+                wanted.unwrap_or_default().into_trial()
+            }
             Place::Listed(listing, number, map) => {
                 let mut table = archive::listed(&self.path, listing, *number)?;
                 map.apply_sign(&mut table);
@@ -73,7 +95,7 @@ impl Stored {
     /// Whether the recording has other trials.
     pub fn is_one_of_several(&self) -> bool {
         match &self.place {
-            Place::File(_) => false,
+            Place::File(..) => false,
             Place::Listed(listing, ..) => listing.trials.len() > 1,
         }
     }
@@ -81,7 +103,7 @@ impl Stored {
     /// Rows that it has, or the most that a file of its size has.
     pub fn most_rows(&self) -> u64 {
         match &self.place {
-            Place::File(_) => self
+            Place::File(..) => self
                 .path
                 .metadata()
                 .map_or(0, |about| about.len().div_ceil(BYTES_A_ROW)),

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::error::TrialError;
-use super::limits::{MAX_ROBOTS, MAX_ROWS};
+use super::limits::{InMemory, MAX_FILE_ROWS, MAX_ROBOTS};
 
 /// A column of a trial, without robot and time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -154,6 +154,8 @@ pub struct Table {
     pub(crate) time_name: Option<String>,
     /// Whether the sign of its current was turned.
     pub(crate) is_turned: bool,
+    /// Whether its file has more rows of the robot, which are in other tables.
+    pub(crate) is_part: bool,
 }
 
 /// Lines of a CSV that are no whole rows, and were left out on request.
@@ -385,12 +387,12 @@ impl Table {
 
     /// The same for a time in a unit that is not known yet.
     pub(super) fn push_any_time(&mut self, cell: Cell<'_>, time: f64) -> Result<(), TrialError> {
-        if cell.row > MAX_ROWS {
+        if cell.row > MAX_FILE_ROWS {
             return Err(TrialError::TooManyRows {
                 path: cell.path.to_owned(),
+                allowed: MAX_FILE_ROWS,
             });
         }
-        // MAX_ROWS fits u32.
         self.file_row.push(cell.row as u32);
         self.timestamp_s.push(time);
         Ok(())
@@ -400,6 +402,24 @@ impl Table {
     pub(super) fn push_checked(&mut self, column: Column, recorded: f64) {
         let values = self.columns[column as usize].get_or_insert_default();
         values.push(recorded);
+    }
+
+    /// Removes the first rows, which are then a table of their own.
+    fn take_first(&mut self, rows: usize) -> Self {
+        let columns = self.columns.each_mut();
+        Self {
+            path: self.path.clone(),
+            robot_name: self.robot_name.clone(),
+            file_row: self.file_row.drain(..rows).collect(),
+            timestamp_s: self.timestamp_s.drain(..rows).collect(),
+            columns: columns.map(|column| {
+                let values = column.as_mut()?;
+                Some(values.drain(..rows.min(values.len())).collect())
+            }),
+            unnamed_rows: std::mem::take(&mut self.unnamed_rows),
+            is_part: true,
+            ..Self::default()
+        }
     }
 
     /// The only table of a file.
@@ -436,11 +456,51 @@ pub(super) fn check_value(
 pub(super) struct Tables {
     tables: Vec<Table>,
     by_name: HashMap<String, usize>,
+    /// Rows in the tables.
+    rows: usize,
 }
 
+/// Rows of each robot that wait for the next part, so that the last one is a trial, too.
+const KEPT_ROWS: usize = 64;
+
 impl Tables {
+    /// The rows in memory, if a part of the file is complete: nearly all of them, as tables of at
+    /// most half a part.
+    pub(super) fn complete(
+        &mut self,
+        path: &Path,
+        in_memory: InMemory,
+    ) -> Result<Option<Vec<Table>>, TrialError> {
+        let InMemory {
+            part_rows,
+            max_rows,
+        } = in_memory;
+        if self.rows > max_rows {
+            return Err(TrialError::TooManyRows {
+                path: path.to_owned(),
+                allowed: max_rows,
+            });
+        }
+        if self.rows <= part_rows {
+            return Ok(None);
+        }
+        let most_rows = (part_rows / 2).max(1);
+        let kept_rows = KEPT_ROWS.min(part_rows / 8);
+        let mut parts = Vec::new();
+        for table in &mut self.tables {
+            while table.rows() > 2 * kept_rows {
+                let rows = most_rows.min(table.rows() - kept_rows);
+                parts.push(table.take_first(rows));
+                table.is_part = true;
+            }
+        }
+        self.rows = self.tables.iter().map(Table::rows).sum();
+        Ok(Some(parts))
+    }
+
     /// The table of a row's robot; an empty name means none.
     pub(super) fn of(&mut self, cell: Cell<'_>, name: &str) -> Result<&mut Table, TrialError> {
+        self.rows += 1;
         let at = match self.tables.len() {
             0 => self.add(cell, name)?,
             1 if name.is_empty() => {

@@ -9,18 +9,21 @@ use flate2::bufread::MultiGzDecoder;
 use joulebus_files::foreign;
 
 use super::TrialError;
-use super::limits::{FREE_TEXT_BYTES, MAX_EXPANSION, MAX_ROW_BYTES, MAX_TEXT_BYTES};
+use super::limits::{FREE_TEXT_BYTES, InMemory, MAX_EXPANSION, MAX_ROW_BYTES, MAX_TEXT_BYTES};
 use super::moment::{self, Midnights, TimeForm};
-use super::names::{ColumnMap, Found, Quantity, accepted};
+use super::names::{ColumnMap, Found, Quantity, accepted, is_unit, suggestion};
+use super::read::Take;
 use super::table::{Cell, Column, LeftOut, SourceColumn, Table, Tables, check_value, is_time};
 
-/// Reads the table; `zipped`: the bytes are gzip, with the size of the file.
+/// Reads the table part by part; `zipped`: the bytes are gzip, with the size of the file.
 pub(super) fn read(
     path: &Path,
     source: Box<dyn Read>,
     zipped: Option<u64>,
     map: &ColumnMap,
-) -> Result<Vec<Table>, TrialError> {
+    in_memory: InMemory,
+    take: &mut Take<'_>,
+) -> Result<(), TrialError> {
     let (source, allowed): (Box<dyn Read>, u64) = match zipped {
         Some(bytes) => {
             let source = MultiGzDecoder::new(io::BufReader::new(source));
@@ -41,25 +44,35 @@ pub(super) fn read(
         last: b'\n',
     };
     let start = Start::find(path, &mut meter, zipped, map)?;
-    let mut understood = start.understood;
-    let layout = start.layout;
+    let Start {
+        separator,
+        layout,
+        sources,
+        ignored_columns,
+        decimal_comma,
+        understood,
+    } = start;
     let mut reader = csv::ReaderBuilder::new()
         .trim(csv::Trim::All)
         .flexible(true)
-        .delimiter(start.separator)
+        .delimiter(separator)
         .from_reader(meter);
     let header = match reader.byte_headers() {
         Ok(header) => header.clone(),
         Err(error) => return Err(explain(path, zipped, reader.get_ref(), 0, error)),
     };
     let mut numbers = Numbers {
-        separator: start.separator,
-        decimal_comma: start.decimal_comma,
+        separator,
+        decimal_comma,
     };
     let mut times = Times::default();
     let mut tables = Tables::default();
     let mut record = ByteRecord::new();
-    let (mut rows, mut left_out) = (0, LeftOut::default());
+    let (mut rows, mut broken) = (0, 0);
+    let mut notes = Notes {
+        understood,
+        left_out: LeftOut::default(),
+    };
     let mut refused = None;
     loop {
         let cell = Cell {
@@ -88,7 +101,7 @@ pub(super) fn read(
                     | TrialError::Gzip { detail: what, .. }
                         if map.leaves_out() && rows > 0 =>
                     {
-                        left_out.add(cell.row, what);
+                        notes.left_out.add(cell.row, what);
                         break;
                     }
                     error => return Err(error),
@@ -97,35 +110,48 @@ pub(super) fn read(
         };
         match taken {
             Err(error) if map.leaves_out() && error.is_of_lines() => {
-                left_out.add(cell.row, error.of_the_line());
+                notes.left_out.add(cell.row, error.of_the_line());
+                broken += 1;
                 refused.get_or_insert(error);
             }
             taken => taken?,
         }
         rows += 1;
         reader.get_mut().row_bytes = 0;
+        if let Some(mut parts) = tables.complete(path, in_memory)? {
+            for table in &mut parts {
+                table.ignored_columns.clone_from(&ignored_columns);
+            }
+            times.finish(path, &mut parts, &layout.time_name, &mut notes.understood)?;
+            let parts = layout.finish(parts, &sources, &times, &mut notes);
+            if parts.into_iter().try_for_each(&mut *take).is_break() {
+                return Ok(());
+            }
+        }
     }
     // A file of other lines is none with a few broken ones.
-    if let Some(error) = refused.filter(|_| left_out.lines * 2 > rows) {
+    if let Some(error) = refused.filter(|_| broken * 2 > rows) {
         return Err(error);
     }
     let ends_whole = reader.get_ref().ends_in_line_break();
-    let no_final_line_break = !ends_whole && left_out.lines == 0;
-    let mut tables = tables.finish(path, &start.ignored_columns, no_final_line_break);
-    times.finish(path, &mut tables, &layout.time_name, &mut understood)?;
+    let no_final_line_break = !ends_whole && notes.left_out.lines == 0;
+    let mut tables = tables.finish(path, &ignored_columns, no_final_line_break);
+    times.finish(path, &mut tables, &layout.time_name, &mut notes.understood)?;
+    times.note_midnights(&layout.time_name, &mut notes.understood);
     if numbers.decimal_comma == Some(true) {
-        understood.push("its numbers have a decimal comma".to_owned());
+        let what = "its numbers have a decimal comma";
+        notes.understood.push(what.to_owned());
     }
-    for table in &mut tables {
-        table.sources.clone_from(&start.sources);
-        let is_number = times.form == Some(TimeForm::Number);
-        table.time_name = is_number.then(|| layout.time_name.clone());
-    }
-    if let Some(first) = tables.first_mut() {
-        (first.left_out, first.understood) = (left_out, understood);
-    }
-    layout.map.turn_as_configured(&mut tables);
-    Ok(tables)
+    let tables = layout.finish(tables, &sources, &times, &mut notes);
+    // Whether it wants more makes no difference.
+    let _ = tables.into_iter().try_for_each(take);
+    Ok(())
+}
+
+/// Notes on the text that no table has yet.
+struct Notes {
+    understood: Vec<String>,
+    left_out: LeftOut,
 }
 
 /// What a line is that is no row.
@@ -211,6 +237,32 @@ impl Start {
             });
         }
         meter.drop_preamble();
+        let mut first = None;
+        // Other programs write what they measured in lines above the header.
+        for line in 1..=MAX_HEADER_LINE {
+            match Self::at_header(path, meter, map) {
+                Ok(mut start) => {
+                    if line > 1 {
+                        let what =
+                            format!("its header is line {line}; those above are passed over");
+                        start.understood.push(what);
+                    }
+                    return Ok(start);
+                }
+                Err(error) => first.get_or_insert(error),
+            };
+            if !meter.drop_line() {
+                break;
+            }
+        }
+        // A loop that found no header has an error.
+        Err(first.unwrap_or_else(|| TrialError::Empty {
+            path: path.to_owned(),
+        }))
+    }
+
+    /// Reads the header at the beginning of the text.
+    fn at_header(path: &Path, meter: &Meter, map: &ColumnMap) -> Result<Self, TrialError> {
         let mut best: Option<(usize, TrialError)> = None;
         for separator in [b',', b';', b'\t', b'|'] {
             let (header, sample) = sampled(&meter.head, separator);
@@ -269,6 +321,8 @@ fn sampled(head: &[u8], separator: u8) -> (ByteRecord, Vec<ByteRecord>) {
     (header, records.take(SAMPLED_ROWS).collect())
 }
 
+/// The line, at most, that has the names of the columns.
+const MAX_HEADER_LINE: usize = 32;
 /// Rows that show how a text is written.
 const SAMPLED_ROWS: usize = 200;
 /// Bytes in which they are looked for.
@@ -307,6 +361,15 @@ impl Numbers {
     }
 }
 
+/// The number in front of the unit of its column: `12.1 V`.
+fn without_unit(field: &[u8], column: Column, factor: f64) -> Option<&[u8]> {
+    let is_unit_letter = |byte: &u8| byte.is_ascii_alphabetic();
+    let end = field.iter().rposition(|byte| !is_unit_letter(byte))? + 1;
+    let (number, unit) = field.split_at(end);
+    let unit = std::str::from_utf8(unit).ok()?;
+    is_unit(column, unit, factor).then(|| number.trim_ascii())
+}
+
 /// Whether a field says that there is no value.
 fn is_missing(field: &[u8]) -> bool {
     const WORDS: [&str; 16] = [
@@ -337,6 +400,8 @@ struct Times {
     form: Option<TimeForm>,
     /// Whether they are numbers of a unit that their size tells, when all are known.
     is_epoch: bool,
+    /// That unit, with its number in a second.
+    unit: Option<(&'static str, f64)>,
     /// Whether they are whole numbers, and nothing states their unit.
     is_unstated: bool,
     /// Of times of day, over all robots.
@@ -402,9 +467,9 @@ impl Times {
         }
     }
 
-    /// Turns the times into seconds, when all of them are known.
+    /// Turns the times of tables into seconds, in the unit of the first ones.
     fn finish(
-        &self,
+        &mut self,
         path: &Path,
         tables: &mut [Table],
         name: &str,
@@ -430,15 +495,16 @@ impl Times {
                     .iter()
                     .flat_map(|table| table.timestamp_s.iter().copied())
             };
-            let of_unit = |per_second: f64| {
+            let of_unit = |(_, per_second): &(&str, f64)| {
                 let mut times_s = all().map(|time| time / per_second);
                 step / per_second <= MAX_STEP_S
                     && times_s.all(|time_s| (MIN_EPOCH_S..MAX_EPOCH_S).contains(&time_s))
             };
-            let unit = EPOCHS
-                .into_iter()
-                .find(|(_, per_second)| of_unit(*per_second));
-            let Some((unit, per_second)) = unit else {
+            let found = match self.unit {
+                Some(unit) => Some(unit).filter(of_unit),
+                None => EPOCHS.into_iter().find(of_unit),
+            };
+            let Some((unit, per_second)) = found else {
                 let row = Cell { path, row: 1 };
                 let found = all().next().unwrap_or_default().to_string();
                 return Err(row.refuse(name, found, many_seconds(name)));
@@ -446,15 +512,21 @@ impl Times {
             for time in tables.iter_mut().flat_map(|table| &mut table.timestamp_s) {
                 *time /= per_second;
             }
-            understood.push(format!("{name} is read as {unit} since 1970"));
+            if self.unit.replace((unit, per_second)).is_none() {
+                understood.push(format!("{name} is read as {unit} since 1970"));
+            }
         }
+        Ok(())
+    }
+
+    /// Times of day that pass midnight.
+    fn note_midnights(&self, name: &str, understood: &mut Vec<String>) {
         let days = self.midnights.days;
         if days > 0 {
             understood.push(format!(
                 "the times of {name} have no date and pass midnight {days} times"
             ));
         }
-        Ok(())
     }
 }
 
@@ -531,6 +603,16 @@ impl Meter {
         if self.head.starts_with(b"\xef\xbb\xbf") {
             self.taken = 3;
         }
+    }
+
+    /// Passes over a line of the beginning, if another one follows.
+    fn drop_line(&mut self) -> bool {
+        let end = self.head.iter().position(|byte| *byte == b'\n');
+        let Some(end) = end.filter(|end| end + 1 < self.head.len()) else {
+            return false;
+        };
+        self.head.drain(..=end);
+        true
     }
 
     /// Passes over what some programs write in front of the header: comments, of which the last
@@ -694,6 +776,7 @@ impl Layout {
                 path: path.to_owned(),
                 missing: format!("mapped: {}", absent.join(", ")),
                 found: shown(),
+                suggestion: suggestion(&names, [true; 2]),
             });
         }
         let twice = |first: usize, second: usize| TrialError::DuplicateColumn {
@@ -784,11 +867,13 @@ impl Layout {
                 accepted(Quantity::Column(Column::Power))
             ));
         }
+        let lacks = [time.is_none(), !has(Column::Power) && !by_product];
         let Some(time) = time.filter(|_| missing.is_empty()) else {
             return Err(TrialError::MissingColumns {
                 path: path.to_owned(),
                 missing: missing.join(" and "),
                 found: shown(),
+                suggestion: suggestion(&names, lacks),
             });
         };
         let layout = Self {
@@ -811,6 +896,27 @@ impl Layout {
             .filter_map(|(at, (name, used))| (!used && !is_index(at, &name)).then_some(name))
             .collect();
         Ok((layout, sources, ignored_columns))
+    }
+
+    /// Adds what tables state of their text. Of several the first has the notes.
+    fn finish(
+        &self,
+        mut tables: Vec<Table>,
+        sources: &[SourceColumn],
+        times: &Times,
+        notes: &mut Notes,
+    ) -> Vec<Table> {
+        for table in &mut tables {
+            table.sources = sources.to_vec();
+            let is_number = times.form == Some(TimeForm::Number);
+            table.time_name = is_number.then(|| self.time_name.clone());
+        }
+        if let Some(first) = tables.first_mut() {
+            first.left_out = std::mem::take(&mut notes.left_out);
+            first.understood = std::mem::take(&mut notes.understood);
+        }
+        self.map.turn_as_configured(&mut tables);
+        tables
     }
 
     /// Takes a row, or nothing of it.
@@ -844,7 +950,10 @@ impl Layout {
                 Source::Constant(value) => value * factor,
                 Source::Position(position) => {
                     let field = record.get(*position).unwrap_or_default();
-                    let parsed = numbers.parse(field);
+                    let parsed = numbers.parse(field).or_else(|allowed| {
+                        let bare = without_unit(field, *column, *factor).ok_or(allowed)?;
+                        numbers.parse(bare)
+                    });
                     let value = parsed.map_err(|allowed| {
                         let found = String::from_utf8_lossy(field);
                         cell.refuse(name, found.chars().take(60).collect::<String>(), allowed)

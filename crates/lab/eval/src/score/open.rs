@@ -59,24 +59,36 @@ pub fn open_recordings(
 }
 
 fn read(id: u32, place: &Stored, left: &AtomicU64) -> Result<Vec<Recording>, TrialError> {
-    let trials = place.read()?;
-    let rows: u64 = trials.iter().map(|trial| trial.rows() as u64).sum();
-    let room = left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| {
-        left.checked_sub(rows)
-    });
-    let stays = room.is_ok() || trials.len() > 1;
-    let several = trials.len() > 1 || place.is_one_of_several();
-    let named = trials.into_iter().map(|trial| {
-        let mut recording = Recording::new(id, trial);
+    let (mut recordings, mut waits) = (Vec::new(), None);
+    place.each(|place, trial| {
+        let rows = trial.rows() as u64;
+        let room = left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| {
+            left.checked_sub(rows)
+        });
+        let is_part = trial.is_part();
+        let recording = Recording::new(id, trial);
+        recordings.push(match (is_part, room) {
+            (true, Err(_)) => recording.stored(place),
+            (_, room) => {
+                waits = room.err().map(|_| place);
+                recording
+            }
+        });
+    })?;
+    let mut named = Vec::with_capacity(recordings.len());
+    let several = recordings.len() > 1 || place.is_one_of_several();
+    // Of several robots all stay: the file would be read for each.
+    let mut waits = waits.filter(|_| recordings.len() == 1);
+    for mut recording in recordings {
         if several {
             recording.name = format!("{} {}", recording.name, recording.robot);
         }
-        match stays {
-            true => recording,
-            false => recording.stored(place.clone()),
-        }
-    });
-    Ok(named.collect())
+        named.push(match waits.take() {
+            Some(place) => recording.stored(place),
+            None => recording,
+        });
+    }
+    Ok(named)
 }
 
 /// Consecutive groups of at most [`ROWS_AT_ONCE`] rows, or of one.

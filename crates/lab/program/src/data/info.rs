@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fmt;
 
 use joulebus_dataset::inspect::{Holds, TrialReport, describe};
-use joulebus_dataset::trial::Trial;
+use joulebus_dataset::trial::{Trial, TrialError};
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use serde::Serialize;
@@ -58,7 +58,10 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let mut trials = Vec::new();
     let map = args.recordings.map();
     for file in args.recordings.find()? {
-        trials.extend(Trial::read_mapped(file, &map)?.iter().map(describe));
+        Trial::each(file, &map, |trial| {
+            trials.push(describe(&trial));
+            Ok::<_, TrialError>(())
+        })?;
     }
     let sums = Sums::of(&trials);
     let (columns, short) = (args.columns, args.short);

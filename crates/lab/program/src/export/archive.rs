@@ -247,6 +247,32 @@ impl Archive {
         self.recordings.contains_key(name)
     }
 
+    /// What the folders of the archive name, for a trial of the recording `name` that has this.
+    /// pandas and Dask read no archive in which some trials lack a part of it.
+    ///
+    /// # Errors
+    /// The trials before have something else.
+    pub(crate) fn levels(&mut self, name: &str, own: Levels) -> anyhow::Result<Levels> {
+        let is_mixed = self.is_mixed;
+        let first = if is_mixed { Levels::ALL } else { own };
+        let levels = *self.levels.get_or_insert(first);
+        if own == levels || (is_mixed && levels == Levels::ALL) {
+            return Ok(levels);
+        }
+        let mut what = format!(
+            "{name}: a trial has {}, those in {} have {}; pandas and Dask cannot read an archive of both: export it into \
+             another folder, or name the robot that a file lacks with --map robot:=NAME",
+            own.names(),
+            self.folder.display(),
+            levels.names(),
+        );
+        what += match levels == Levels::ALL {
+            true => ", or give --mixed for DuckDB, Polars and pyarrow",
+            false => ", or export all of it again with --mixed for DuckDB, Polars and pyarrow",
+        };
+        Err(UsageError(what).into())
+    }
+
     /// Begins to add a recording.
     pub(crate) fn add(&mut self, name: &str) -> Adding<'_> {
         Adding {
@@ -291,7 +317,7 @@ impl Adding<'_> {
         let unix_ns = unix_ns.map(|stamp| stamp.unix_ns);
         let robot = head.robot.as_deref();
         let partition = Partition::of(fleet, unix_ns, robot);
-        let levels = self.levels(&partition)?;
+        let levels = self.archive.levels(&self.name, partition.levels())?;
         let folder = partition.folder(levels);
         let (ordinal, trial) = (head.ordinal, head.trial);
         let file = folder.join(format!("{ordinal:06}-{trial:04}{PARQUET_ENDING}"));
@@ -311,30 +337,6 @@ impl Adding<'_> {
             crc32: written.crc32,
         });
         Ok((rows, written.bytes))
-    }
-
-    /// What the folders of the archive name. pandas and Dask read no archive in which some trials
-    /// lack a part of it.
-    fn levels(&mut self, partition: &Partition) -> anyhow::Result<Levels> {
-        let (own, is_mixed) = (partition.levels(), self.archive.is_mixed);
-        let first = if is_mixed { Levels::ALL } else { own };
-        let levels = *self.archive.levels.get_or_insert(first);
-        if own == levels || (is_mixed && levels == Levels::ALL) {
-            return Ok(levels);
-        }
-        let mut what = format!(
-            "{}: a trial has {}, those in {} have {}; pandas and Dask cannot read an archive of both: export it into \
-             another folder, or name the robot that a file lacks with --map robot:=NAME",
-            self.name,
-            own.names(),
-            self.archive.folder.display(),
-            levels.names(),
-        );
-        what += match levels == Levels::ALL {
-            true => ", or give --mixed for DuckDB, Polars and pyarrow",
-            false => ", or export all of it again with --mixed for DuckDB, Polars and pyarrow",
-        };
-        Err(UsageError(what).into())
     }
 
     /// Makes the recording a part of the archive. Returns its number of trials.

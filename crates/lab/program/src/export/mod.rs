@@ -9,14 +9,20 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use joulebus_dataset::archive::is_listing;
-use joulebus_dataset::trial::{ColumnMap, Table, each_run, is_capture};
+use joulebus_dataset::inspect::{Implausible, Limits, judge};
+use joulebus_dataset::trial::{ColumnMap, Table, TrialError, each_run, is_capture};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, say};
 use serde::Serialize;
 
+use crate::judgement;
 use crate::recordings::find_recordings;
 use archive::{Adding, Archive};
 pub(crate) use arguments::Args;
+use partition::{Levels, Partition};
+
+/// Rows by which it is seen whether a recording names its robots.
+const FIRST_ROWS: usize = 256;
 
 /// The report of an export.
 #[derive(Debug, Serialize)]
@@ -67,13 +73,24 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         bytes: 0,
         left_out_lines: 0,
     };
+    // Before anything is written.
+    let mut fits = files.iter().zip(&names).filter_map(|(file, name)| {
+        let levels = levels(file, &map)?;
+        archive.levels(name, levels).err()
+    });
+    if let Some(error) = fits.next() {
+        archive.undo();
+        return Err(error);
+    }
+    let mut found = Vec::new();
     if report.recordings_before > 0 {
         let (before, folder) = (report.recordings_before, &report.folder);
         say(&format!("adding to the {before} recordings in {folder}"));
     }
     for (file, name) in files.iter().zip(names) {
         let mut adding = archive.add(name);
-        let added = one(file, &map, &mut adding, &mut report).and_then(|()| adding.finish());
+        let added = one(file, &map, &mut adding, (&mut report, &mut found));
+        let added = added.and_then(|()| adding.finish());
         match added {
             Ok(trials) => report.trials += trials,
             Err(error) => {
@@ -83,8 +100,24 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         }
         report.recordings += 1;
     }
-    output.report(&report)?;
+    judgement::report(output, &report, judgement::warned(found))?;
     Ok(Outcome::unless_lost(report.left_out_lines > 0))
+}
+
+/// What the trials of a recording have for the folders of an archive, by its first rows. `None` if
+/// it cannot be read, which is told when it is exported.
+fn levels(file: &Path, map: &ColumnMap) -> Option<Levels> {
+    if is_capture(file) {
+        return Some(Levels::ALL);
+    }
+    let mut first = None;
+    // None: no further table is wanted.
+    let read: Result<(), Option<TrialError>> =
+        Table::each(file, &map.clone().in_parts_of(FIRST_ROWS), |table| {
+            first = Some(Partition::of(None, None, table.robot_name()).levels());
+            Err(None)
+        });
+    first.filter(|_| matches!(read, Err(None)))
 }
 
 /// Adds the trials of a recording.
@@ -92,9 +125,14 @@ fn one(
     file: &Path,
     map: &ColumnMap,
     adding: &mut Adding<'_>,
-    report: &mut ExportReport,
+    (report, found): (&mut ExportReport, &mut Vec<Vec<Implausible>>),
 ) -> anyhow::Result<()> {
     let mut left_out_lines = 0;
+    // The archive has what was recorded, also where it is implausible.
+    let mut judge = |table: Table| {
+        let trial = table.into_trial();
+        found.extend(trial.map(|trial| judge(&trial, &Limits::default())));
+    };
     let mut add = |(rows, bytes): (u64, u64)| {
         report.rows += rows;
         report.bytes += bytes;
@@ -104,17 +142,20 @@ fn one(
             map.apply_sign(&mut run.table);
             let fleet = Some(run.fleet.as_str());
             add(adding.trial(fleet, &run.table, Some(&run.stamps))?);
+            judge(run.table);
             Ok(())
         });
     }
-    for table in Table::read_mapped(file, map)? {
+    Table::each(file, map, |table| -> anyhow::Result<()> {
         let left_out = table.left_out();
         if !left_out.is_none() {
             say(&format!("warning: {}: {left_out}", file.display()));
             left_out_lines += left_out.lines;
         }
         add(adding.trial(None, &table, None)?);
-    }
+        judge(table);
+        Ok(())
+    })?;
     report.left_out_lines += left_out_lines;
     Ok(())
 }

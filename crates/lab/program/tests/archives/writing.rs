@@ -200,6 +200,9 @@ fn what_no_recording_has_is_no_folder_and_an_archive_has_one_kind_unless_it_is_m
         assert_eq!(files(&folder(archive)), before);
         joulebus("data info", &[&folder(archive)]).exits(0);
     }
+    // Nor is anything written of recordings that do not fit together.
+    export(&[&table, &run], &folder("both")).exits(2);
+    assert!(!folder("both").exists());
     // Nor is a shallow one made deeper afterwards.
     export_mixed(&[&run], &folder("tables")).exits(2);
     // The way out for a robot without a name, and for engines that read nulls.

@@ -1,6 +1,8 @@
 //! Recorded trials: reading, refusals, notes and samples.
 
 mod fleet;
+mod mat;
+mod parts;
 mod read;
 mod real;
 mod samples;

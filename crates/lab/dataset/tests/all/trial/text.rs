@@ -1,6 +1,6 @@
 //! Texts as other programs write them, and as a loss of power leaves them.
 
-use joulebus_dataset::inspect::{FindingKind, Limits, check_files};
+use joulebus_dataset::inspect::{FindingKind, Limits, check_files, judge};
 use joulebus_dataset::trial::{Column, ColumnMap, MappedColumn, Table, Trial, TrialError};
 use joulebus_testkit::trials::{Files, ROWS, csv, gzip, npy_f8};
 use joulebus_testkit::{cases, says};
@@ -268,7 +268,7 @@ fn files_of_other_programs_are_named_with_how_they_are_converted() {
     let tar = [vec![b'a'; 257], b"ustar\0".to_vec()].concat();
     for (bytes, what, remedy) in [
         (
-            &b"MATLAB 5.0 MAT-file, Platform: posix"[..],
+            &b"MATLAB 7.3 MAT-file, Platform: posix"[..],
             "MATLAB",
             "writematrix",
         ),
@@ -333,6 +333,18 @@ fn configured_columns_and_signs_are_for_files_that_have_them() {
         assert_eq!(table.column(Column::Power), Some(&[4500.0, 4600.0][..]));
         assert_eq!(table.column(Column::Current), Some(&[1000.0, 1000.0][..]));
     }
+    // Without columns in the config, what `data convert` wrote is known by its header.
+    let sign = ColumnMap::default().configured_discharge_negative(true);
+    let turned = read("time,power_W,current_A\n0,-4.5,-1\n1,-4.6,-1\n", &sign).unwrap();
+    turned
+        .write(&files.write("x", b"").with_file_name("converted.csv"))
+        .unwrap();
+    let converted = Table::only_of(files.write("x", b"").with_file_name("converted.csv"), &sign);
+    assert_eq!(
+        converted.unwrap().column(Column::Current),
+        turned.column(Column::Current)
+    );
+    assert_eq!(turned.column(Column::Current), Some(&[1000.0, 1000.0][..]));
     // One of them is missing: it is a broken file of that program.
     let error = read("time,p\n0,4.5\n1,4.6\n", &map).unwrap_err();
     says(&error.to_string(), ["mapped: current=i"]);
@@ -360,4 +372,68 @@ fn a_robot_may_have_a_name_that_begins_as_a_comment() {
     assert_eq!(Table::read(path).unwrap().robot_name(), Some("#3"));
     let error = read(&files, &format!("{text}# the end\n"), "-").unwrap_err();
     says(&error.to_string(), ["row 3", "a comment"]);
+}
+
+/// Kinds of text that were found in public logs, each with what it is read as.
+#[test]
+fn headers_below_other_lines_units_in_brackets_and_behind_values_are_understood() {
+    let files = Files::new();
+    let read = |text: &str, map: &str| {
+        let columns = map.split(',').filter(|one| !one.is_empty());
+        let columns: Vec<_> = columns.map(|one| one.parse().unwrap()).collect();
+        let table = Table::only_of(files.write("log.csv", text.as_bytes()), &columns.into());
+        table.unwrap_or_else(|error| panic!("{text}: {error}"))
+    };
+    for (text, map) in [
+        (
+            "Report of 3 readings, 4.5 W\n\nTime (s),Power (W)\n0,4.5\n1,4.6\n",
+            "",
+        ),
+        ("Time (s),Power (W)\n0,4.5 W\n1,4.6W\n", ""),
+        (
+            "MonoS,CH0,CH1\n0,9.0V,0.5A\n1,9.2V,0.5 A\n",
+            "time=MonoS,voltage_V=CH0,current_A=CH1",
+        ),
+        ("time_s,current (cA),voltage (cV)\n0,50,900\n1,50,920\n", ""),
+    ] {
+        let power = read(text, map).column(Column::Power).unwrap().to_vec();
+        assert_eq!(power, [4500.0, 4600.0], "{text}");
+    }
+    let understood = read("made by me\nt,power_W\n0,1\n1,2\n", "");
+    says(&understood.understood().join(", "), ["line 2"]);
+    let percent = read("t,power_W,SOC (%)\n0,4.5,80\n1,4.6,79\n", "");
+    assert_eq!(percent.column(Column::Soc), Some(&[0.8, 0.79][..]));
+    // A unit of another size is none of the column's.
+    let other = files.write("log.csv", b"time_s,power_W\n0,4500mW\n1,4600mW\n");
+    assert!(matches!(Trial::read(other), Err(TrialError::Value { .. })));
+}
+
+#[test]
+fn what_is_missing_is_named_with_the_columns_of_the_file_that_it_may_be() {
+    let files = Files::new();
+    for (header, suggested) in [
+        (
+            "Time,Voltage,Current,Power",
+            "--map 'voltage_V=Voltage,current_A=Current'",
+        ),
+        ("at_date,power_W", "--map 'time_s=at_date'"),
+        (
+            "Timestamp,/System/BatteryVoltage,/System/BatteryCurrent",
+            "voltage_V=/System/BatteryVoltage,current_A=/System/BatteryCurrent",
+        ),
+        ("a,b", "time=t,power_W=p"),
+    ] {
+        let path = files.write("log.csv", format!("{header}\n0,1,2,3\n").as_bytes());
+        let error = Trial::read(path).unwrap_err().to_string();
+        says(&error, [suggested]);
+    }
+    for (per_second, unit) in [(1e3, "ms"), (1e6, "us")] {
+        let rows =
+            (0..200).map(|row| format!("{},{}\n", f64::from(row) * 0.1 * per_second, row % 7));
+        let text = format!("timestamp_s,power_W\n{}", rows.collect::<String>());
+        let path = files.write("log.csv", text.as_bytes());
+        let found = judge(&Trial::read(path).unwrap(), &Limits::default());
+        let remedies: String = found.into_iter().map(|one| one.remedy).collect();
+        says(&remedies, [&format!("--map time_{unit}=timestamp_s")]);
+    }
 }

@@ -1,7 +1,9 @@
 //! A truncated file is an error, or a shorter trial with a note.
 
-use joulebus_dataset::trial::{Trial, TrialError};
-use joulebus_testkit::trials::{Files, ROWS, csv, gzip, npy_f8};
+use joulebus_dataset::inspect::{FindingKind, Limits, check_files};
+use joulebus_dataset::trial::{ColumnMap, Trial, TrialError};
+use joulebus_testkit::says;
+use joulebus_testkit::trials::{Files, ROWS, csv, gzip, header, npy, npy_f8};
 
 #[test]
 fn an_array_truncated_at_any_byte_is_reported_as_truncated() {
@@ -17,6 +19,37 @@ fn an_array_truncated_at_any_byte_is_reported_as_truncated() {
         assert!(error.to_string().contains("truncated"));
     }
     Trial::read(files.write("cut.npy", &whole)).unwrap();
+}
+
+#[test]
+fn a_truncated_array_keeps_its_whole_rows_on_request() {
+    let files = Files::new();
+    let whole = npy_f8(&ROWS);
+    let map = ColumnMap::default().whole_rows(true);
+    for missing in [1, 88, 100, 264, 265] {
+        let path = files.write("cut.npy", &whole[..whole.len() - missing]);
+        let read = Trial::read_mapped(&path, &map);
+        let rows = 5 - missing.div_ceil(88);
+        if rows < 2 {
+            assert!(matches!(read, Err(TrialError::Truncated { .. })));
+            continue;
+        }
+        let trial = &read.unwrap()[0];
+        assert_eq!(trial.timestamp_s(), &[100.0, 100.1, 100.2, 100.3][..rows]);
+        assert_eq!(trial.notes().left_out.lines, 5 - rows);
+        let check = check_files(&[path], &ColumnMap::default(), &Limits::default(), 1);
+        let finding = check.finding(FindingKind::NoRow).unwrap();
+        assert!(finding.fault && check.rows == rows, "{check:?}");
+        says(
+            &finding.places[0].to_string(),
+            [format!("row {}", rows + 1), format!("{missing} of")],
+        );
+    }
+    // Of an array in Fortran order the last columns are missing.
+    let columns = npy(&header("<f8", "True", 5), &[0; 54 * 8]);
+    let path = files.write("columns.npy", &columns);
+    let error = Trial::read_mapped(&path, &map).unwrap_err().to_string();
+    says(&error, ["its last columns"]);
 }
 
 #[test]

@@ -1,0 +1,117 @@
+//! Judges what a publisher publishes, on a thread of its own.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+use std::{io, mem, thread};
+
+use joulebus_config::Config;
+use joulebus_connect::findings::FindingsFile;
+use joulebus_plausibility::{Kind, Source};
+
+use crate::{Judgement, RobotState};
+
+/// Interval of judging the states that were published meanwhile.
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
+/// Interval of writing what is implausible.
+const WRITE_INTERVAL: Duration = Duration::from_secs(1);
+/// Robots that are judged at the same time: 11 MB. Others follow when these are found plausible.
+const MAX_JUDGED: usize = 1024;
+/// States that wait for the thread, at least. Further ones are not judged.
+const MIN_WAITING: usize = 1024;
+
+/// A state, and when it was published (monotonic, ns).
+type Published = (RobotState, u64);
+
+/// The publisher's end: it never waits, and allocates nothing after its start.
+#[derive(Debug)]
+pub(crate) struct Watch {
+    waiting: Vec<Published>,
+    shared: Arc<Shared>,
+    thread: Option<JoinHandle<()>>,
+}
+
+#[derive(Debug)]
+struct Shared {
+    handed_over: Mutex<Vec<Published>>,
+    is_stopped: AtomicBool,
+}
+
+impl Watch {
+    /// Starts to judge a source of the fleet of `config`.
+    pub(crate) fn start(config: &Config, source: &str) -> io::Result<Self> {
+        let room = || Vec::with_capacity(config.limits().capacity.max(MIN_WAITING));
+        let shared = Arc::new(Shared {
+            handed_over: Mutex::new(room()),
+            is_stopped: AtomicBool::new(false),
+        });
+        let (own, taken) = (Arc::clone(&shared), room());
+        let findings = FindingsFile::new(config, source);
+        let thread = thread::Builder::new()
+            .name("joulebus-judge".to_owned())
+            .spawn(move || judge(&own, taken, findings))?;
+        Ok(Self {
+            waiting: room(),
+            shared,
+            thread: Some(thread),
+        })
+    }
+
+    /// Adds a state that is published at `now_ns`, if it has a new reading and there is room.
+    pub(crate) fn add(&mut self, state: &RobotState, now_ns: u64) {
+        let is_new = state.power_w.is_some() && !state.held;
+        if is_new && self.waiting.len() < self.waiting.capacity() {
+            self.waiting.push((*state, now_ns));
+        }
+    }
+
+    /// Hands the states over, if the thread has judged those before.
+    pub(crate) fn hand_over(&mut self) {
+        // The thread has the lock for a moment: then the next frame does it.
+        if let Ok(mut handed_over) = self.shared.handed_over.try_lock()
+            && handed_over.is_empty()
+        {
+            mem::swap(&mut *handed_over, &mut self.waiting);
+        }
+    }
+}
+
+impl Drop for Watch {
+    fn drop(&mut self) {
+        self.shared.is_stopped.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            thread.thread().unpark();
+            // A panic there is no reason for one here.
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Judges until the publisher ends, and removes the findings then.
+fn judge(shared: &Shared, mut taken: Vec<Published>, mut findings: FindingsFile) {
+    // A simulated robot may never change its reading.
+    let judgement = Judgement::new(Source::Program, vec![Kind::Constant]);
+    let mut judgement = judgement.of_at_most(MAX_JUDGED);
+    let mut written = Instant::now();
+    while !shared.is_stopped.load(Ordering::Relaxed) {
+        thread::park_timeout(POLL_INTERVAL);
+        if let Ok(mut handed_over) = shared.handed_over.lock() {
+            mem::swap(&mut *handed_over, &mut taken);
+        }
+        for (state, now_ns) in taken.drain(..) {
+            judgement.take(&state, state.soc, now_ns);
+        }
+        // The program's own warnings are its `Judgement`'s.
+        judgement.take_news();
+        if written.elapsed() >= WRITE_INTERVAL {
+            written = Instant::now();
+            let errors = judgement.records().into_iter();
+            // The times are the publisher's own.
+            let errors =
+                errors.filter(|found| found.finding.is_error() && found.finding.quantity.is_some());
+            // The next call tries again.
+            let _ = findings.say(errors.map(|found| (found.robot, found.finding.kind)));
+        }
+    }
+}
