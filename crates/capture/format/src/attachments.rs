@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use sha2::{Digest as _, Sha256};
 
-use joulebus_wire::ANSWER_RULES;
+use joulebus_wire::{ANSWER_RULES, TICK_RULES};
 
 use crate::Clock;
 
@@ -55,6 +55,7 @@ impl Attachments {
         attachments.describe("format", FORMAT.to_owned());
         attachments.describe("version", env!("CARGO_PKG_VERSION").to_owned());
         attachments.describe("answer_rules", ANSWER_RULES.to_string());
+        attachments.describe("tick_rules", TICK_RULES.to_string());
         attachments.describe("clock_offset_ns", clock.offset_ns.to_string());
         attachments.describe("boot_id", boot_id);
         attachments
@@ -100,7 +101,18 @@ impl Attachments {
     /// ([`ANSWER_RULES`]); 1 where the file does not say.
     #[must_use]
     pub fn answer_rules(&self) -> u32 {
-        let stated = self.about("answer_rules");
+        self.rules("answer_rules")
+    }
+
+    /// Number of the rules by which the recorded ticks were computed ([`TICK_RULES`]); 1 where the
+    /// file does not say.
+    #[must_use]
+    pub fn tick_rules(&self) -> u32 {
+        self.rules("tick_rules")
+    }
+
+    fn rules(&self, of: &str) -> u32 {
+        let stated = self.about(of);
         stated.and_then(|number| number.parse().ok()).unwrap_or(1)
     }
 

@@ -1,14 +1,15 @@
 //! The files of a recording, read as one stream.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::thread;
 
-use anyhow::{Context as _, anyhow};
+use anyhow::{Context as _, anyhow, bail};
 use joulebus_capture_format::{Attachments, Entry, ReadError, Reader};
 use joulebus_config::{Config, ModelSource, is_below};
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::say;
+use joulebus_wire::TICK_RULES;
 
 /// Messages per batch from the reader thread.
 const AT_ONCE: usize = 64;
@@ -60,12 +61,34 @@ impl Files {
     /// as where a recording went on after an update.
     pub(super) fn answer_rules(&self) -> Option<u32> {
         let rules = self.attachments.answer_rules();
-        let mut others = self.paths.iter().skip(1);
-        let differs = |path: &PathBuf| {
-            // One that cannot be opened has no answers.
-            Reader::open(path).is_ok_and(|reader| reader.attachments().answer_rules() != rules)
+        let is_same = |attachments: &Attachments| attachments.answer_rules() == rules;
+        self.unlike(is_same).is_none().then_some(rules)
+    }
+
+    /// Refuses files whose ticks another version computed: they would differ in every forecast.
+    pub(super) fn check_tick_rules(&self) -> anyhow::Result<()> {
+        let is_ours = |attachments: &Attachments| attachments.tick_rules() == TICK_RULES;
+        let Some((path, attachments)) = self.unlike(is_ours) else {
+            return Ok(());
         };
-        (!others.any(differs)).then_some(rules)
+        bail!(
+            "{}: its ticks were computed by rules {}, and this version computes by {TICK_RULES}; \
+             verify it with the version that recorded it ({}), or play it without --verify",
+            path.display(),
+            attachments.tick_rules(),
+            attachments.about("version").unwrap_or("unknown"),
+        )
+    }
+
+    /// The first file whose attachments are not as asked. One that cannot be opened has none.
+    fn unlike(&self, is_like: impl Fn(&Attachments) -> bool) -> Option<(&Path, Attachments)> {
+        if let (Some(path), false) = (self.paths.first(), is_like(&self.attachments)) {
+            return Some((path, self.attachments.clone()));
+        }
+        self.paths.iter().skip(1).find_map(|path| {
+            let attachments = Reader::open(path).ok()?.attachments().clone();
+            (!is_like(&attachments)).then_some((path.as_path(), attachments))
+        })
     }
 
     /// The config attached to the capture, or the given one instead. The attached models lie in the

@@ -154,19 +154,20 @@ fn a_capture_decides_neither_where_directories_are_made_nor_which_files_are_read
 /// Files of the program of 22 November 2026 (df6ba14): a capture of one robot with a keyframe and
 /// two answers, and the ledger of 4 s.
 #[test]
-fn files_of_an_earlier_release_are_verified_and_go_on() {
+fn files_of_an_earlier_release_are_refused_by_name_or_go_on() {
     let earlier = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/earlier");
     let capture = text(&earlier.join("run.mcap"));
-    let verified = run(format!("replay --verify {capture} --format json")).exits(0);
-    let verified = json(&verified);
-    assert!(verified["ticks_verified"].as_u64() > Some(30), "{verified}");
-    let counts = ["differences", "queries", "queries_of_other_rules"];
-    assert_eq!(
-        counts.map(|name| verified[name].as_u64()),
-        [Some(0), Some(2), Some(2)]
+    let refused = stderr(&run(format!("replay --verify {capture}")).exits(1));
+    says(
+        &refused,
+        [
+            "run.mcap",
+            "by rules 1",
+            "with the version that recorded it (0.1.0)",
+        ],
     );
-    let said = stdout(&run(format!("replay --verify {capture}")).exits(0));
-    says(&said, ["follow the rules of another version"]);
+    let shown = json(&run(format!("info {capture} --format json")).exits(0));
+    assert!(shown.is_object(), "{shown}");
     let fleet = Fleet::new();
     let ledger = fleet.path("ledger");
     fs::copy(earlier.join("ledger"), &ledger).unwrap();

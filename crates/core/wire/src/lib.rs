@@ -49,8 +49,8 @@ pub use plan_state::{LISTED_MODELS, PlanState, PlanStateHeader, plan_state_flag}
 pub use query::{
     ANSWER_RULES, ANSWER_WORDS, AnswerHeader, AnswerRow, QUERY_CANDIDATES, QUERY_ROBOTS,
     QUERY_STEPS, QUERY_VALUES, QueriesHeader, QueryCounts, QueryHeader, QueryKind, QueryRecord,
-    QueryRefusal, RECORD_WORDS, ROW_WORDS, Record, answer_flag, answer_parts, push_record,
-    query_flag, records,
+    QueryRefusal, RECORD_WORDS, ROW_WORDS, Record, TICK_RULES, answer_flag, answer_parts,
+    push_record, query_flag, records,
 };
 pub use reason::{DropCounts, DropReason, InvalidReason, Refusal};
 pub use sample::{Freshness, Sample, SampleHeader, sample_flag};
