@@ -31,9 +31,9 @@ struct Computed<R> {
 
 pub(super) fn verify(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let files = Files::open(&args.files, args.fleet.as_deref())?;
-    files.check_tick_rules()?;
     let (config, unpacked) = files.config(args.config.as_ref())?;
     let models = load_models(&config)?;
+    files.check_tick_rules()?;
     // A signal ends the computation, and would leave it.
     drop(unpacked);
     let rules = files.answer_rules();
