@@ -4,13 +4,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
-use std::{io, mem, thread};
+use std::{io, mem, process, thread};
 
 use joulebus_config::Config;
 use joulebus_connect::findings::FindingsFile;
 use joulebus_plausibility::{Kind, Source};
 
-use crate::{Judgement, RobotState};
+use crate::{Charger, Judgement, RobotState};
 
 /// Interval of judging the states that were published meanwhile.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
@@ -30,6 +30,8 @@ pub(crate) struct Watch {
     waiting: Vec<Published>,
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
+    /// The process that has the thread.
+    pid: u32,
 }
 
 #[derive(Debug)]
@@ -55,6 +57,7 @@ impl Watch {
             waiting: room(),
             shared,
             thread: Some(thread),
+            pid: process::id(),
         })
     }
 
@@ -80,7 +83,13 @@ impl Watch {
 impl Drop for Watch {
     fn drop(&mut self) {
         self.shared.is_stopped.store(true, Ordering::Relaxed);
-        if let Some(thread) = self.thread.take() {
+        let Some(thread) = self.thread.take() else {
+            return;
+        };
+        // A child made by fork has no such thread to wait for.
+        if self.pid != process::id() {
+            mem::forget(thread);
+        } else {
             thread.thread().unpark();
             // A panic there is no reason for one here.
             let _ = thread.join();
@@ -100,7 +109,12 @@ fn judge(shared: &Shared, mut taken: Vec<Published>, mut findings: FindingsFile)
             mem::swap(&mut *handed_over, &mut taken);
         }
         for (state, now_ns) in taken.drain(..) {
-            judgement.take(&state, state.soc, now_ns);
+            // Without commands a robot on its dock looks like one with the other sign.
+            let is_known = state.v_mps.is_some() || state.charger != Charger::default();
+            let power_w = state
+                .power_w
+                .map(|power_w| if is_known { power_w } else { power_w.abs() });
+            judgement.take(&RobotState { power_w, ..state }, state.soc, now_ns);
         }
         // The program's own warnings are its `Judgement`'s.
         judgement.take_news();

@@ -117,7 +117,7 @@ mod tests {
         let seen = SeenPower::of(100.0, rows.iter()).unwrap();
         for (lag_w, expected) in [
             ([100.0; LAGS], true),
-            ([95.0, 96.0, 95.0, 95.0, 95.5], false),
+            ([95.0, 98.0, 95.0, 95.0, 95.5], false),
             ([41.0, 38.0, 42.0, 40.0, 40.0], true),
             ([44.0, 42.0, 46.0, 45.0, 44.0], true),
             ([40.0; LAGS], false),

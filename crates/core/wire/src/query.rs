@@ -19,8 +19,8 @@ use crate::rows;
 /// which the same question of the same tick gets another answer. Captures state it; 1 where they do
 /// not.
 pub const ANSWER_RULES: u32 = 2;
-/// Number of the rules by which a tick computes: increased with each change by which the same frames
-/// get other forecasts, intervals, alarms or budgets. Captures state it; 1 where they do not.
+/// Number of the rules by which a tick computes: increased with each change by which the same
+/// frames get other forecasts, intervals, alarms or budgets. Captures state it; 1 where they do not.
 pub const TICK_RULES: u32 = 2;
 
 /// Maximum number of values of a question.

@@ -535,7 +535,8 @@ fn by_unit(
 }
 
 /// Duplicates of a recording are cut at the same rows, so no training row of one is held out in
-/// another.
+/// another. Successive sources of a robot in one file, as the parts of a long recording are, are cut
+/// as one: else a later part's training rows would follow an earlier one's held-out rows.
 fn in_time<E>(
     sources: &[SourceInfo],
     split: Split,
@@ -543,22 +544,45 @@ fn in_time<E>(
 ) -> Result<Assignment, E> {
     let mut rows = [0; 3];
     let mut ranges = Vec::with_capacity(sources.len());
-    for (at, source) in sources.iter().enumerate() {
-        let found = source.rows;
+    let is_same = |one: &SourceInfo, next: &SourceInfo| {
+        (&one.trial, &one.robot) == (&next.trial, &next.robot)
+    };
+    for parts in sources.chunk_by(is_same) {
+        let from = ranges.len();
+        let found = parts.iter().map(|part| part.rows).sum::<usize>();
         let usable = found.saturating_sub(2 * PAUSE_ROWS);
         let count = |share: f64| (share * usable as f64).floor() as usize;
         let (validation, held_out) = (count(split.validation), count(split.held_out));
         let training = usable - validation - held_out;
         let cuts = [training, (training + PAUSE_ROWS + validation).min(found)];
-        let [first, second] = match found {
-            0 => [0, 0],
-            _ => resume_at(at, cuts)?,
-        };
-        let parts = [0..cuts[0], first..cuts[1].max(first), second..found];
-        for (count, part) in rows.iter_mut().zip(&parts) {
-            *count += part.len();
+        // The part that a cut lies in says where the rows continue after it.
+        let (mut resumed, mut begin) = (cuts, 0);
+        for (at, part) in (from..).zip(parts) {
+            let end = begin + part.rows;
+            let is_in = cuts.map(|cut| begin <= cut && (cut < end || end == found));
+            if part.rows > 0 && is_in.contains(&true) {
+                let own = cuts.map(|cut| cut.clamp(begin, end) - begin);
+                let own = resume_at(at, own)?;
+                for cut in (0..2).filter(|cut| is_in[*cut]) {
+                    resumed[cut] = begin + own[cut];
+                }
+            }
+            begin = end;
         }
-        ranges.push(parts);
+        let [first, second] = resumed;
+        let whole = [0..cuts[0], first..cuts[1].max(first), second..found];
+        let mut begin = 0;
+        for part in parts {
+            let own = whole.clone().map(|range| {
+                let within = |row: usize| row.clamp(begin, begin + part.rows) - begin;
+                within(range.start)..within(range.end)
+            });
+            for (count, own) in rows.iter_mut().zip(&own) {
+                *count += own.len();
+            }
+            ranges.push(own);
+            begin += part.rows;
+        }
     }
     let found: usize = sources.iter().map(|source| source.rows).sum();
     Ok(Assignment {

@@ -1,8 +1,8 @@
 //! Gain of online learning on recordings and simulated robots: the table of `docs/beyond.md`.
 //!
 //! `cargo bench -p joulebus-eval --bench online_learning` computes all of it (some minutes: 18
-//! networks are trained); names after `--`, such as `husky rover robotino simulated elsewhere`, select cases.
-//! Recordings are looked for in `../shared/data`, beside the repository.
+//! networks are trained); names after `--`, such as `husky rover robotino simulated elsewhere`,
+//! select cases. Recordings are looked for in `../shared/data`, beside the repository.
 
 #[path = "../tests/all/live.rs"]
 mod live;

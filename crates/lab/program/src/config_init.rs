@@ -175,7 +175,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
             Ok::<_, TrialError>(())
         })?;
     }
-    let count = found.len();
+    let count = recorded_robots.trials as usize;
     let implausible = args.accept.settle(found.into_iter())?;
     let Some(recorded) = profiler.finish() else {
         let what = "power is constant in all recordings, or there are fewer than two readings";
@@ -513,13 +513,21 @@ struct RecordedRobots {
     names: BTreeSet<String>,
     /// Trials, of which the parts of a long one are one.
     trials: u32,
+    /// Robots of long recordings, by their file.
+    in_parts: BTreeSet<(PathBuf, Option<String>)>,
 }
 
 impl RecordedRobots {
     fn take(&mut self, trial: &Trial) {
         self.names.extend(trial.robot_name().map(str::to_owned));
-        let goes_on = trial.is_part() && trial.file_row(0) > 1;
-        self.trials = self.trials.saturating_add(u32::from(!goes_on));
+        let of = || {
+            (
+                trial.path().to_owned(),
+                trial.robot_name().map(str::to_owned),
+            )
+        };
+        let is_new = !trial.is_part() || self.in_parts.insert(of());
+        self.trials = self.trials.saturating_add(u32::from(is_new));
     }
 }
 

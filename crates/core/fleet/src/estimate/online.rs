@@ -10,8 +10,9 @@
 //! ```
 //!
 //! There are two stacks, which differ in their start: the confident one takes the network to be
-//! nearly right, the sceptical one takes half of it and trusts the robot's mean earlier. θ follows the readings y by recursive least squares with a bounded innovation and a covariance
-//! that is pulled back to its start, so that it neither winds up nor stops learning:
+//! nearly right, the sceptical one takes half of it and trusts the robot's mean earlier. θ follows
+//! the readings y by recursive least squares with a bounded innovation and a covariance that is
+//! pulled back to its start, so that it neither winds up nor stops learning:
 //!
 //! ```text
 //! g = Σu / (r² + uᵀΣu)
@@ -254,8 +255,8 @@ impl Learned {
     };
 }
 
-/// Weights as in [`Learned`], with and without a new measurement due, and the confident stack's part
-/// of both stacks'.
+/// Weights as in [`Learned`], with and without a new measurement due, and the confident stack's
+/// part of both stacks'.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Weights {
     pub due: [f32; 3],
@@ -536,8 +537,8 @@ impl Online {
         self.seen = self.seen.saturating_add(1);
     }
 
-    /// After [`Online::read`] of the reading before `lag_w`: judges the robot's first readings, once
-    /// there are as many as a forecast takes.
+    /// After [`Online::read`] of a reading that follows `lag_w`: judges the robot's first readings,
+    /// once there are as many as a forecast takes.
     pub(crate) fn judge_first(&mut self, members: &Members, reading_w: f32, lag_w: &[f32; LAGS]) {
         if usize::from(self.seen) == LAGS {
             let [first, second, third, fourth, _] = *lag_w;

@@ -18,8 +18,7 @@ use joulebus_wire::{Sample, Samples, sample_flag as flag};
 
 use super::TrialError;
 use super::limits::{InMemory, MAX_ROWS, MCAP_MAGIC};
-use super::read::Take;
-use super::table::{Cell, Column, Table};
+use super::table::{Cell, Column, Table, Take};
 use crate::archive::RowStamp;
 
 /// Bytes within which the first record of a capture names its writer.
@@ -97,7 +96,12 @@ fn each_run_in<E: From<TrialError>>(
             true => format!("{fleet}/{robot}"),
             false => robot.to_string(),
         };
-        for run in runs {
+        for (at, run) in runs.iter().copied().enumerate() {
+            let next = runs.get(at + 1);
+            let is_part = [Some(&run), next]
+                .into_iter()
+                .flatten()
+                .any(|run| store.goes_on(*run));
             let samples = store
                 .samples(run)
                 .map_err(|error| refused(spilled(&error)))?;
@@ -105,7 +109,8 @@ fn each_run_in<E: From<TrialError>>(
                 continue;
             }
             found += 1;
-            let (table, stamps) = table(path, &name, &samples)?;
+            let (mut table, stamps) = table(path, &name, &samples)?;
+            table.is_part = is_part;
             let fleet = fleet.to_string();
             take(CaptureRun {
                 fleet,
@@ -148,7 +153,8 @@ fn collect(path: &Path, in_memory: InMemory) -> Result<Store, TrialError> {
             };
             let run = store.run(robot, goes_on, in_memory.part_rows);
             // Ingest refuses a time that does not advance.
-            if store.runs[run].rows > 0 && sample.stamp_ns <= store.runs[run].stamp_ns {
+            let is_first = store.runs[run].rows == 0 && !store.runs[run].goes_on;
+            if !is_first && sample.stamp_ns <= store.runs[run].stamp_ns {
                 continue;
             }
             store
@@ -166,6 +172,17 @@ fn collect(path: &Path, in_memory: InMemory) -> Result<Store, TrialError> {
         let detail = "no samples of joulebus in this MCAP file; a capture of another host's planners has none: record \
                       beside the worker; convert recordings of other programs: joulebus import";
         return Err(refused(detail.to_owned()));
+    }
+    // A run of one sample is no trial: it belongs to the one that it goes on with.
+    let successive = store.robots.values().flat_map(|runs| runs.windows(2));
+    let lonely = successive.filter(|pair| store.goes_on(pair[1]) && store.runs[pair[1]].rows == 1);
+    let lonely: Vec<[usize; 2]> = lonely.map(|pair| [pair[0], pair[1]]).collect();
+    for [before, run] in lonely {
+        let moved = store.samples(run).and_then(|samples| {
+            let mut samples = samples.into_iter();
+            samples.try_for_each(|sample| store.push(before, sample))
+        });
+        moved.map_err(|error| refused(spilled(&error)))?;
     }
     Ok(store)
 }
@@ -211,11 +228,17 @@ struct Run {
     blocks: Vec<(u64, usize)>,
     pending: Vec<Recorded>,
     rows: usize,
-    /// Stamp of the last sample.
+    /// Stamp of the last sample, also of the run before that this one goes on with.
     stamp_ns: u64,
+    /// Whether it goes on with the run before, which was full.
+    goes_on: bool,
 }
 
 impl Store {
+    fn goes_on(&self, run: usize) -> bool {
+        self.runs[run].goes_on
+    }
+
     /// The robot's last run, or a new one, also where the last has `part_rows`.
     fn run(&mut self, robot: Robot, goes_on: bool, part_rows: usize) -> usize {
         let own = self.robots.entry(robot).or_default();
@@ -223,8 +246,16 @@ impl Store {
         if let Some(last) = own.last().copied().filter(has_room) {
             return last;
         }
+        let full = own
+            .last()
+            .filter(|_| goes_on)
+            .map(|last| self.runs[*last].stamp_ns);
         own.push(self.runs.len());
-        self.runs.push(Run::default());
+        self.runs.push(Run {
+            stamp_ns: full.unwrap_or_default(),
+            goes_on: full.is_some(),
+            ..Run::default()
+        });
         self.runs.len() - 1
     }
 

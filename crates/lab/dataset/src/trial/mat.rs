@@ -14,7 +14,7 @@ use std::path::Path;
 use flate2::read::ZlibDecoder;
 
 use super::limits::{FREE_TEXT_BYTES, InMemory, MAX_EXPANSION};
-use super::read::Take;
+use super::table::Take;
 use super::{ColumnMap, TrialError, text};
 
 /// The first bytes of a file.
@@ -23,6 +23,8 @@ pub(super) const MAGIC: &[u8] = b"MATLAB 5.0 MAT-file";
 const HEAD_BYTES: usize = 128;
 /// Maximum size of a file and of what is in it.
 const MAX_BYTES: u64 = 1 << 30;
+/// Most numbers of all arrays, which take 8 bytes each in memory.
+const MAX_NUMBERS: usize = (MAX_BYTES / 8) as usize;
 /// Columns of a matrix, at most.
 const MAX_COLUMNS: usize = 64;
 
@@ -87,6 +89,8 @@ pub(super) fn read(
 struct Variables {
     /// Columns of numbers by the length of their array.
     by_length: BTreeMap<usize, Vec<(String, Vec<f64>)>>,
+    /// Numbers in all of them.
+    numbers: usize,
     /// What is no array of numbers.
     others: Vec<String>,
 }
@@ -172,6 +176,10 @@ impl Variables {
             Some(kind) => kind.to_owned(),
             None if dimensions != 2 => format!("an array of {dimensions} dimensions"),
             None if length < 2 || width == 0 => "a single number, or none".to_owned(),
+            None if name.is_empty() => return Some(()),
+            None if !self.has_room(length, width) => {
+                format!("one of too many numbers: {MAX_NUMBERS} are read")
+            }
             None if width > MAX_COLUMNS => format!("a matrix of {rows} × {columns}"),
             None => {
                 let (element, values) = rest.next()?;
@@ -196,6 +204,16 @@ impl Variables {
         };
         self.others.push(format!("{name} is {other}"));
         Some(())
+    }
+
+    /// Whether so many numbers more fit into memory, where each takes 8 bytes.
+    fn has_room(&mut self, length: usize, width: usize) -> bool {
+        let numbers = self.numbers.saturating_add(length.saturating_mul(width));
+        let fits = numbers <= MAX_NUMBERS;
+        if fits {
+            self.numbers = numbers;
+        }
+        fits
     }
 
     /// The columns of the most frequent length, and what else there is.

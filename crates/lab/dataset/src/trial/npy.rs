@@ -7,8 +7,7 @@ use std::path::Path;
 use crate::npy::{Header, HeaderError};
 
 use super::limits::InMemory;
-use super::read::Take;
-use super::table::{Cell, Column, LeftOut, Tables};
+use super::table::{Cell, Column, LeftOut, Tables, Take};
 use super::{ColumnMap, TrialError};
 
 const WIDTH: usize = 11;

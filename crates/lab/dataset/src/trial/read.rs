@@ -8,11 +8,9 @@ use joulebus_files::foreign;
 
 use super::limits::{GZIP_MAGIC, InMemory, MCAP_MAGIC};
 use super::names::ColumnMap;
+use super::table::Take;
 use super::{Table, Trial, TrialError, capture, mat, npy, text};
 use crate::archive;
-
-/// Takes the tables of a file, until it wants no more.
-pub(super) type Take<'a> = dyn FnMut(Table) -> ControlFlow<()> + 'a;
 
 impl Table {
     /// Reads the table of a file with one robot, as [`Trial::read`] does.

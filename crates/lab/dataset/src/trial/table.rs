@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::fmt;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -451,6 +452,9 @@ pub(super) fn check_value(
     Err(cell.refuse(name, column.recorded(value).to_string(), allowed))
 }
 
+/// Takes the tables of a file, until it wants no more.
+pub(super) type Take<'a> = dyn FnMut(Table) -> ControlFlow<()> + 'a;
+
 /// The tables of a file while it is read, one per robot, in the order in which they appear.
 #[derive(Debug, Default)]
 pub(super) struct Tables {
@@ -460,8 +464,9 @@ pub(super) struct Tables {
     rows: usize,
 }
 
-/// Rows of each robot that wait for the next part, so that the last one is a trial, too.
-const KEPT_ROWS: usize = 64;
+/// Rows of each robot that wait for the next part, so that the last one is a trial, too, and long
+/// enough to be judged.
+const KEPT_ROWS: usize = 4_096;
 
 impl Tables {
     /// The rows in memory, if a part of the file is complete: nearly all of them, as tables of at
@@ -485,7 +490,9 @@ impl Tables {
             return Ok(None);
         }
         let most_rows = (part_rows / 2).max(1);
-        let kept_rows = KEPT_ROWS.min(part_rows / 8);
+        let kept_rows = KEPT_ROWS
+            .min(part_rows / (8 * self.tables.len().max(1)))
+            .max(2);
         let mut parts = Vec::new();
         for table in &mut self.tables {
             while table.rows() > 2 * kept_rows {

@@ -12,8 +12,9 @@ use super::TrialError;
 use super::limits::{FREE_TEXT_BYTES, InMemory, MAX_EXPANSION, MAX_ROW_BYTES, MAX_TEXT_BYTES};
 use super::moment::{self, Midnights, TimeForm};
 use super::names::{ColumnMap, Found, Quantity, accepted, is_unit, suggestion};
-use super::read::Take;
-use super::table::{Cell, Column, LeftOut, SourceColumn, Table, Tables, check_value, is_time};
+use super::table::{
+    Cell, Column, LeftOut, SourceColumn, Table, Tables, Take, check_value, is_time,
+};
 
 /// Reads the table part by part; `zipped`: the bytes are gzip, with the size of the file.
 pub(super) fn read(

@@ -226,6 +226,33 @@ proptest! {
     }
 }
 
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
+    /// Readings ascend from part to part.
+    #[test]
+    fn the_parts_of_a_long_recording_are_cut_in_time_as_one(
+        count in 1_usize..9,
+        rows in 3_usize..300,
+        validation in 0.05_f64..0.4,
+    ) {
+        let mut parts = sources(count, rows);
+        for part in &mut parts {
+            (part.trial, part.robot) = ("long".to_owned(), "r1".to_owned());
+        }
+        let wanted = Split { by: By::Time, validation, ..Split::default() };
+        let (dataset, summary) = split(&parts, wanted, "x").expect("time needs no units");
+        let ends = |rows: &[joulebus_dataset::rows::Row]| {
+            let readings = || rows.iter().map(|row| row.target_w);
+            (readings().fold(f32::INFINITY, f32::min), readings().fold(f32::NEG_INFINITY, f32::max))
+        };
+        let [(_, trained_w), (from_w, to_w), (held_out_w, _)] =
+            [&dataset.training, &dataset.validation, &dataset.held_out].map(|rows| ends(rows));
+        prop_assert!(trained_w < from_w && to_w < held_out_w && trained_w < held_out_w);
+        let found = summary.rows.iter().sum::<usize>() + summary.pause_rows;
+        prop_assert_eq!(found, count * rows);
+    }
+}
+
 #[test]
 fn rows_are_exported_as_arrays_of_single_precision() {
     let (dataset, _) = split(&sources(6, 20), Split::default(), "x").expect("six trials");

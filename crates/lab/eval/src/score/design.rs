@@ -111,11 +111,20 @@ impl Design {
                 "no split: all rows; baselines of each half are fitted on the other".to_owned(),
             ),
             several => {
-                let count = several.len().min(FOLDS);
+                let infos = infos(several);
+                let units: HashSet<_> = infos.iter().map(|one| (&one.trial, &one.robot)).collect();
+                let count = units.len().min(FOLDS);
                 let description = format!(
                     "no split: all trials; baselines are fitted on the other trials, {count} folds"
                 );
-                (in_turn(several, count), description)
+                match count {
+                    1 => (
+                        in_two(several),
+                        "no split: all rows; baselines of each half are fitted on the other"
+                            .to_owned(),
+                    ),
+                    _ => (in_turn(several, count), description),
+                }
             }
         };
         Self {
@@ -261,10 +270,14 @@ fn names(recordings: &[Recording]) -> Vec<String> {
 /// Leave-one-fold-out: every recording is evaluated once, with all other folds fitted on.
 fn in_turn(recordings: &[Recording], count: usize) -> Vec<Fold> {
     let mut folds = vec![Fold::default(); count];
-    let mut first_with = HashMap::new();
+    let (mut first_with, mut first_of) = (HashMap::new(), HashMap::new());
     for (at, recording) in recordings.iter().enumerate() {
         let whole = (at, 0..recording.rows());
-        let first = *first_with.entry(recording.digest()).or_insert(at);
+        let info = recording.info();
+        // The parts of a long recording stay together.
+        let unit = first_of.len();
+        let unit = *first_of.entry((info.trial, info.robot)).or_insert(unit);
+        let first = *first_with.entry(recording.digest()).or_insert(unit);
         for (number, fold) in folds.iter_mut().enumerate() {
             if number == first % count {
                 fold.evaluated.push(whole.clone());
@@ -274,6 +287,22 @@ fn in_turn(recordings: &[Recording], count: usize) -> Vec<Fold> {
         }
     }
     folds
+}
+
+/// The earlier parts of a long recording, and the later ones.
+fn in_two(recordings: &[Recording]) -> Vec<Fold> {
+    let parts: Vec<_> = recordings
+        .iter()
+        .map(|part| 0..part.rows())
+        .enumerate()
+        .collect();
+    let (earlier, later) = parts.split_at(parts.len() / 2);
+    let fold = |evaluated: &[(usize, Range<usize>)], fitted: &[(usize, Range<usize>)]| Fold {
+        evaluated: evaluated.to_vec(),
+        fitted: fitted.to_vec(),
+        trained_on: Vec::new(),
+    };
+    vec![fold(earlier, later), fold(later, earlier)]
 }
 
 /// Two halves that share no reading.
