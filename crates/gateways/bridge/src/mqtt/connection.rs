@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt::{self, Debug};
 use std::io::{self, ErrorKind};
+use std::ops::Bound;
 use std::time::Duration;
 
 use joulebus_bus::clock;
@@ -15,7 +16,7 @@ use mqtt5_protocol::{
     MqttError, Properties, PropertyId, PropertyValue, QoS, ReasonCode, WillMessage,
 };
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use rustls::{CertificateError, Error as TlsError};
+use rustls::{AlertDescription, CertificateError, Error as TlsError, PeerIncompatible};
 
 use crate::config::{MqttSettings, TlsError as FileError};
 use crate::mqtt::inbox::{Inbox, Incoming};
@@ -36,6 +37,8 @@ const MAX_LETTERS: usize = 200;
 
 const PING: [u8; 2] = [0xc0, 0];
 const DISCONNECT: [u8; 2] = [0xe0, 0];
+/// The first byte of an alert of TLS. No packet of a broker begins with it.
+const TLS_ALERT: u8 = 0x15;
 
 /// Why there is no connection.
 #[derive(Debug, thiserror::Error)]
@@ -52,6 +55,8 @@ pub(crate) enum Lost {
          and a port without TLS none"
     )]
     Unanswered,
+    #[error("it speaks TLS: add [mqtt.tls]")]
+    SpeaksTls,
     #[error("it did not answer within {} s", ANSWER_TIMEOUT.as_secs())]
     NoAnswer,
     #[error("it refuses the connection: {reason}. {}", remedy(*.code))]
@@ -62,6 +67,12 @@ pub(crate) enum Lost {
     Ended { code: ReasonCode, reason: String },
     #[error("it has sent nothing for {} s", .0.as_secs())]
     Silent(Duration),
+    #[error(
+        "it answers, but has not acknowledged a message for {} s. Is it overloaded, or its disk \
+         full? The broker's own log says more",
+        .0.as_secs()
+    )]
+    Unacknowledged(Duration),
     #[error("it does not speak MQTT: {0}")]
     Malformed(#[from] MqttError),
 }
@@ -78,21 +89,25 @@ impl Lost {
                     | ReasonCode::QuotaExceeded
                     | ReasonCode::ConnectionRateExceeded
             ),
-            Self::Tls { .. } | Self::File { .. } => true,
+            Self::Tls { error } => !matches!(
+                error,
+                TlsError::AlertReceived(AlertDescription::InternalError)
+            ),
+            Self::File { .. } | Self::SpeaksTls => true,
             _ => false,
         }
     }
 
-    /// Whether the broker may know another version of MQTT alone.
-    pub(super) const fn is_of_version(&self) -> bool {
-        matches!(
-            self,
-            Self::Unanswered
-                | Self::Refused {
-                    code: ReasonCode::UnsupportedProtocolVersion,
-                    ..
-                }
-        )
+    /// Whether the broker may know another version of MQTT alone. Some end the connection without
+    /// a word, which says nothing once a broker has answered by this version (`is_known`).
+    pub(super) const fn is_of_version(&self, is_known: bool) -> bool {
+        match self {
+            Self::Unanswered => !is_known,
+            Self::Refused { code, .. } => {
+                matches!(code, ReasonCode::UnsupportedProtocolVersion)
+            }
+            _ => false,
+        }
     }
 }
 
@@ -120,6 +135,7 @@ const fn remedy(code: ReasonCode) -> &'static str {
 }
 
 const fn tls_remedy(error: &TlsError) -> &'static str {
+    use AlertDescription as Alert;
     use CertificateError as Certificate;
     match error {
         TlsError::InvalidCertificate(
@@ -135,9 +151,26 @@ const fn tls_remedy(error: &TlsError) -> &'static str {
         TlsError::InvalidCertificate(
             Certificate::NotValidForName | Certificate::NotValidForNameContext { .. },
         ) => "Name the broker in `mqtt.broker` as its certificate does",
-        TlsError::AlertReceived(_) => {
+        TlsError::AlertReceived(
+            Alert::HandshakeFailure
+            | Alert::NoCertificate
+            | Alert::BadCertificate
+            | Alert::UnsupportedCertificate
+            | Alert::CertificateRevoked
+            | Alert::CertificateExpired
+            | Alert::CertificateUnknown
+            | Alert::UnknownCA
+            | Alert::AccessDenied
+            | Alert::DecryptError
+            | Alert::CertificateRequired,
+        ) => {
             "The broker takes no connection without a valid `mqtt.tls.certificate` of its authority"
         }
+        TlsError::AlertReceived(Alert::ProtocolVersion)
+        | TlsError::PeerIncompatible(PeerIncompatible::ServerDoesNotSupportTls12Or13) => {
+            "The broker needs TLS 1.2 or 1.3"
+        }
+        TlsError::AlertReceived(_) => "The broker's own log says more",
         TlsError::InvalidMessage(_) => "Is it a port of TLS? The usual one is 8883",
         _ => "Check [mqtt.tls]",
     }
@@ -170,6 +203,8 @@ pub(super) struct Connection {
     is_up: bool,
     /// Topics of messages that the broker has not acknowledged.
     unacknowledged: BTreeMap<u16, String>,
+    /// The oldest of them at the last ping, until it is acknowledged.
+    waits: Option<u16>,
     last_id: u16,
     limits: Limits,
     keep_alive: Duration,
@@ -209,6 +244,7 @@ impl Connection {
             out: Vec::new(),
             is_up: false,
             unacknowledged: BTreeMap::new(),
+            waits: None,
             last_id: 0,
             limits: Limits {
                 unacknowledged: MAX_UNACKNOWLEDGED,
@@ -268,7 +304,8 @@ impl Connection {
             retains: retains != Some(&PropertyValue::Byte(0)),
         };
         if let Some(found_s @ 1..) = found.get_server_keep_alive() {
-            self.keep_alive = Duration::from_secs(found_s.into());
+            // Not longer than configured, so that a dead connection is noticed in time.
+            self.keep_alive = self.keep_alive.min(Duration::from_secs(found_s.into()));
         }
         self.ping_due_ns = after_ns(self.keep_alive);
         Ok(())
@@ -316,6 +353,7 @@ impl Connection {
 
     /// The topic of a message that the broker has acknowledged.
     pub(super) fn acknowledged(&mut self, id: u16) -> Option<String> {
+        self.waits.take_if(|waits| *waits == id);
         self.unacknowledged.remove(&id)
     }
 
@@ -336,7 +374,6 @@ impl Connection {
 
     /// Reads and writes what is possible, and waits up to `timeout` until something is.
     pub(super) fn turn(&mut self, outlet: &Outlet, timeout: &Timespec) -> Result<(), Lost> {
-        self.ping()?;
         let mut wanted = PollFlags::IN;
         wanted.set(PollFlags::OUT, !self.is_sent());
         let mut ready = [
@@ -351,6 +388,10 @@ impl Connection {
         match self.transport.read(&mut self.chunk) {
             Ok(0) => return Err(self.ended()),
             Ok(count) => {
+                let is_first = !self.is_up && self.heard == 0;
+                if is_first && self.chunk[0] == TLS_ALERT && !self.transport.is_tls() {
+                    return Err(Lost::SpeaksTls);
+                }
                 self.heard += count;
                 self.inbox.add(&self.chunk[..count]);
             }
@@ -392,8 +433,8 @@ impl Connection {
     }
 
     /// Asks the broker for an answer now and then. It is gone if it then sends neither a packet nor
-    /// 64 KiB of a long one.
-    fn ping(&mut self) -> Result<(), Lost> {
+    /// 64 KiB of a long one, or does not acknowledge. To be called once all packets were read.
+    pub(super) fn ping(&mut self) -> Result<(), Lost> {
         if clock::monotonic_ns() < self.ping_due_ns {
             return Ok(());
         }
@@ -403,6 +444,14 @@ impl Connection {
         if self.is_asked && self.heard < CHUNK_BYTES {
             return Err(Lost::Silent(self.keep_alive));
         }
+        if self.waits.is_some() {
+            return Err(Lost::Unacknowledged(self.keep_alive));
+        }
+        // Numbers are given in turn: the next one up is the oldest.
+        let after = (Bound::Excluded(self.last_id), Bound::Unbounded);
+        let next_up = self.unacknowledged.range(after).next();
+        let oldest = next_up.or_else(|| self.unacknowledged.first_key_value());
+        self.waits = oldest.map(|(id, _)| *id);
         self.out.extend(PING);
         (self.is_asked, self.heard) = (true, 0);
         self.ping_due_ns = after_ns(self.keep_alive);
@@ -429,5 +478,27 @@ fn tls_or_io(error: io::Error) -> Lost {
     match error.downcast::<TlsError>() {
         Ok(error) => Lost::Tls { error },
         Err(error) => Lost::Io(error),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_alerts_about_certificates_ask_for_one_and_a_failure_of_the_broker_may_pass() {
+        use AlertDescription as Alert;
+        for (alert, remedy, is_permanent) in [
+            (Alert::CertificateRequired, "`mqtt.tls.certificate`", true),
+            (Alert::UnknownCA, "`mqtt.tls.certificate`", true),
+            (Alert::ProtocolVersion, "TLS 1.2 or 1.3", true),
+            (Alert::InternalError, "own log", false),
+            (Alert::UnrecognisedName, "own log", true),
+        ] {
+            let error = TlsError::AlertReceived(alert);
+            let lost = Lost::Tls { error };
+            assert!(lost.to_string().contains(remedy), "{lost}");
+            assert_eq!(lost.is_permanent(), is_permanent, "{lost}");
+        }
     }
 }

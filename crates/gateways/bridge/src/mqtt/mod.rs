@@ -56,6 +56,8 @@ pub(crate) struct Mqtt {
     broker: String,
     settings: MqttSettings,
     version: u8,
+    /// Whether the broker has answered by the newer version.
+    knows_newer: bool,
     outlet: Arc<Outlet>,
     reader: Reader,
     /// The topics to subscribe to.
@@ -98,6 +100,7 @@ impl Mqtt {
         Ok(Self {
             broker: format!("{}:{}", settings.host, settings.port),
             version: settings.version.unwrap_or(VERSIONS[1]),
+            knows_newer: false,
             outlet: Arc::new(Outlet::new(capacity)?),
             filters: reader.filters(),
             reader,
@@ -118,6 +121,15 @@ impl Mqtt {
     /// # Errors
     /// [`MqttError`].
     pub(crate) fn run(mut self) -> Result<(), MqttError> {
+        let ended = self.keep_connected();
+        // Nobody takes what is left.
+        while self.outlet.take().is_some() {
+            self.outlet.count_lost();
+        }
+        ended
+    }
+
+    fn keep_connected(&mut self) -> Result<(), MqttError> {
         let mut pause = RETRY_DELAYS.0;
         loop {
             let began_ns = clock::monotonic_ns();
@@ -132,10 +144,12 @@ impl Mqtt {
                 _ => return Ok(()),
             };
             let broker = &self.broker;
-            if self.settings.version.is_none() && why.is_of_version() {
+            if self.settings.version.is_none() {
                 let [older, newer] = VERSIONS;
-                self.version = older + newer - self.version;
-                if self.version == older {
+                // A broker that restarts also closes: the next attempt is by the newer one again.
+                let falls_back = self.version == newer && why.is_of_version(self.knows_newer);
+                self.version = if falls_back { older } else { newer };
+                if falls_back {
                     say(&format!(
                         "not connected to {broker} by MQTT 5: {why}; trying MQTT 3.1.1"
                     ));
@@ -143,7 +157,7 @@ impl Mqtt {
                 }
             }
             if why.is_permanent() && !was_connected {
-                let broker = self.broker;
+                let broker = broker.clone();
                 return Err(MqttError { broker, why });
             }
             say(&format!("not connected to {broker}: {why}; trying again"));
@@ -199,6 +213,7 @@ impl Mqtt {
             while let Some(incoming) = connection.next()? {
                 self.incoming(connection, incoming)?;
             }
+            connection.ping()?;
             self.shared.log_news();
         }
         Ok(())
@@ -229,6 +244,8 @@ impl Mqtt {
     fn incoming(&mut self, connection: &mut Connection, incoming: Incoming) -> Result<(), Lost> {
         match incoming {
             Incoming::Packet(Packet::ConnAck(answer)) if !connection.is_up() => {
+                let is_unknown = answer.reason_code == ReasonCode::UnsupportedProtocolVersion;
+                self.knows_newer |= self.version == VERSIONS[1] && !is_unknown;
                 connection.accepted(&answer)?;
                 say(&format!("connected to {}", self.broker));
                 if !self.filters.is_empty() {
@@ -240,7 +257,7 @@ impl Mqtt {
                 for (filter, code) in self.filters.iter().zip(&answer.reason_codes) {
                     if !code.is_success() {
                         let reason = reason(code, &answer.properties);
-                        self.count(Reason::Refused, &format!("{reason}: reading {filter}"));
+                        self.count(Reason::Refused, &format!("reading {filter}: {reason}"));
                     }
                 }
             }
@@ -248,7 +265,7 @@ impl Mqtt {
                 let topic = connection.acknowledged(answer.packet_id);
                 if let (Some(topic), true) = (topic, answer.reason_code.is_error()) {
                     let reason = reason(answer.reason_code, &answer.properties);
-                    self.count(Reason::Refused, &format!("{reason}: writing {topic}"));
+                    self.count(Reason::Refused, &format!("writing {topic}: {reason}"));
                 }
             }
             Incoming::Packet(Packet::Disconnect(said)) => {

@@ -77,8 +77,12 @@ impl Sink for MqttSink {
     }
 
     fn finish(&mut self) {
-        self.lost
-            .fetch_add(self.waiting.len() as u64, Ordering::Relaxed);
+        let mut count = self.waiting.len();
+        if !self.outlet.is_connected() {
+            // They may not have arrived, and are not sent again.
+            count += self.handed.len();
+        }
+        self.lost.fetch_add(count as u64, Ordering::Relaxed);
     }
 }
 
@@ -387,6 +391,13 @@ mod tests {
             sink.lost.load(Ordering::Relaxed),
             1,
             "never published to all"
+        );
+        outlet.disconnected();
+        sink.finish();
+        assert_eq!(
+            sink.lost.load(Ordering::Relaxed),
+            1 + 2,
+            "what was handed over may not have arrived either"
         );
     }
 }

@@ -57,6 +57,10 @@ impl Transport {
         &self.socket
     }
 
+    pub(super) const fn is_tls(&self) -> bool {
+        self.tls.is_some()
+    }
+
     /// Whether TLS has bytes to send.
     pub(super) fn wants_write(&self) -> bool {
         self.tls.as_ref().is_some_and(|tls| tls.wants_write())

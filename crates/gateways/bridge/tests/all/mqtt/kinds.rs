@@ -4,8 +4,9 @@ use std::fs;
 use std::io::{Read as _, Write as _};
 use std::net::{TcpListener, TcpStream};
 use std::thread;
+use std::time::Duration;
 
-use joulebus_testkit::eventually;
+use joulebus_testkit::{Child, eventually};
 use rumqttc::QoS;
 use serde_json::Value;
 
@@ -51,7 +52,6 @@ fn messages_of_any_length_are_counted_and_skipped_while_other_robots_are_forecas
         let listener = broker.client("listener", "jb/#");
         let robots = Robots::start(broker.client("robots", "nothing").client);
         listener.wait_for("jb/lab/r3/forecast", is_forecast);
-        let before = peak_bytes(bridge.pid());
         listener.send("fleet/r2/power", long(5));
         for _ in 0..2 {
             listener.send("fleet/r2/power", long(40));
@@ -59,14 +59,14 @@ fn messages_of_any_length_are_counted_and_skipped_while_other_robots_are_forecas
         // A broker of MQTT 5 keeps what is longer than 16 MiB.
         let least = if version == "5" { 1 } else { 4 };
         listener.wait_for("jb/lab/bridge", |status| count(status, "too_long") >= least);
-        let grown = peak_bytes(bridge.pid()) - before;
-        assert!(grown < 20 << 20, "{grown} bytes more");
         listener.forget();
         listener.wait_for("jb/lab/r3/forecast", is_forecast);
         listener.wait_for("jb/lab/r2/forecast", |document| {
             is_forecast(document) && document["quality"] != "OpenLoop"
         });
         drop(robots);
+        let peak = peak_bytes(bridge.pid());
+        assert!(peak < 40 << 20, "{peak} bytes");
         let ended = bridge.end();
         assert_eq!(ended.exit_code(), 3, "{ended:?}");
         assert_eq!(count(&ended.json(), "too_long"), least, "{ended:?}");
@@ -129,7 +129,8 @@ fn what_a_broker_refuses_is_told_with_its_reason() {
     let mut worker = fleet.worker();
     let mut bridge = fleet.bridge(&file(&broker), "connected to ");
     let robots = Robots::start(broker.client("robots", "nothing").client);
-    bridge.wait_for_line("refused: not authorized: writing jb/lab/");
+    let line = bridge.wait_for_line("refused: writing jb/lab/");
+    assert!(line.contains(": not authorized"), "{line}");
     drop(robots);
     bridge.kill();
     worker.stop();
@@ -139,9 +140,15 @@ fn what_a_broker_refuses_is_told_with_its_reason() {
 enum Act {
     Close,
     Send(&'static [u8]),
-    /// Takes part in MQTT 3.1.1, and says nothing but what it must.
-    Serve,
+    /// Says this, and then nothing until the bridge ends the connection.
+    Hold(&'static [u8]),
+    /// Says this, and then answers pings, but acknowledges nothing.
+    Pong(&'static [u8]),
 }
+
+/// The broker takes the connection.
+const TAKEN_BY_3: &[u8] = &[0x20, 2, 0, 0];
+const TAKEN_BY_5: &[u8] = &[0x20, 3, 0, 0, 0];
 
 /// Serves one connection after the other. Returns the version that each bridge asked for.
 fn serve(listener: &TcpListener, acts: &[Act]) -> Vec<u8> {
@@ -155,10 +162,17 @@ fn serve(listener: &TcpListener, acts: &[Act]) -> Vec<u8> {
         match act {
             Act::Close => {}
             Act::Send(bytes) => bridge.write_all(bytes).unwrap(),
-            Act::Serve => {
-                bridge.write_all(&[0x20, 2, 0, 0]).unwrap();
-                // Until the bridge ends the connection.
+            Act::Hold(bytes) => {
+                bridge.write_all(bytes).unwrap();
                 drain(&mut bridge);
+            }
+            Act::Pong(bytes) => {
+                bridge.write_all(bytes).unwrap();
+                while let Some(kind) = packet(&mut bridge) {
+                    if kind == 0xc0 {
+                        bridge.write_all(&[0xd0, 0]).unwrap();
+                    }
+                }
             }
         }
         // After length and name of the protocol.
@@ -167,16 +181,41 @@ fn serve(listener: &TcpListener, acts: &[Act]) -> Vec<u8> {
     acts.iter().map(serve).collect()
 }
 
+/// The first byte of the next packet. `None`: the connection has ended.
+fn packet(from: &mut TcpStream) -> Option<u8> {
+    let mut byte = [0];
+    from.read_exact(&mut byte).ok()?;
+    let [kind] = byte;
+    let (mut length, mut place) = (0_u64, 0);
+    loop {
+        from.read_exact(&mut byte).ok()?;
+        length |= u64::from(byte[0] & 0x7f) << place;
+        place += 7;
+        if byte[0] & 0x80 == 0 {
+            break;
+        }
+    }
+    let body = std::io::copy(&mut from.take(length), &mut std::io::sink()).ok()?;
+    (body == length).then_some(kind)
+}
+
 fn drain(from: &mut TcpStream) {
     let mut bytes = [0; 4_096];
     while from.read(&mut bytes).is_ok_and(|count| count > 0) {}
 }
 
+/// A broker with these acts, and the begin of the file of a bridge to it.
+fn scripted<const COUNT: usize>(acts: [Act; COUNT]) -> (thread::JoinHandle<Vec<u8>>, String) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = listener.local_addr().unwrap().port();
+    let broker = thread::spawn(move || serve(&listener, &acts));
+    let text = format!("[robots]\nr = 1\n[mqtt]\nbroker = \"127.0.0.1:{port}\"\n");
+    (broker, text)
+}
+
 #[test]
 fn brokers_that_do_not_know_mqtt_5_or_speak_nonsense_are_tried_again_until_one_serves() {
     let fleet = Fleet::new();
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let port = listener.local_addr().unwrap().port();
     let acts = [
         // Without a word: 3.1.1 at once, then 5 again.
         Act::Close,
@@ -191,12 +230,10 @@ fn brokers_that_do_not_know_mqtt_5_or_speak_nonsense_are_tried_again_until_one_s
         Act::Send(b"\x20\x03\0\0\0\x90\x04\0\x01\0\x87\xe0\x02\x8e\0"),
         // An unknown version, by MQTT 3.1.1.
         Act::Send(b"\x20\x02\x00\x01"),
-        Act::Serve,
+        Act::Hold(TAKEN_BY_3),
     ];
-    let broker = thread::spawn(move || serve(&listener, &acts));
-    let text = format!(
-        "[robots]\nr = 1\n[mqtt]\nbroker = \"127.0.0.1:{port}\"\nvda5050 = [{{ topic = \"a/{{robot}}\" }}]\n"
-    );
+    let (broker, text) = scripted(acts);
+    let text = format!("{text}vda5050 = [{{ topic = \"a/{{robot}}\" }}]\n");
     let mut bridge = fleet.bridge(&text, "unsupported protocol version");
     bridge.wait_for_line("connected to ");
     let ended = bridge.end();
@@ -213,9 +250,70 @@ fn brokers_that_do_not_know_mqtt_5_or_speak_nonsense_are_tried_again_until_one_s
             "it ended the connection without an answer",
             "it does not speak MQTT: ",
             "it refuses the connection: server busy",
-            "refused: not authorized: reading a/+",
+            "refused: reading a/+: not authorized",
             "session taken over. Another client has the same `mqtt.client_id`",
         ],
     );
     assert_eq!(broker.join().unwrap(), [5, 4, 5, 5, 5, 5, 5, 4], "{errors}");
+}
+
+#[test]
+fn a_broker_of_mqtt_5_that_restarts_is_not_taken_for_an_older_one() {
+    let fleet = Fleet::new();
+    let (broker, text) = scripted([
+        // Starting, behind a proxy that first closes and then explains.
+        Act::Close,
+        Act::Send(b"HTTP/1.1 502 Bad Gateway\r\n\r\n"),
+        Act::Send(TAKEN_BY_5),
+        // Restarting.
+        Act::Close,
+        Act::Hold(TAKEN_BY_5),
+    ]);
+    let text = format!("{text}vda5050 = [{{ topic = \"a/{{robot}}\" }}]\n");
+    let mut bridge = fleet.bridge(&text, "trying MQTT 3.1.1");
+    bridge.wait_for_line("connected to ");
+    bridge.wait_for_line("without an answer");
+    bridge.wait_for_line("connected to ");
+    let errors = bridge.stop().errors();
+    assert_eq!(broker.join().unwrap(), [5, 4, 5, 5, 5], "{errors}");
+    assert_eq!(errors.matches("trying MQTT 3.1.1").count(), 1, "{errors}");
+}
+
+#[test]
+fn a_port_of_tls_is_named_and_not_taken_for_an_older_version() {
+    let fleet = Fleet::new();
+    let (broker, text) = scripted([Act::Send(b"\x15\x03\x01\x00\x02\x02\x46")]);
+    let text = format!("{text}vda5050 = [{{ topic = \"a/{{robot}}\" }}]\n");
+    let ended = Child::spawn("bridge", fleet.command(&text)).wait();
+    assert_eq!(ended.exit_code(), 1, "{ended:?}");
+    joulebus_testkit::says(&ended.errors(), ["it speaks TLS: add [mqtt.tls]"]);
+    assert_eq!(broker.join().unwrap(), [5]);
+}
+
+#[test]
+fn brokers_that_fall_silent_or_acknowledge_nothing_are_given_up_and_what_is_left_is_lost() {
+    let fleet = Fleet::new();
+    let mut worker = fleet.worker();
+    let (broker, text) = scripted([
+        // It wants a packet every 600 s only.
+        Act::Hold(b"\x20\x06\0\0\x03\x13\x02\x58"),
+        Act::Pong(TAKEN_BY_5),
+        // It takes one message at a time.
+        Act::Pong(b"\x20\x06\0\0\x03\x21\0\x01"),
+    ]);
+    let text = format!(
+        "{text}keep_alive_s = 5\n\
+         write = [{{ what = \"status\", topic = \"jb/bridge\", every_s = 0.1 }}]\n"
+    );
+    let mut bridge = fleet.bridge(&text, "connected to ");
+    bridge.wait_for_line("it has sent nothing for 5 s");
+    bridge.wait_for_line("has not acknowledged a message for 5 s");
+    bridge.wait_for_line("connected to ");
+    thread::sleep(Duration::from_secs(1));
+    let ended = bridge.end();
+    assert_eq!(ended.exit_code(), 3, "{ended:?}");
+    let report = ended.json();
+    assert!(report["not_written"].as_u64().unwrap() >= 3, "{report}");
+    assert_eq!(broker.join().unwrap(), [5; 3]);
+    worker.stop();
 }

@@ -91,7 +91,7 @@ fn only_brokers_of_the_named_authority_are_trusted_and_they_ask_for_a_certificat
         (
             local(asking),
             tls(&own, None),
-            "ertificate",
+            "alert",
             "mqtt.tls.certificate",
         ),
         (
