@@ -20,7 +20,8 @@ use crate::rows;
 /// not.
 pub const ANSWER_RULES: u32 = 2;
 /// Number of the rules by which a tick computes: increased with each change by which the same
-/// frames get other forecasts, intervals, alarms or budgets. Captures state it; 1 where they do not.
+/// frames get other forecasts, intervals, alarms or budgets. Captures state it; 1 where they do
+/// not.
 pub const TICK_RULES: u32 = 2;
 
 /// Maximum number of values of a question.

@@ -535,8 +535,8 @@ fn by_unit(
 }
 
 /// Duplicates of a recording are cut at the same rows, so no training row of one is held out in
-/// another. Successive sources of a robot in one file, as the parts of a long recording are, are cut
-/// as one: else a later part's training rows would follow an earlier one's held-out rows.
+/// another. Successive sources of a robot in one file, such as the parts of a long recording, are
+/// cut as one: else a later part's training rows would follow an earlier one's held-out rows.
 fn in_time<E>(
     sources: &[SourceInfo],
     split: Split,
