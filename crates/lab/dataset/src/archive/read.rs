@@ -47,10 +47,7 @@ impl From<io::Error> for Refused {
 
 /// The trial of a file, with its metadata.
 pub(crate) fn table(path: &Path) -> Result<(Table, Head), TrialError> {
-    let file = joulebus_files::open(path).map_err(|source| TrialError::Io {
-        path: path.to_owned(),
-        source,
-    })?;
+    let file = joulebus_files::open(path).map_err(TrialError::io(path))?;
     let refused = |Refused(detail)| TrialError::Archive {
         path: path.to_owned(),
         detail,

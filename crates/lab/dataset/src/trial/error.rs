@@ -1,7 +1,7 @@
 //! Errors of reading a trial.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::limits::{FREE_TEXT_BYTES, MAX_EXPANSION, MAX_ROBOTS, MAX_ROW_BYTES, MAX_TEXT_BYTES};
 
@@ -307,6 +307,14 @@ pub enum TrialError {
 }
 
 impl TrialError {
+    /// What a failed operation on a file becomes.
+    pub(crate) fn io(path: &Path) -> impl Fn(io::Error) -> Self + Copy {
+        move |source| Self::Io {
+            path: path.to_owned(),
+            source,
+        }
+    }
+
     /// Whether it concerns lines of a CSV, which can be left out.
     pub(crate) const fn is_of_lines(&self) -> bool {
         matches!(

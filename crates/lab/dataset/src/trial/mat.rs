@@ -40,10 +40,7 @@ pub(super) fn read(
     in_memory: InMemory,
     take: &mut Take<'_>,
 ) -> Result<(), TrialError> {
-    let io = |source| TrialError::Io {
-        path: path.to_owned(),
-        source,
-    };
+    let io = TrialError::io(path);
     let mut bytes = Vec::new();
     file.rewind().map_err(io)?;
     let read = file.take(MAX_BYTES + 1).read_to_end(&mut bytes);

@@ -24,10 +24,7 @@ pub(super) fn read(
     in_memory: InMemory,
     take: &mut Take<'_>,
 ) -> Result<(), TrialError> {
-    let io = |source| TrialError::Io {
-        path: path.to_owned(),
-        source,
-    };
+    let io = TrialError::io(path);
     let file_bytes = file.metadata().map_err(io)?.len();
     file.rewind().map_err(io)?;
     let header = Header::read(&mut file).map_err(|error| refused(path, error))?;

@@ -88,10 +88,7 @@ impl Table {
         if archive::is_listing(path) {
             return archive::each_table(path, take);
         }
-        let io = |source| TrialError::Io {
-            path: path.to_owned(),
-            source,
-        };
+        let io = TrialError::io(path);
         let mut file = joulebus_files::open(path).map_err(io)?;
         let mut head = Vec::new();
         file.by_ref()

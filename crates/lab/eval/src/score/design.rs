@@ -105,27 +105,19 @@ impl Design {
     /// baselines for each are fitted on the others; a single recording is cut into halves, each
     /// evaluated with baselines from the other. Duplicates of a recording share its fold.
     pub fn folds(recordings: &[Recording]) -> Self {
-        let (folds, description) = match recordings {
-            [only] => (
-                in_halves(only.rows()),
-                "no split: all rows; baselines of each half are fitted on the other".to_owned(),
+        let infos = infos(recordings);
+        let units: HashSet<_> = infos.iter().map(|one| (&one.trial, &one.robot)).collect();
+        let count = units.len().min(FOLDS);
+        let folds = match (count, recordings) {
+            (1, [only]) => in_halves(only.rows()),
+            (1, parts) => in_two(parts),
+            _ => in_turn(recordings, count),
+        };
+        let description = match count {
+            1 => "no split: all rows; baselines of each half are fitted on the other".to_owned(),
+            _ => format!(
+                "no split: all trials; baselines are fitted on the other trials, {count} folds"
             ),
-            several => {
-                let infos = infos(several);
-                let units: HashSet<_> = infos.iter().map(|one| (&one.trial, &one.robot)).collect();
-                let count = units.len().min(FOLDS);
-                let description = format!(
-                    "no split: all trials; baselines are fitted on the other trials, {count} folds"
-                );
-                match count {
-                    1 => (
-                        in_two(several),
-                        "no split: all rows; baselines of each half are fitted on the other"
-                            .to_owned(),
-                    ),
-                    _ => (in_turn(several, count), description),
-                }
-            }
         };
         Self {
             description,
