@@ -20,7 +20,7 @@ fn rows(robot: u32) -> RobotRows {
 
 /// `cargo test --release -p joulebus-plan --test all question_cost -- --ignored --nocapture`
 #[test]
-#[ignore = "prints times"]
+#[ignore = "prints times: CONTRIBUTING.md has the command"]
 fn what_a_path_and_the_time_to_turn_back_cost() {
     let fleet = fleet();
     let (from, end) = (Point::new(0.0, 0.0), Point::new(6.0, 0.0));
